@@ -1,0 +1,94 @@
+"""Options as frozen dataclasses, and their TOML: every key is checked, and a mistake is one line."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tomlkit
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as pydantic_dataclass
+from tomlkit.exceptions import TOMLKitError
+from typing_extensions import dataclass_transform
+
+from nnql_bullet.errors import UserError
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def options(cls: type[T]) -> type[T]:
+    """Class decorator for a group of options: frozen, by keyword only, types and ranges checked, no unknown keys."""
+    strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)
+
+
+def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+    """Builds options from plain values.
+
+    Args:
+        cls: A class made by `options`.
+        values: As read from TOML.
+        where: Names the source in errors.
+
+    Raises:
+        UserError: For the first key that is unknown, missing, of the wrong type or out of range.
+    """
+    try:
+        # By way of JSON, whose strict reading takes an integer for a float and an array for a tuple, as TOML users do.
+        return TypeAdapter(cls).validate_json(json.dumps(values, default=str))
+    except ValidationError as error:
+        raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The values of a TOML file.
+
+    Raises:
+        UserError: If it cannot be read or is not TOML.
+    """
+    try:
+        return tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+    except (OSError, UnicodeDecodeError, TOMLKitError) as error:
+        raise UserError(f"{path}: cannot be read as TOML: {error}".replace("\n", " ")) from None
+
+
+def write_toml(values: Mapping[str, Any]) -> str:
+    """Values as TOML text, floats exact."""
+    return tomlkit.dumps(values)
+
+
+def to_values(instance: Any) -> dict[str, Any]:
+    """Options as the plain values that `parse` takes."""
+    values: dict[str, Any] = TypeAdapter(type(instance)).dump_python(instance, mode="json")
+    return values
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `changes` laid over it, table by table."""
+    result = dict(base)
+    for key, value in changes.items():
+        old = result.get(key)
+        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def _first_mistake(cls: type, error: ValidationError) -> str:
+    mistake = error.errors()[0]
+    *parents, key = (str(part) for part in mistake["loc"]) if mistake["loc"] else ("",)
+    name = ".".join([*parents, key])
+    if mistake["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"unknown key '{name}'; valid keys: {', '.join(_valid_keys(cls, parents))}"
+    if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
+        return f"key '{name}' is missing"
+    if mistake["type"] == "value_error":
+        return f"'{name}': {mistake['ctx']['error']}" if name else str(mistake["ctx"]["error"])
+    return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
+
+
+def _valid_keys(cls: Any, parents: list[str]) -> list[str]:
+    for parent in parents:
+        fields = getattr(cls, "__dataclass_fields__", {})
+        if parent in fields:
+            cls = fields[parent].type
+    return sorted(getattr(cls, "__dataclass_fields__", {}))

@@ -1,0 +1,34 @@
+"""From rays to the paper's eight sensors: pure functions of distances."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array
+
+RAYS_PER_SECTOR = 9
+RAYS = paper.SECTORS * RAYS_PER_SECTOR
+FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
+"""Sectors: sector 0 is centred straight ahead, the others follow counter-clockwise, 45 degrees each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What the sensors read at one instant."""
+
+    distances: Array
+    """Of the rays (72,) [m], from the right edge of the front sector counter-clockwise."""
+    readings: Array
+    """Of the sectors (8,) [m]: d1..d8 of eq. (1)."""
+
+
+def ray_angles() -> Array:
+    """Directions of the rays in the vehicle frame (72,) [rad]: evenly spaced, 9 in each sector."""
+    step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
+    return (np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step
+
+
+def scan_from(distances: Array) -> Scan:
+    """The scan of ray distances (72,) [m]; a sector reads the smallest of its rays."""
+    return Scan(distances, distances.reshape(paper.SECTORS, RAYS_PER_SECTOR).min(axis=1))

@@ -1,0 +1,106 @@
+"""The seam between the task and what moves the vehicle: what every simulator is."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from nnql_bullet.config import options
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Pose
+from nnql_bullet.sensing import Scan
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The vehicle at one instant between two decisions, for drawing."""
+
+    time: float
+    """Since the reset [s]."""
+    pose: Pose
+    joint_angles: tuple[float, float, float, float]
+    """Left and right drive, swivel, caster roll [rad]."""
+    wheel_speeds: tuple[float, float]
+    """Left and right [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What one control period did to the vehicle. It ends early at the first contact, or inside the target."""
+
+    pose: Pose
+    """At its end."""
+    speed: float
+    """Of the rear-axle centre along the vehicle, at its end [m/s]."""
+    yaw_rate: float
+    """At its end [rad/s]."""
+    wheel_speeds: tuple[float, float]
+    """Left and right, at its end [rad/s]."""
+    duration: float
+    """[s]"""
+    path_length: float
+    """Of the rear-axle centre [m]."""
+    clearance: float
+    """Smallest distance from the footprint to an obstacle or wall [m]."""
+    heading_error: float
+    """Commanded heading change less the one reached, at its end [rad]."""
+    touching: bool
+    """Whether the vehicle touched an obstacle or wall."""
+    at_target: bool
+    """Whether the rear-axle centre came within the target's radius."""
+
+
+class Simulator(Protocol):
+    """A vehicle in a world. `reset` comes first; what follows is a function of the calls since then."""
+
+    @property
+    def vehicle(self) -> VehicleSpec:
+        """The vehicle it moves."""
+
+    @property
+    def control_period(self) -> float:
+        """Time from one decision to the next [s]."""
+
+    def reset(self, world: WorldSpec) -> None:
+        """Puts the vehicle on the world's start, already at speed, whatever happened before."""
+
+    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+        """Drives one control period.
+
+        Args:
+            heading_change: Wanted change from the present yaw [rad], positive to the left.
+            trace: Where samples between the decisions are appended, if wanted.
+        """
+
+    def pose(self) -> Pose:
+        """Where the vehicle is."""
+
+    def scan(self) -> Scan:
+        """What its sensors read."""
+
+    def close(self) -> None:
+        """Frees what it holds. It cannot be used after that."""
+
+
+@options
+class DriveOptions:
+    """How the agent's decisions reach the wheels."""
+
+    decision_period: float
+    """From one decision to the next [s]."""
+    speed: float
+    """Of the rear-axle centre [m/s]."""
+    heading_gain: float = 4.0
+    """Yaw rate per heading error [1/s]."""
+
+
+def whole_steps(period: float, time_step: float) -> int:
+    """How many physics steps make a control period.
+
+    Raises:
+        UserError: If it is not a whole number of at least one.
+    """
+    steps = round(period / time_step)
+    if steps < 1 or abs(steps * time_step - period) > 1e-9:
+        raise UserError(f"a control period of {period:g} s is not a whole number of physics steps of {time_step:g} s")
+    return steps
