@@ -2,8 +2,9 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -81,14 +82,32 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
         return f"unknown key '{name}'; valid keys: {', '.join(_valid_keys(cls, parents))}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"key '{name}' is missing"
+    if mistake["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        return f"'{name}.kind' must be one of: {mistake['ctx'].get('expected_tags', '')}".rstrip(": ")
     if mistake["type"] == "value_error":
         return f"'{name}': {mistake['ctx']['error']}" if name else str(mistake["ctx"]["error"])
     return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
 
 
 def _valid_keys(cls: Any, parents: list[str]) -> list[str]:
+    """The keys at a place in nested options; a union is told apart by its members' `kind`."""
+    members = [cls]
     for parent in parents:
-        fields = getattr(cls, "__dataclass_fields__", {})
-        if parent in fields:
-            cls = fields[parent].type
-    return sorted(getattr(cls, "__dataclass_fields__", {}))
+        fields = [member.__dataclass_fields__[parent].type for member in members if _has_field(member, parent)]
+        tagged = [member for member in members if parent in get_args(_kind_of(member))]
+        members = [member for field in fields for member in _options_in(field)] or tagged
+    return sorted({name for member in members for name in member.__dataclass_fields__})
+
+
+def _has_field(cls: Any, name: str) -> bool:
+    return name in cls.__dataclass_fields__
+
+
+def _kind_of(cls: Any) -> Any:
+    return cls.__dataclass_fields__["kind"].type if _has_field(cls, "kind") else None
+
+
+def _options_in(annotation: Any) -> list[Any]:
+    if is_dataclass(annotation):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _options_in(part)]

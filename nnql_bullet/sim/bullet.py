@@ -205,7 +205,7 @@ class BulletSimulator:
         self._world = world
         self._turn_rate = 0.0
         self._steps = 0
-        bullet.resetSimulation(self._client)
+        bullet.resetSimulation(physicsClientId=self._client)
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=self.physics.time_step,
             numSubSteps=0,

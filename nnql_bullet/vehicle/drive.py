@@ -1,14 +1,13 @@
 """From a commanded heading change to wheel speeds: a yaw-rate profile inside the vehicle's limits.
 
-A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached.
-Each ramp is a half cosine, so that the yaw rate and the yaw acceleration are continuous; its steepest slope is pi/2
-times its mean slope. It is the quickest such profile within the limits (the trapezoidal velocity profile of Lynch and
-Park, Modern Robotics, 9.2.2, with cosine ramps). A turn that a control period cuts short hands its yaw rate on to the
-next one.
+A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached: the
+trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest turn
+within the limits on yaw rate and yaw acceleration. A turn that a control period cuts short hands its yaw rate on to
+the next one.
 """
 
 from dataclasses import dataclass
-from math import copysign, pi, sqrt
+from math import copysign, sqrt
 
 import numpy as np
 
@@ -35,9 +34,9 @@ class Turn:
 def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
     """The quickest turn by `heading_change` that starts at `yaw_rate` and ends running straight.
 
-    With mean ramp slope `a`, ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a, the hold covers the rest.
+    At acceleration `a`, the ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a; the hold covers the rest.
     """
-    a = limits.yaw_acceleration / (pi / 2)
+    a = limits.yaw_acceleration
     # The heading that ending this turn at once still covers tells on which side the peak has to be.
     side = copysign(1.0, heading_change - yaw_rate * abs(yaw_rate) / (2 * a))
     start, change = side * yaw_rate, side * heading_change
@@ -60,13 +59,11 @@ def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
 
 
 def _ramp(first: float, last: float, duration: float, time: Array) -> tuple[Array, Array]:
-    """A half-cosine ramp and its integral, `time` within it."""
+    """A linear ramp and its integral, `time` within it."""
     if duration == 0.0:
         return np.full_like(time, last), np.zeros_like(time)
-    phase = pi * time / duration
-    rate = first + (last - first) * (1 - np.cos(phase)) / 2
-    heading = first * time + (last - first) / 2 * (time - duration / pi * np.sin(phase))
-    return rate, heading
+    slope = (last - first) / duration
+    return first + slope * time, (first + slope * time / 2) * time
 
 
 def wheel_speeds(speed: float, yaw_rate: float, track: float, wheel_radius: float) -> tuple[float, float]:

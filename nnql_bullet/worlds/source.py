@@ -12,7 +12,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.worlds.grid import is_solvable
-from nnql_bullet.worlds.layouts import LAYOUTS, Arena, Layout
+from nnql_bullet.worlds.layouts import AnyLayout, Arena
 from nnql_bullet.worlds.spec import WorldSpec
 
 Positive = Annotated[float, Field(gt=0)]
@@ -21,8 +21,9 @@ MOST_ATTEMPTS = 200
 
 @options
 class WorldFile:
-    """A world's TOML without its [layout]."""
+    """A world's TOML."""
 
+    layout: AnyLayout
     width: Positive = paper.ARENA_SIDE
     """[m]"""
     depth: Positive = paper.ARENA_SIDE
@@ -42,10 +43,9 @@ class WorldFile:
 class WorldSource:
     """Draws worlds from a world file: the same seed, the same world."""
 
-    def __init__(self, name: str, file: WorldFile, layout: Layout) -> None:
+    def __init__(self, name: str, file: WorldFile) -> None:
         self.name = name
         self.file = file
-        self.layout = layout
 
     def draw(self, seed: int, room: float) -> WorldSpec:
         """The world of a seed, with a path of half width `room` [m] from start to target.
@@ -56,12 +56,12 @@ class WorldSource:
         Raises:
             UserError: If there is no path, or the start or the target stands too close to an obstacle.
         """
-        for attempt in range(MOST_ATTEMPTS if self.layout.is_random else 1):
+        for attempt in range(MOST_ATTEMPTS if self.file.layout.is_random else 1):
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
                 return world
         self._explain(world, room)
-        again = f" in {MOST_ATTEMPTS} attempts; lower its cover" if self.layout.is_random else "; move its boxes apart"
+        again = f" in {MOST_ATTEMPTS} attempts; lower its cover" if self.file.layout.is_random else "; move its boxes apart"
         raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
 
     def _attempt(self, seed: int, attempt: int) -> WorldSpec:
@@ -75,7 +75,7 @@ class WorldSource:
             seed=seed,
             width=file.width,
             depth=file.depth,
-            obstacles=self.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
+            obstacles=self.file.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
             start=Pose(*file.start, round(yaw, 6)),
             target=file.target,
             target_radius=file.target_radius,
@@ -102,13 +102,7 @@ def load_world(name: str) -> WorldSource:
         UserError: If a file is missing or malformed.
     """
     path = assets.find("worlds", name)
-    values = _with_base(path, ())
-    layout = values.pop("layout", None)
-    if not isinstance(layout, dict) or layout.get("kind") not in LAYOUTS:
-        raise UserError(f"{path}: 'layout.kind' must be one of: {', '.join(sorted(LAYOUTS))}")
-    kind = layout.pop("kind")
-    file = parse(WorldFile, values, str(path))
-    return WorldSource(path.stem, file, parse(LAYOUTS[kind], layout, f"{path}: layout"))
+    return WorldSource(path.stem, parse(WorldFile, _with_base(path, ()), str(path)))
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:

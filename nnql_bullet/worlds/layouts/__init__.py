@@ -1,11 +1,13 @@
-"""Layouts: how obstacles are drawn. Each is a module with its own options, registered here by name."""
+"""Layouts: how obstacles are placed. Each is a module with its own options, and a member of `AnyLayout` by its `kind`."""
 
-from nnql_bullet.worlds.layouts import boxes, random_boxes
+from typing import Annotated
+
+from pydantic import Field
+
 from nnql_bullet.worlds.layouts.base import Arena, Layout
+from nnql_bullet.worlds.layouts.boxes import Boxes
+from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 
-LAYOUTS: dict[str, type[Layout]] = {
-    "boxes": boxes.Boxes,
-    "random_boxes": random_boxes.RandomBoxes,
-}
+AnyLayout = Annotated[Boxes | RandomBoxes, Field(discriminator="kind")]
 
-__all__ = ["LAYOUTS", "Arena", "Layout"]
+__all__ = ["AnyLayout", "Arena", "Layout"]

@@ -1,7 +1,7 @@
 """Explicit boxes: the world says where each one stands."""
 
 from math import radians
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -28,6 +28,7 @@ class Box:
 class Boxes:
     """A fixed layout."""
 
+    kind: Literal["boxes"]
     boxes: tuple[Box, ...]
 
     @property

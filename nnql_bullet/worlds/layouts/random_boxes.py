@@ -1,7 +1,7 @@
 """Boxes of random size and yaw that do not overlap, up to a share of the arena's area."""
 
 from math import pi
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ MOST_TRIES = 20_000
 class RandomBoxes:
     """Options of the paper's "obstacles randomly scattered in the environment" (IV), whose sizes it leaves open."""
 
+    kind: Literal["random_boxes"]
     cover: Annotated[float, Field(ge=0, le=0.4)]
     """Share of the arena's area under boxes."""
     min_side: Positive = 2.0

@@ -1,0 +1,123 @@
+"""From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from nnql_bullet import paper
+from nnql_bullet.agents import Agent, AnyAgentOptions, make_agent
+from nnql_bullet.agents.nnql import NnqlOptions
+from nnql_bullet.config import merged, options, parse, read_toml, to_values
+from nnql_bullet.env import Navigation
+from nnql_bullet.errors import UserError
+from nnql_bullet.seeding import training_world_seed
+from nnql_bullet.sim.base import DriveOptions, Simulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.worlds.source import load_world
+from nnql_bullet.worlds.spec import WorldSpec
+
+PATH_MARGIN = 0.15
+"""What a world's path is wider on either side than the circle around the vehicle [m]."""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # Every number that the paper states and, where it leaves a choice, the one that the evidence supports: the defaults.
+    "paper": {},
+    # Where the paper leaves a choice, the most literal reading of its text.
+    "literal": {
+        "drive": {"decision_period": 1.0},  # a step long enough for the largest turn
+        "task": {
+            # "a high possibility of collision with some obstacles": near in any direction
+            "front_distance": 4.0,
+            "front_side_distance": 4.0,
+            "other_distance": 4.0,
+            "reward_non_safe_to_safe": 0.2,  # the opposite of safe to non-safe
+        },
+        "agent": {
+            "encoding": "distance",  # "if no obstacle is found, then d = 0"
+            "gradient_step": 1.0,  # the target of eq. (2) taken at its word
+        },
+    },
+}
+
+
+@options
+class RunConfig:
+    """A training run. The defaults are the preset `paper`."""
+
+    seed: Annotated[int, Field(ge=0)] = 0
+    episodes: Annotated[int, Field(ge=1)] = paper.EPISODES
+    world: str = "paper"
+    """A shipped world or a path to a TOML file."""
+    robot: str = "tricycle"
+    """A shipped robot or a path to a TOML file."""
+    simulator: Literal["bullet"] = "bullet"
+    physics: Literal["fast", "reference"] = "fast"
+    drive: DriveOptions = DriveOptions()
+    task: TaskOptions = TaskOptions()
+    agent: AnyAgentOptions = NnqlOptions()
+
+
+def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
+    """The configuration of a preset or TOML file, with changes laid over it.
+
+    Args:
+        name: A preset, or a path to a TOML file; its key `preset` names what it is laid over (default `paper`).
+        changes: Nested values; None leaves what is there.
+
+    Raises:
+        UserError: If there is no such preset or file, or a key or value is wrong.
+    """
+    values: Mapping[str, Any] = {}
+    preset = name
+    if name not in PRESETS:
+        if not Path(name).is_file():
+            raise UserError(f"there is no preset or file '{name}'; give a TOML file or one of: {', '.join(PRESETS)}")
+        values = read_toml(Path(name))
+        preset = values.pop("preset", "paper")
+        if preset not in PRESETS:
+            raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
+    given = {key: value for key, value in changes.items() if value is not None}
+    return parse(RunConfig, merged(merged(PRESETS[preset], values), given), name)
+
+
+def changed(config: RunConfig, **changes: Any) -> RunConfig:
+    """The configuration with some top-level keys replaced; None leaves what is there."""
+    given = {key: value for key, value in changes.items() if value is not None}
+    return parse(RunConfig, merged(to_values(config), given), "command line")
+
+
+class Experiment:
+    """The objects of one run, made when first asked for."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self.config = config
+        self.vehicle = load_vehicle(config.robot)
+        self.worlds = load_world(config.world)
+
+    def world(self, seed: int) -> WorldSpec:
+        """The world of a seed."""
+        return self.worlds.draw(seed, self.vehicle.clear_radius + PATH_MARGIN)
+
+    def training_world(self, episode: int) -> WorldSpec:
+        """The world of a training episode."""
+        return self.world(training_world_seed(self.config.seed, episode))
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """The simulator."""
+        return BulletSimulator(self.vehicle, self.config.drive, PHYSICS[self.config.physics])
+
+    @cached_property
+    def navigation(self) -> Navigation:
+        """The task over the simulator."""
+        return Navigation(self.simulator, self.config.task)
+
+    @cached_property
+    def agent(self) -> Agent:
+        """The agent, untrained."""
+        return make_agent(self.config.agent, self.config.seed)
