@@ -1,0 +1,23 @@
+"""The command line: one verb a module. The only place that prints, and that decides exit codes."""
+
+import sys
+
+from nnql_bullet.cli.console import UNSUPPORTED_PYTHON, complain
+
+__all__ = ["main"]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one verb.
+
+    Args:
+        arguments: Of the command line, without the program's name.
+
+    Returns:
+        The exit code: 0 done, 1 a check failed, 2 bad input, 130 interrupted.
+    """
+    if UNSUPPORTED_PYTHON:
+        return complain(UNSUPPORTED_PYTHON)
+    from nnql_bullet.cli.main import run  # after the check: its imports need what other Pythons cannot install
+
+    return run(sys.argv[1:] if arguments is None else arguments)

@@ -1,0 +1,83 @@
+"""`nnql-bullet navigate`."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from nnql_bullet import __version__
+from nnql_bullet.cli.console import say
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment, RunConfig, changed
+from nnql_bullet.config import parse
+from nnql_bullet.recording import Recorder
+from nnql_bullet.reports.plots import draw_trajectory
+from nnql_bullet.rollout import run_episode
+from nnql_bullet.runs import POLICY
+from nnql_bullet.training.checkpoint import load_weights
+
+
+def navigate(
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help_behavior_hint="")],
+    /,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
+    seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
+    physics: Annotated[Literal["fast", "reference"], tyro.conf.arg(help_behavior_hint="")] = "reference",
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    json_output: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")] = False,
+) -> int:
+    """Drive a learned policy, greedily, through a world that it has not seen, and leave a recording and a picture.
+
+    Training draws its worlds from seeds of a million and more, so every seed below is a world never trained in.
+
+    For example:
+
+        nnql-bullet navigate runs/paper-0
+        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 7 --json
+
+    Args:
+        run: Run folder, or a policy.safetensors.
+        world: Shipped world (paper, cover_2.5 ... cover_20) or TOML file; default that of the training.
+        seed: Of the world; default 0.
+        physics: Solver settings; default reference, the more exact.
+        out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED.
+        json_output: Print one JSON object instead of text.
+    """
+    if seed < 0:
+        raise UserError(f"--seed {seed}: world seeds are not negative")
+    policy = run / POLICY if run.is_dir() else run
+    weights = load_weights(policy)
+    config = changed(parse(RunConfig, weights.config, str(policy)), world=world, physics=physics)
+    experiment = Experiment(config)
+    experiment.agent.load(weights.arrays)
+    spec = experiment.world(seed)
+    recorder = Recorder(experiment.vehicle, experiment.agent)
+    summary = run_episode(experiment.navigation, spec, experiment.agent.exploit, watcher=recorder)
+    folder = out or policy.parent / "navigate" / f"{spec.name}-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    label = f"{config.agent.kind}, {weights.episodes} episodes"
+    recording = recorder.recording(policy=label, physics=config.physics, version=__version__)
+    recording.save(folder / "trajectory.npz")
+    draw_trajectory(recording, folder / "trajectory.png")
+    result = {
+        "ending": summary.ending,
+        "steps": summary.steps,
+        "time": summary.duration,
+        "path_length": summary.path_length,
+        "smallest_clearance": summary.clearance,
+        "seed": seed,
+        "world": spec.name,
+        "recording": str(folder / "trajectory.npz"),
+        "picture": str(folder / "trajectory.png"),
+    }
+    if json_output:
+        say(json.dumps(result))
+    else:
+        say(
+            f"{summary.ending} in world '{spec.name}', seed {seed}: {summary.steps} steps, {summary.duration:.1f} s, "
+            f"{summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
+        )
+        say(f"picture: {result['picture']}")
+        say(f"recording: {result['recording']}")
+    return 0

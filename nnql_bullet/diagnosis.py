@@ -1,0 +1,109 @@
+"""What `doctor` checks: that the parts this package stands on do here what they should."""
+
+import multiprocessing
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from math import cos, hypot, sin
+
+import imageio_ffmpeg
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.geometry import ray_distances
+from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sim import bullet
+
+PATIENCE = 60.0
+"""Seconds that a renderer may take to start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check found: that it is well, or what to do."""
+
+    ok: bool
+    text: str
+    needed: bool = True
+    """Whether the package is of no use without it."""
+
+
+def check_pybullet() -> Finding:
+    """PyBullet with NumPy support, which its fast image path needs."""
+    found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
+    if not bullet.has_numpy():
+        return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
+    return Finding(True, found)
+
+
+def check_drive() -> Finding:
+    """Four seconds straight ahead at 2 m/s."""
+    experiment = Experiment(RunConfig(world="empty"))
+    simulator = experiment.simulator
+    world = experiment.world(0)
+    simulator.reset(world)
+    periods = 8
+    for _ in range(periods):
+        simulator.advance(0.0)
+    reached = simulator.pose()
+    simulator.close()
+    expected = periods * experiment.config.drive.decision_period * experiment.config.drive.speed
+    ahead = (world.start.x + expected * cos(world.start.yaw), world.start.y + expected * sin(world.start.yaw))
+    off = hypot(reached.x - ahead[0], reached.y - ahead[1])
+    text = f"{expected:g} m straight ahead in contact physics, {1000 * off:.1f} mm off"
+    return Finding(off < 0.02, text if off < 0.02 else f"{text}: more than 20 mm; report this with your machine's name")
+
+
+def check_rays() -> Finding:
+    """The 72 rays against the analytic distance to the same boxes."""
+    experiment = Experiment(RunConfig(world="cover_20"))
+    simulator, world = experiment.simulator, experiment.world(0)
+    simulator.reset(world)
+    sensor = experiment.vehicle.sensor
+    start = world.start
+    origin = (start.x + cos(start.yaw) * sensor[0], start.y + sin(start.yaw) * sensor[0])
+    expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
+    off = float(np.abs(simulator.scan().distances - expected).max())
+    simulator.close()
+    text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
+    return Finding(off < 0.002, text if off < 0.002 else f"{text}: more than 2 mm; report this with your machine's name")
+
+
+def check_ffmpeg() -> Finding:
+    """The encoder that videos need."""
+    try:
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    except (RuntimeError, OSError, subprocess.SubprocessError):
+        return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
+    return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
+
+
+def check_renderer() -> Finding:
+    """EGL where it works, else TinyRenderer, which always does. In a process of its own, which a bad driver may end."""
+    if _works(bullet.probe_egl):
+        return Finding(True, "EGL (hardware or Mesa)")
+    if _works(bullet.probe_tiny):
+        return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
+    return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
+
+
+def _works(probe: Callable[[], None]) -> bool:
+    process = multiprocessing.get_context("spawn").Process(target=probe)
+    process.start()
+    process.join(PATIENCE)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    return process.exitcode == 0
+
+
+CHECKS: dict[str, Callable[[], Finding]] = {
+    "PyBullet": check_pybullet,
+    "drive": check_drive,
+    "rays": check_rays,
+    "ffmpeg": check_ffmpeg,
+    "renderer": check_renderer,
+}

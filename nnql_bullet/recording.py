@@ -1,0 +1,162 @@
+"""What happened in one episode, step by step, as one file; everything drawn later is drawn from it.
+
+A recording is a NumPy .npz without pickled objects: a JSON text `about` (format, world, vehicle, ending) and the arrays of
+`Recording`. With n decisions, arrays of states have n + 1 rows and arrays of steps have n.
+"""
+
+import json
+import zipfile
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.agents import Agent
+from nnql_bullet.env import Observation, Transition, heading_change
+from nnql_bullet.errors import UserError
+from nnql_bullet.files import write_atomically
+from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.sensing import Scan
+from nnql_bullet.sim.base import Sample
+from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
+
+FORMAT = "nnql-bullet recording 1"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """An episode. Poses are x, y [m], yaw [rad] of the rear-axle centre."""
+
+    about: dict[str, Any]
+    """World, vehicle's footprint and sensor, ending, seed and what else is said once."""
+    state_time: Array
+    """(n + 1,) [s]"""
+    state_pose: Array
+    """(n + 1, 3)"""
+    readings: Array
+    """Of the eight sectors (n + 1, 8) [m]."""
+    ray_distances: Array
+    """(n + 1, 72) [m]"""
+    state_property: NDArray[np.str_]
+    """(n + 1,): SS, NS, WS, FS"""
+    q_values: Array
+    """Of the five turns (n, 5); NaN where the agent did not ask itself."""
+    action: NDArray[np.int64]
+    """(n,)"""
+    heading_command: Array
+    """Heading change asked for (n,) [rad]."""
+    heading_error: Array
+    """What was left of it at the end of the step (n,) [rad]."""
+    clearance: Array
+    """Smallest in the step (n,) [m]."""
+    contact: NDArray[np.bool_]
+    """(n,)"""
+    reward_terms: Array
+    """(n, 6) in the order of `task.REWARD_TERMS`."""
+    sample_time: Array
+    """Samples between decisions (m,) [s]."""
+    sample_pose: Array
+    """(m, 3)"""
+    joint_angles: Array
+    """Left drive, right drive, swivel, caster roll (m, 4) [rad]."""
+    wheel_speeds: Array
+    """Left, right (m, 2) [rad/s]."""
+
+    @property
+    def obstacles(self) -> tuple[OrientedBox, ...]:
+        """The world's boxes."""
+        return tuple(OrientedBox(**box) for box in self.about["world"]["obstacles"])
+
+    @property
+    def footprint(self) -> OrientedBox:
+        """The vehicle's footprint in its own frame."""
+        return OrientedBox(**self.about["vehicle"]["footprint"])
+
+    def save(self, path: Path) -> None:
+        """Writes the file atomically.
+
+        Raises:
+            OSError: If it cannot be written; then nothing is left under its name.
+        """
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "about"}
+        about = np.array(json.dumps({"format": FORMAT, **self.about}))
+        write_atomically(path, lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
+
+
+def load_recording(path: Path) -> Recording:
+    """Reads a recording.
+
+    Raises:
+        UserError: If the file is not one, or is damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        about = json.loads(str(arrays.pop("about")))
+        if about.pop("format") != FORMAT:
+            raise ValueError("another format")
+        return Recording(about=about, **arrays)
+    except (OSError, ValueError, TypeError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"{path}: not a whole recording of this program ({reason}); record it again") from None
+
+
+class Recorder:
+    """Watches one episode and turns it into a `Recording`."""
+
+    def __init__(self, vehicle: VehicleSpec, agent: Agent) -> None:
+        self.trace: list[Sample] = []
+        self._vehicle = vehicle
+        self._agent = agent
+        self._steps: list[Transition] = []
+
+    def begin(self, world: WorldSpec, observation: Observation, scan: Scan) -> None:
+        """The start of the episode."""
+        self._world = world
+        self._first = observation, scan
+        self.trace.clear()
+        self._steps.clear()
+
+    def see(self, transition: Transition) -> None:
+        """One step."""
+        self._steps.append(transition)
+
+    def recording(self, **about: Any) -> Recording:
+        """The episode so far; `about` is kept with it."""
+        steps, vehicle = self._steps, self._vehicle
+        observation, scan = self._first
+        observations = [observation, *(step.s_t for step in steps)]
+        poses = [self._world.start, *(step.motion.pose for step in steps)]
+        samples = self.trace
+        return Recording(
+            about={
+                **about,
+                "world": {**asdict(self._world), "digest": self._world.digest},
+                "vehicle": {"name": vehicle.name, "footprint": asdict(vehicle.footprint), "sensor": vehicle.sensor},
+                "ending": steps[-1].ending if steps else None,
+            },
+            state_time=np.cumsum([0.0, *(step.motion.duration for step in steps)]),
+            state_pose=_poses(poses),
+            readings=np.array([observation.readings for observation in observations]),
+            ray_distances=np.array([scan.distances, *(step.scan.distances for step in steps)]),
+            state_property=np.array([observation.property.value for observation in observations]),
+            q_values=np.array([self._agent.action_values(step.s_tm1) for step in steps]),
+            action=np.array([step.a_tm1 for step in steps]),
+            heading_command=np.array([heading_change(step.a_tm1, step.s_tm1.target_bearing) for step in steps]),
+            heading_error=np.array([step.motion.heading_error for step in steps]),
+            clearance=np.array([step.motion.clearance for step in steps]),
+            contact=np.array([step.motion.touching for step in steps]),
+            reward_terms=np.array([[step.terms[name] for name in REWARD_TERMS] for step in steps]),
+            sample_time=np.array([sample.time for sample in samples]),
+            sample_pose=_poses([sample.pose for sample in samples]),
+            joint_angles=np.array([sample.joint_angles for sample in samples]),
+            wheel_speeds=np.array([sample.wheel_speeds for sample in samples]),
+        )
+
+
+def _poses(poses: list[Pose]) -> Array:
+    return np.array([(pose.x, pose.y, pose.yaw) for pose in poses])

@@ -1,0 +1,144 @@
+"""A run folder: what a training leaves, and what it goes on from.
+
+    config.toml             the configuration, every key resolved
+    episodes.csv            a line for each finished episode
+    checkpoint.safetensors  what the agent has learned after the last line of episodes.csv
+    policy.safetensors      the same weights under the name that `navigate` takes
+    learning_curve.png      drawn when the training stops
+"""
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from nnql_bullet import __version__
+from nnql_bullet.agents import Agent
+from nnql_bullet.config import parse, read_toml, to_values, write_toml
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import RunConfig
+from nnql_bullet.files import write_text
+from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
+from nnql_bullet.training.loop import TrainingEpisode
+
+CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
+POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
+_NUMBERS = ("duration", "path_length", "clearance", "heading_error")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training in its folder, as far as it has come."""
+
+    folder: Path
+    config: RunConfig
+    episodes: list[TrainingEpisode]
+
+    def save(self, agent: Agent) -> None:
+        """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
+
+        Raises:
+            OSError: If a file cannot be written; the checkpoint before this one is then whole.
+        """
+        write_text(self.folder / EPISODES, _as_csv(self.episodes))
+        weights = Weights(to_values(self.config), len(self.episodes), agent.arrays())
+        save_weights(weights, self.folder / CHECKPOINT)
+        save_weights(weights, self.folder / POLICY)
+
+
+def create_run(folder: Path, config: RunConfig, overwrite: bool) -> Run:
+    """Starts a run folder.
+
+    Raises:
+        UserError: If the folder holds something and `overwrite` is not given, or holds something that is not a run.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{folder}: is a file; give another folder with --out")
+    if folder.is_dir() and any(folder.iterdir()):
+        if not overwrite:
+            raise UserError(f"{folder}: is not empty; go on with --resume, or give --overwrite or another --out")
+        if not (folder / CONFIG).is_file():
+            raise UserError(f"{folder}: holds no run, so it is not overwritten; give another --out")
+        for name in (CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
+            (folder / name).unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_config(folder, config)
+    return Run(folder, config, [])
+
+
+def open_run(folder: Path, episodes: int | None, agent_of: Callable[[RunConfig], Agent]) -> tuple[Run, Agent]:
+    """Reads a run folder as it was at its last checkpoint.
+
+    Args:
+        folder: The run's.
+        episodes: A new number of episodes to train in all, or None for the one it has.
+        agent_of: Makes an untrained agent.
+
+    Raises:
+        UserError: If the folder holds no run, or its files do not fit each other.
+    """
+    if not (folder / CONFIG).is_file():
+        raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that 'train' wrote")
+    config = parse(RunConfig, read_toml(folder / CONFIG), str(folder / CONFIG))
+    rows: list[TrainingEpisode] = []
+    agent = agent_of(config)
+    if (folder / CHECKPOINT).exists():
+        weights = load_weights(folder / CHECKPOINT)
+        rows = _read_csv(folder / EPISODES)[: weights.episodes]
+        same = weights.config | {"episodes": 0} == to_values(config) | {"episodes": 0}
+        if not same or len(rows) != weights.episodes:
+            raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
+        agent.load(weights.arrays)
+    if episodes is not None and episodes < len(rows):
+        raise UserError(f"{folder}: has {len(rows)} episodes already, so --episodes {episodes} leaves nothing to do")
+    if episodes is not None:
+        config = parse(RunConfig, to_values(config) | {"episodes": episodes}, "--episodes")
+        _write_config(folder, config)
+    return Run(folder, config, rows), agent
+
+
+def _write_config(folder: Path, config: RunConfig) -> None:
+    text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(config))}"
+    write_text(folder / CONFIG, text)
+
+
+def _as_csv(episodes: list[TrainingEpisode]) -> str:
+    """A line for each episode; numbers are exact, so that reading them back gives the same ones."""
+    text = io.StringIO()
+    names = list(episodes[0].diagnostics) if episodes else []
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return", *REWARD_TERMS, *names]
+    )
+    for e in episodes:
+        s = e.summary
+        numbers = [getattr(s, name) for name in _NUMBERS]
+        numbers += [s.episode_return, *(s.terms[name] for name in REWARD_TERMS), *e.diagnostics.values()]
+        row = [e.episode, s.world_seed, s.ending, s.steps, s.non_safe_steps, *(repr(float(n)) for n in numbers)]
+        writer.writerow(row)
+    return text.getvalue()
+
+
+def _read_csv(path: Path) -> list[TrainingEpisode]:
+    known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return", *REWARD_TERMS}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return [_episode(row, [name for name in row if name not in known]) for row in csv.DictReader(file)]
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise UserError(f"{path}: damaged or missing ({error}); the run cannot be gone on with") from None
+
+
+def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
+    summary = EpisodeSummary(
+        world_seed=int(row["world_seed"]),
+        ending=row["ending"],  # type: ignore[arg-type]
+        steps=int(row["steps"]),
+        non_safe_steps=int(row["non_safe_steps"]),
+        episode_return=float(row["return"]),
+        terms={name: float(row[name]) for name in REWARD_TERMS},
+        **{name: float(row[name]) for name in _NUMBERS},
+    )
+    return TrainingEpisode(int(row["episode"]), summary, {name: float(row[name]) for name in diagnostics})

@@ -1,0 +1,71 @@
+"""Weights with what is known about them, as safetensors: a policy to drive with, a checkpoint to go on from."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from nnql_bullet import __version__
+from nnql_bullet.errors import UserError
+from nnql_bullet.files import write_atomically
+from nnql_bullet.geometry import Array
+
+FORMAT = "nnql-bullet weights 1"
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """What an agent has learned, and how it came to it."""
+
+    config: dict[str, Any]
+    """The run's configuration as plain values."""
+    episodes: int
+    """Training episodes finished."""
+    arrays: dict[str, Array]
+
+
+def save_weights(weights: Weights, path: Path) -> None:
+    """Writes the file atomically.
+
+    Raises:
+        OSError: If it cannot be written; an older file of that name is then untouched.
+    """
+    metadata = {
+        "format": FORMAT,
+        "version": __version__,
+        "episodes": str(weights.episodes),
+        "config": json.dumps(weights.config, sort_keys=True),
+    }
+    write_atomically(path, lambda temporary: _save(weights.arrays, temporary, metadata))
+
+
+def load_weights(path: Path) -> Weights:
+    """Reads the file.
+
+    Raises:
+        UserError: If it is missing, damaged, or was not written by this program.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: there is no such file; train first, or give another run")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            metadata = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise UserError(f"{path}: damaged, or not a safetensors file ({error})".replace("\n", " ")) from None
+    if metadata.get("format") != FORMAT:
+        raise UserError(f"{path}: not written by this program (its format is {metadata.get('format')!r})")
+    try:
+        return Weights(dict(json.loads(metadata["config"])), int(metadata["episodes"]), arrays)
+    except (KeyError, ValueError, TypeError):
+        raise UserError(f"{path}: its metadata is damaged") from None
+
+
+def _save(arrays: dict[str, Array], path: Path, metadata: dict[str, str]) -> None:
+    try:
+        save_file(arrays, path, metadata)
+    except SafetensorError as error:
+        raise OSError(str(error)) from None
