@@ -1,3 +1,10 @@
-"""Neural-network Q-learning for an industrial three-wheeled vehicle, proved in contact physics."""
+"""Neural-network Q-learning for an industrial three-wheeled vehicle, proved in contact physics.
+
+Importing it makes `gymnasium.make("nnql_bullet/Tricycle-v0")` known.
+"""
+
+from gymnasium.envs.registration import register
 
 __version__ = "0.1.0"
+
+register(id="nnql_bullet/Tricycle-v0", entry_point="nnql_bullet.tricycle_env:TricycleEnv")
