@@ -16,12 +16,14 @@ from nnql_bullet.errors import UserError
 
 T = TypeVar("T")
 
+_UNKNOWN_KEY = ("unexpected_keyword_argument", "extra_forbidden")
+
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
     """Class decorator for a group of options: frozen, by keyword only, types and ranges checked, no unknown keys."""
     strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)
+    return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)  # type: ignore[return-value]
 
 
 def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
@@ -75,36 +77,46 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def _first_mistake(cls: type, error: ValidationError) -> str:
-    mistake = error.errors()[0]
-    *parents, key = (str(part) for part in mistake["loc"]) if mistake["loc"] else ("",)
-    name = ".".join([*parents, key])
-    if mistake["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        return f"unknown key '{name}'; valid keys: {', '.join(_valid_keys(cls, parents))}"
+    mistakes = error.errors()
+    # An unknown key first: next to a missing one it is that one misspelt.
+    mistake = next((mistake for mistake in mistakes if mistake["type"] in _UNKNOWN_KEY), mistakes[0])
+    keys, members = _walk(cls, mistake["loc"])
+    name = ".".join(keys)
+    if mistake["type"] in _UNKNOWN_KEY:
+        _, members = _walk(cls, mistake["loc"][:-1])
+        valid = sorted({key for member in members for key in member.__dataclass_fields__})
+        return f"unknown key '{name}'; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"key '{name}' is missing"
     if mistake["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        return f"'{name}.kind' must be one of: {mistake['ctx'].get('expected_tags', '')}".rstrip(": ")
+        return f"'{name}.kind' must be one of: {', '.join(tag for member in members for tag in _tags(member))}"
     if mistake["type"] == "value_error":
         return f"'{name}': {mistake['ctx']['error']}" if name else str(mistake["ctx"]["error"])
     return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
 
 
-def _valid_keys(cls: Any, parents: list[str]) -> list[str]:
-    """The keys at a place in nested options; a union is told apart by its members' `kind`."""
+def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[Any]]:
+    """The keys that lead to a place in nested options, and the options there.
+
+    In a location a union is followed by the `kind` of the member that was meant, which is not a key.
+    """
+    keys: list[str] = []
     members = [cls]
-    for parent in parents:
-        fields = [member.__dataclass_fields__[parent].type for member in members if _has_field(member, parent)]
-        tagged = [member for member in members if parent in get_args(_kind_of(member))]
-        members = [member for field in fields for member in _options_in(field)] or tagged
-    return sorted({name for member in members for name in member.__dataclass_fields__})
+    for part in location:
+        tagged = [member for member in members if part in _tags(member)] if len(members) > 1 else []
+        if tagged:
+            members = tagged
+            continue
+        keys.append(str(part))
+        if isinstance(part, str):  # a number counts the items of an array
+            fields = [member.__dataclass_fields__[part] for member in members if part in member.__dataclass_fields__]
+            members = [found for field in fields for found in _options_in(field.type)]
+    return keys, members
 
 
-def _has_field(cls: Any, name: str) -> bool:
-    return name in cls.__dataclass_fields__
-
-
-def _kind_of(cls: Any) -> Any:
-    return cls.__dataclass_fields__["kind"].type if _has_field(cls, "kind") else None
+def _tags(cls: Any) -> tuple[str, ...]:
+    field = cls.__dataclass_fields__.get("kind")
+    return get_args(field.type) if field else ()
 
 
 def _options_in(annotation: Any) -> list[Any]:

@@ -68,7 +68,8 @@ def check_rays() -> Finding:
     off = float(np.abs(simulator.scan().distances - expected).max())
     simulator.close()
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
-    return Finding(off < 0.002, text if off < 0.002 else f"{text}: more than 2 mm; report this with your machine's name")
+    well = off < 0.002
+    return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
 
 
 def check_ffmpeg() -> Finding:

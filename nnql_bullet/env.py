@@ -1,12 +1,9 @@
 """The task over a simulator: `reset` and `step` only sequence; vehicle, sensing, task and world decide."""
 
 from dataclasses import dataclass
-from math import pi
-
-import numpy as np
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, Pose, bearing, distance, wrap_angle
+from nnql_bullet.geometry import Array, Pose, bearing, distance
 from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.task import Ending, Property, TaskOptions, ending, reward_terms, state_property

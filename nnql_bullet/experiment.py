@@ -25,7 +25,7 @@ PATH_MARGIN = 0.15
 """What a world's path is wider on either side than the circle around the vehicle [m]."""
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # Every number that the paper states and, where it leaves a choice, the one that the evidence supports: the defaults.
+    # Every number that the paper states; where it leaves a choice, the one that the evidence supports. The defaults.
     "paper": {},
     # Where the paper leaves a choice, the most literal reading of its text.
     "literal": {

@@ -38,12 +38,14 @@ class OrientedBox:
         """The corners, counter-clockwise, (4, 2) [m]."""
         signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
         c, s = cos(self.yaw), sin(self.yaw)
-        return signs * (self.half_length, self.half_width) @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+        scaled: Array = signs * (self.half_length, self.half_width)
+        return np.asarray(scaled @ np.array([[c, s], [-s, c]]) + (self.x, self.y))
 
 
 def wrap_angle(angle: float) -> float:
     """The same direction in (-pi, pi]."""
-    return pi - (pi - angle) % (2.0 * pi)
+    wrapped = pi - (pi - angle) % (2.0 * pi)
+    return wrapped if wrapped > -pi else pi  # the remainder rounds up to 2 pi just above an odd multiple of pi
 
 
 def bearing(pose: Pose, x: float, y: float) -> float:
@@ -95,7 +97,7 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
     c, s = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
     along = abs(a[4] * dx + a[5] * dy) <= a[2] + b[2] * c + b[3] * s
     across = abs(a[4] * dy - a[5] * dx) <= a[3] + b[2] * s + b[3] * c
-    return along and across
+    return bool(along and across)
 
 
 @numba.njit(cache=True)
@@ -119,6 +121,17 @@ def clearance(footprint: Array, boxes: Array) -> float:
         squared = min(_corners_to_box(footprint, box), _corners_to_box(box, footprint))
         closest = min(closest, np.sqrt(squared))
     return closest
+
+
+@numba.njit(cache=True)
+def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
+    """`clearance` of a footprint, a row (6,) in the vehicle's frame, with the vehicle at x, y [m] and yaw [rad]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    row = np.empty(6)
+    row[0], row[1] = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    row[2], row[3] = footprint[2], footprint[3]
+    row[4], row[5] = c * footprint[4] - s * footprint[5], s * footprint[4] + c * footprint[5]
+    return float(clearance(row, boxes))
 
 
 def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sensor_range: float) -> Array:

@@ -1,10 +1,10 @@
 """A run folder: what a training leaves, and what it goes on from.
 
-    config.toml             the configuration, every key resolved
-    episodes.csv            a line for each finished episode
-    checkpoint.safetensors  what the agent has learned after the last line of episodes.csv
-    policy.safetensors      the same weights under the name that `navigate` takes
-    learning_curve.png      drawn when the training stops
+- config.toml: the configuration, every key resolved
+- episodes.csv: a line for each finished episode
+- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv
+- policy.safetensors: the same weights, under the name that `navigate` takes
+- learning_curve.png: drawn when the training stops
 """
 
 import csv

@@ -26,7 +26,7 @@ class Scan:
 def ray_angles() -> Array:
     """Directions of the rays in the vehicle frame (72,) [rad]: evenly spaced, 9 in each sector."""
     step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
-    return (np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step
+    return np.asarray((np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step)
 
 
 def scan_from(distances: Array) -> Scan:

@@ -27,6 +27,8 @@ from nnql_bullet import paper
 from nnql_bullet.env import ACTIONS, Observation
 from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
 from nnql_bullet.seeding import TRAINING_WORLDS
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_YAW_RATE = 10.0
 
@@ -51,7 +53,8 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         file = self._experiment.worlds.file
         low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
         high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(file.width, file.depth), pi, MOST_YAW_RATE]
-        self.observation_space = gymnasium.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
+        bounds = np.array([low, high], dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(ACTIONS)
 
     def reset(
@@ -61,7 +64,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         super().reset(seed=seed)
         given = (options or {}).get("world_seed")
         drawn = self.np_random.integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop) if given is None else given
-        observation, _ = self._experiment.navigation.reset(self._experiment.world(int(drawn)))
+        observation, _ = self._experiment.navigation.reset(self.world(int(drawn)))
         return self._vector(observation), {"world_seed": int(drawn)}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -76,9 +79,18 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         over = t.ending in ("goal", "collision")
         return self._vector(t.s_t), t.r_t, over, t.ending == "timeout", info
 
+    @property
+    def simulator(self) -> Simulator:
+        """What moves the vehicle."""
+        return self._experiment.simulator
+
+    def world(self, seed: int) -> WorldSpec:
+        """The world of a seed."""
+        return self._experiment.world(seed)
+
     def close(self) -> None:
         """Frees the simulator."""
-        self._experiment.simulator.close()
+        self.simulator.close()
 
     def _vector(self, observation: Observation) -> NDArray[np.float32]:
         o = observation

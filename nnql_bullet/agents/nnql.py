@@ -35,11 +35,11 @@ class NnqlOptions:
     """Episodes over which the temperature falls, linearly: only its ends are given. It does not follow the number of
     episodes asked for, so that a run can be stopped and gone on with."""
     encoding: Literal["proximity", "distance"] = "proximity"
-    """What the network sees of a reading d. "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and, after
-    the letter of II.B, also 0 when nothing is seen, which makes "free" and "touching" neighbours (41 against 97 %)."""
+    """What the network sees of a reading d. "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,
+    after the letter of II.B, 0 when nothing is seen, which makes "free" and "touching" neighbours (41 against 97 %)."""
     gradient_step: Positive = 0.4
-    """Step of gradient descent, which the paper does not give. alpha times step 0.01 / 0.04 / 0.15 / 0.5 / 1.5 gave 90 / 97 /
-    97 / 94 / 42 %."""
+    """Step of gradient descent, which the paper does not give. alpha times step 0.01 / 0.04 / 0.15 / 0.5 / 1.5 gave
+    90 / 97 / 97 / 94 / 42 %."""
     learn_in_safe_states: bool = False
     """Whether steps from safe states train the network too. The text asks it only in non-safe states, so its reward for
     safe to non-safe teaches nothing; with this on, the turn toward the target counts as the nearest of the five."""
@@ -118,8 +118,8 @@ class Nnql:
 
     def diagnostics(self) -> dict[str, float]:
         """Temperature, and the root mean square of the episode's temporal-difference errors."""
-        errors = self._errors
-        return {"temperature": self.temperature, "td_error": float(np.sqrt(np.mean(np.square(errors)))) if errors else 0.0}
+        td_error = float(np.sqrt(np.mean(np.square(self._errors)))) if self._errors else 0.0
+        return {"temperature": self.temperature, "td_error": td_error}
 
     def arrays(self) -> dict[str, Array]:
         """Weights W1 and W2 and their biases."""

@@ -8,9 +8,9 @@ import tyro
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import say
+from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig, changed
-from nnql_bullet.config import parse
 from nnql_bullet.recording import Recorder
 from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.rollout import run_episode
@@ -25,7 +25,9 @@ def navigate(
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
     physics: Annotated[Literal["fast", "reference"], tyro.conf.arg(help_behavior_hint="")] = "reference",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    json_output: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")] = False,
+    json_output: Annotated[
+        bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
+    ] = False,
 ) -> int:
     """Drive a learned policy, greedily, through a world that it has not seen, and leave a recording and a picture.
 

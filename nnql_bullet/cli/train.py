@@ -3,7 +3,7 @@
 import signal
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -11,9 +11,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from nnql_bullet.agents import Agent
 from nnql_bullet.cli.console import err, progress, say
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, changed, load_config
+from nnql_bullet.experiment import Experiment, load_config
 from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, create_run, open_run
 from nnql_bullet.training import loop
@@ -61,7 +62,7 @@ def train(
     """
     if resume is not None:
         fixed = {"--config": config, "--sim": sim, "--seed": seed, "--world": world, "--physics": physics, "--out": out}
-        given = [name for name, value in fixed.items() if value is not None] + ["--overwrite"] * overwrite
+        given = [flag for flag, value in fixed.items() if value is not None] + ["--overwrite"] * overwrite
         if given:
             raise UserError(f"{given[0]} cannot go with --resume: a run goes on as it was configured")
         run, agent = open_run(resume, episodes, lambda c: Experiment(c).agent)
@@ -84,18 +85,17 @@ def train(
     draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
     say(f"learning curve: {run.folder / LEARNING_CURVE}")
     if not finished:
-        say(f"stopped after episode {len(run.episodes)} of {total}; go on with: nnql-bullet train --resume {run.folder}")
+        done = len(run.episodes)
+        say(f"stopped after episode {done} of {total}; go on with: nnql-bullet train --resume {run.folder}")
         return 130
     say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet navigate {run.folder}")
     return 0
 
 
-def _run(run: Run, experiment: Experiment, agent: loop.Agent) -> bool:
+def _run(run: Run, experiment: Experiment, agent: Agent) -> bool:
     """Trains to the end or to an interrupt, with checkpoints; whether it came to the end."""
     total, done = run.config.episodes, len(run.episodes)
-    episodes = loop.train(
-        agent, experiment.navigation, experiment.training_world, run.config.seed, range(done, total)
-    )
+    episodes = loop.train(agent, experiment.navigation, experiment.training_world, run.config.seed, range(done, total))
     recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
     steps, begin = 0, time.monotonic()
     with _interrupts() as interrupted, progress("training", total, done) as show:
@@ -104,7 +104,8 @@ def _run(run: Run, experiment: Experiment, agent: loop.Agent) -> bool:
             recent.append(episode.summary.ending == "goal")
             steps += episode.summary.steps
             rate = steps / (time.monotonic() - begin)
-            show(len(run.episodes), f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s")
+            success = sum(recent) / len(recent)
+            show(len(run.episodes), f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s")
             if interrupted() or len(run.episodes) % SAVE_EVERY == 0 or len(run.episodes) == total:
                 run.save(agent)
             if interrupted():
@@ -113,7 +114,7 @@ def _run(run: Run, experiment: Experiment, agent: loop.Agent) -> bool:
 
 
 @contextmanager
-def _interrupts() -> "Iterator[loop.Callable[[], bool]]":
+def _interrupts() -> Iterator[Callable[[], bool]]:
     """Holds Ctrl-C and SIGTERM back until the present episode is over; a second one ends at once."""
     asked = False
 

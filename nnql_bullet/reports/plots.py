@@ -9,6 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon
+from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.files import write_atomically
@@ -27,19 +28,18 @@ OUTLINE_EVERY = 4.0
 def draw_trajectory(recording: Recording, path: Path) -> None:
     """The world to scale, the path coloured by safe and non-safe, the vehicle at intervals."""
     world = recording.about["world"]
-    figure = Figure(figsize=(8.0, 8.6), layout="constrained")
-    axes = figure.subplots()
-    _draw_world(axes, recording)
-    _draw_path(axes, recording)
-    axes.set(
-        xlim=(-2, world["width"] + 2),
-        ylim=(-2, world["depth"] + 2),
-        aspect="equal",
-        xlabel="x [m]",
-        ylabel="y [m]",
+    figure = Figure(figsize=(11.0, 7.4), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
+    whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    _draw_world(whole, recording)
+    _draw_path(whole, recording)
+    whole.set(
+        xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]"
     )
-    axes.set_title(_caption(recording), fontsize=11, color=INK)
-    _inset_of_the_end(axes, recording)
+    _draw_tightest(closer, recording)
+    whole.indicate_inset(bounds=_bounds(closer), inset_ax=None, edgecolor=INK, alpha=0.7)
+    _draw_clearance(clear, recording)
+    figure.suptitle(_caption(recording), fontsize=11, color=INK)
     handles = [
         Line2D([], [], color=SAFE, lw=2.4, label="safe: toward the target"),
         Line2D([], [], color=NON_SAFE, lw=2.4, label="non-safe: the network decides"),
@@ -49,7 +49,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
     ]
     if recording.about["ending"] == "collision":
         handles.append(Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"))
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
     _save(figure, path)
 
 
@@ -100,9 +100,7 @@ def _draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
     points = recording.sample_pose[:, :2]
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
-    segments = np.stack([points[:-1], points[1:]], axis=1)
-    colours = np.where(non_safe[1:], NON_SAFE, SAFE)
-    axes.add_collection(LineCollection(segments, colors=colours, lw=2.0 * detail, capstyle="round", zorder=4))
+    axes.add_collection(_segments(points, np.where(non_safe[1:], NON_SAFE, SAFE), 2.0 * detail))
     for pose in _outlines(recording, OUTLINE_EVERY / detail):
         axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
     last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
@@ -111,24 +109,40 @@ def _draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
         axes.plot(last.x, last.y, "X", color=COLLISION, mec="white", ms=11, zorder=7)
 
 
-def _inset_of_the_end(axes: Axes, recording: Recording) -> None:
-    """The tightest moment, enlarged, in the corner that the path from (20, 20) to (90, 90) leaves empty."""
-    tightest = int(np.argmin(recording.clearance)) + 1
-    x, y, _ = recording.state_pose[min(tightest, len(recording.state_pose) - 1)]
-    world = recording.about["world"]
-    half = 6.0
-    inset = axes.inset_axes((0.62, 0.03, 0.35, 0.35)) if y > x - 25 else axes.inset_axes((0.03, 0.62, 0.35, 0.35))
-    _draw_world(inset, recording)
-    _draw_path(inset, recording, detail=2.0)
-    inset.set(
-        xlim=(min(max(x, half), world["width"] - half) - half, min(max(x, half), world["width"] - half) + half),
-        ylim=(min(max(y, half), world["depth"] - half) - half, min(max(y, half), world["depth"] - half) + half),
-        aspect="equal",
-        xticks=[],
-        yticks=[],
+def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
+    """The tightest moment, enlarged."""
+    x, y, _ = recording.state_pose[int(np.argmin(recording.clearance)) + 1]
+    _draw_world(axes, recording)
+    _draw_path(axes, recording, detail=2.0)
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set_title("the tightest moment", fontsize=10)
+
+
+def _bounds(axes: Axes) -> tuple[float, float, float, float]:
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    return left, low, right - left, high - low
+
+
+def _draw_clearance(axes: Axes, recording: Recording) -> None:
+    """Smallest clearance in each step over time, in the colours of the path."""
+    time = recording.state_time
+    points = np.column_stack([np.repeat(time, 2)[1:-1], np.repeat(recording.clearance, 2)])
+    colours = np.repeat(np.where(recording.state_property[:-1] == "NS", NON_SAFE, SAFE), 2)[1:]
+    axes.add_collection(_segments(points, colours, 1.8))
+    axes.set(
+        xlim=(0, time[-1]),
+        ylim=(0, paper.SENSOR_RANGE),
+        xlabel="time [s]",
+        ylabel="clearance [m]",
     )
-    inset.set_title(f"tightest: {recording.clearance.min():.2f} m clear", fontsize=8, pad=3)
-    axes.indicate_inset_zoom(inset, edgecolor=INK, alpha=0.6)
+    axes.set_title(f"clearance, smallest {recording.clearance.min():.2f} m", fontsize=10)
+    axes.grid(color="#e9ecef", lw=0.8)
+
+
+def _segments(points: Array, colours: NDArray[np.str_], width: float) -> LineCollection:
+    """A line through points (n, 2), each of its n - 1 pieces in its own colour."""
+    pieces = [points[i : i + 2] for i in range(len(points) - 1)]
+    return LineCollection(pieces, colors=colours.tolist(), linewidths=width, capstyle="round", zorder=4)
 
 
 def _outlines(recording: Recording, every: float) -> list[OrientedBox]:
@@ -152,7 +166,9 @@ def _trailing_mean(values: Array, window: int) -> Array:
     total = np.cumsum(np.concatenate([[0.0], values]))
     end = np.arange(1, len(values) + 1)
     begin = np.maximum(end - window, 0)
-    return np.asarray((total[end] - total[begin]) / (end - begin))
+    mean = np.asarray((total[end] - total[begin]) / (end - begin))
+    mean[: window // 4] = np.nan  # too few to mean anything
+    return mean
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Simulators: what moves the vehicle, behind one seam."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance, distance, moved, wrap_angle
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, distance, wrap_angle
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import DriveOptions, Motion, Sample, whole_steps
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
@@ -92,7 +92,8 @@ class BulletSimulator:
     """One vehicle in one world, in a DIRECT client of its own. See `sim.base.Simulator` for the contract.
 
     Below that contract it offers the parts that physics is probed with: `place`, `step`, `command_wheels`,
-    `release_wheels`, and quantities named for what they are.
+    `release_wheels`, quantities named for what they are, and the engine's own numbers of its `client`, of the vehicle's
+    `body` and of the drive joints `left` and `right`.
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
@@ -103,16 +104,22 @@ class BulletSimulator:
         self._steps_per_command = whole_steps(1 / COMMAND_RATE, physics.time_step)
         commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
         self._command_times = np.arange(commands + 1) / COMMAND_RATE
-        self._client = bullet.connect(bullet.DIRECT)
-        if self._client < 0:
+        self.client = bullet.connect(bullet.DIRECT)
+        if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
-        self._finalizer = weakref.finalize(self, _disconnect, self._client)
-        self._ray_angles = ray_angles()
+        self._finalizer = weakref.finalize(self, _disconnect, self.client)
+        angles = ray_angles()
+        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))]) * paper.SENSOR_RANGE
+        self._turn_rate = 0.0
+        self._clearance = 0.0
+        self._steps = 0
         footprint = vehicle.footprint
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
-        self._reach = 1.05 * fastest * drive.decision_period
-        """No point of the vehicle gets farther than this in a control period, slip included [m]."""
+        # No point of the vehicle gets farther than this, slip included [m]: what is farther off need not be watched.
+        self._reach = 1.1 * fastest * drive.decision_period
+        self._reach_of_command = 1.1 * fastest / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
+        self._footprint = as_rows((footprint,))[0]
 
     def close(self) -> None:
         """Disconnects the client."""
@@ -126,46 +133,50 @@ class BulletSimulator:
 
     def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target."""
-        begin = self.pose()
+        begin, first_step = self.pose(), self._steps
         turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
         rates, headings = sample_turn(turn, self._command_times)
-        feed_forward = np.diff(headings) * COMMAND_RATE
+        feed_forward = (np.diff(headings) * COMMAND_RATE).tolist()
+        wanted = (begin.yaw + headings).tolist()
+        speed, gain = self.drive.speed, self.drive.heading_gain
+        track, radius = self.vehicle.track, self.vehicle.wheel_radius
+        target_x, target_y = self._world.target
+        target_radius = self._world.target_radius
         watched = self._clearance <= self._reach
-        closest = self._clearance
-        arriving = distance(begin, *self._world.target) <= self._reach + self._world.target_radius
-        pose, path_length, commands = begin, 0.0, 0
+        arriving = distance(begin, target_x, target_y) <= self._reach + target_radius
+        solids = self._world.solids
+        closest = clear = self._clearance
+        x, y, yaw = begin.x, begin.y, begin.yaw
+        path_length, commands = 0.0, 0
         touching = at_target = False
-        for rate, heading in zip(feed_forward.tolist(), headings.tolist(), strict=False):
-            error = wrap_angle(begin.yaw + heading - pose.yaw)
-            yaw_rate = rate + self.drive.heading_gain * error
-            speeds = wheel_speeds(self.drive.speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
-            self.command_wheels(*speeds)
-            for _ in range(self._steps_per_command):
-                self.step()
-                if watched and self.touching():
-                    touching = True
-                    break
-            last, pose = pose, self.pose()
-            path_length += hypot(pose.x - last.x, pose.y - last.y)
-            commands += 1
+        for commands, rate in enumerate(feed_forward, 1):
+            yaw_rate = rate + gain * wrap_angle(wanted[commands - 1] - yaw)
+            self.command_wheels(*wheel_speeds(speed, yaw_rate, track, radius))
+            touching = self._run(self._steps_per_command, watched and clear <= self._reach_of_command)
+            last_x, last_y = x, y
+            x, y, yaw = self._planar_pose()
+            path_length += hypot(x - last_x, y - last_y)
             if watched:
-                closest = min(closest, self._clearance_at(pose))
-            if trace is not None and commands % SAMPLE_EVERY == 0:
+                clear = clearance_at(x, y, yaw, self._footprint, solids)
+                closest = min(closest, clear)
+            at_target = arriving and hypot(x - target_x, y - target_y) <= target_radius
+            over = touching or at_target
+            if trace is not None and (over or commands % SAMPLE_EVERY == 0):
                 trace.append(self.sample())
-            at_target = arriving and distance(pose, *self._world.target) <= self._world.target_radius
-            if touching or at_target:
+            if over:
                 break
+        pose = Pose(x, y, yaw)
         self._turn_rate = float(rates[commands])
-        self._clearance = self._clearance_at(pose)
+        self._clearance = clearance_at(x, y, yaw, self._footprint, solids)
         return Motion(
             pose=pose,
             speed=self.speed(),
             yaw_rate=self.yaw_rate(),
             wheel_speeds=self.wheel_speeds(),
-            duration=commands / COMMAND_RATE,
+            duration=(self._steps - first_step) * self.physics.time_step,
             path_length=path_length,
             clearance=0.0 if touching else min(closest, self._clearance),
-            heading_error=wrap_angle(begin.yaw + heading_change - pose.yaw),
+            heading_error=wrap_angle(begin.yaw + heading_change - yaw),
             touching=touching,
             at_target=at_target and not touching,
         )
@@ -174,22 +185,15 @@ class BulletSimulator:
         """One batch of rays from the sensor, which pitches and rolls with the chassis."""
         position, rotation = self._chassis_frame()
         origin = position + rotation @ self.vehicle.sensor
-        directions = np.zeros((3, len(self._ray_angles)))
-        directions[0], directions[1] = np.cos(self._ray_angles), np.sin(self._ray_angles)
-        ends = (origin[:, None] + rotation @ directions * paper.SENSOR_RANGE).T
+        ends = origin + (rotation @ self._rays).T
         hits = bullet.rayTestBatch(
-            [origin.tolist()] * len(ends), ends.tolist(), collisionFilterMask=OBSTACLE, physicsClientId=self._client
+            [origin.tolist()] * len(ends), ends.tolist(), collisionFilterMask=OBSTACLE, physicsClientId=self.client
         )
         return scan_from(np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE)
 
     def pose(self) -> Pose:
         """Of the rear-axle centre, seen from above."""
-        (x, y, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(self._robot, self._client)
-        ahead, _, up = self._com
-        forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
-        x -= ahead * forward_x + up * 2 * (qx * qz + qw * qy)
-        y -= ahead * forward_y + up * 2 * (qy * qz - qw * qx)
-        return Pose(x, y, atan2(forward_y, forward_x))
+        return Pose(*self._planar_pose())
 
     # What physics is probed with
 
@@ -206,7 +210,7 @@ class BulletSimulator:
         self._world = world
         self._turn_rate = 0.0
         self._steps = 0
-        bullet.resetSimulation(physicsClientId=self._client)
+        bullet.resetSimulation(physicsClientId=self.client)
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=self.physics.time_step,
             numSubSteps=0,
@@ -214,35 +218,37 @@ class BulletSimulator:
             solverResidualThreshold=self.physics.residual,
             contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
             deterministicOverlappingPairs=1,
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
-        bullet.setGravity(0.0, 0.0, -GRAVITY, self._client)
+        bullet.setGravity(0.0, 0.0, -GRAVITY, self.client)
         if ground:
             self._add_ground()
         solids = world.obstacles + world.walls
         for first in range(0, len(solids), SHAPES_PER_COMPOUND):
             self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
         self._add_vehicle(pose, speed, height)
-        self._clearance = self._clearance_at(pose)
+        self._clearance = clearance_at(pose.x, pose.y, pose.yaw, self._footprint, world.solids)
 
     def step(self) -> None:
         """One physics step."""
-        bullet.stepSimulation(self._client)
+        bullet.stepSimulation(self.client)
         self._steps += 1
 
     def command_wheels(self, left: float, right: float) -> None:
         """Has the wheel-speed controllers track these speeds [rad/s] within the torque limit, until told otherwise."""
-        self._drive_joint(self._left, left, self.vehicle.wheel_torque)
-        self._drive_joint(self._right, right, self.vehicle.wheel_torque)
+        body, client, torque = self.body, self.client, self.vehicle.wheel_torque
+        motor, mode = bullet.setJointMotorControl2, bullet.VELOCITY_CONTROL
+        motor(body, self.left, mode, targetVelocity=left, force=torque, physicsClientId=client)
+        motor(body, self.right, mode, targetVelocity=right, force=torque, physicsClientId=client)
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
-        self._drive_joint(self._left, 0.0, 0.0)
-        self._drive_joint(self._right, 0.0, 0.0)
+        for joint in (self.left, self.right):
+            self._release(joint)
 
     def touching(self) -> bool:
         """Whether the chassis touches anything now. The wheels touch nothing but the ground."""
-        return bool(bullet.getContactPoints(bodyA=self._robot, linkIndexA=-1, physicsClientId=self._client))
+        return bool(bullet.getContactPoints(bodyA=self.body, linkIndexA=-1, physicsClientId=self.client))
 
     def time(self) -> float:
         """Since the vehicle was placed [s]."""
@@ -250,55 +256,55 @@ class BulletSimulator:
 
     def speed(self) -> float:
         """Of the rear-axle centre along the vehicle [m/s]."""
-        (vx, vy, _), _ = bullet.getBaseVelocity(self._robot, self._client)
+        (vx, vy, _), _ = bullet.getBaseVelocity(self.body, self.client)
         yaw = self.pose().yaw
         return float(vx * cos(yaw) + vy * sin(yaw))
 
     def yaw_rate(self) -> float:
         """[rad/s]."""
-        return float(bullet.getBaseVelocity(self._robot, self._client)[1][2])
+        return float(bullet.getBaseVelocity(self.body, self.client)[1][2])
 
     def vertical_velocity(self) -> float:
         """Of the chassis, upwards [m/s]."""
-        return float(bullet.getBaseVelocity(self._robot, self._client)[0][2])
+        return float(bullet.getBaseVelocity(self.body, self.client)[0][2])
 
     def wheel_speeds(self) -> tuple[float, float]:
         """Left and right drive wheel [rad/s]."""
-        left, right = bullet.getJointStates(self._robot, [self._left, self._right], self._client)
+        left, right = bullet.getJointStates(self.body, [self.left, self.right], self.client)
         return left[1], right[1]
 
     def wheel_heights(self) -> tuple[float, float, float]:
         """Of the left, right and caster wheel centre above the ground [m]."""
-        left, right, front = (self._link_height(joint) for joint in (self._left, self._right, self._caster))
+        left, right, front = (self._link_height(joint) for joint in (self.left, self.right, self._caster))
         return left, right, front
 
     def wheel_loads(self) -> tuple[float, float, float]:
         """Normal force of the ground on the left, right and caster wheel [N]."""
-        left, right, front = (self._normal_force(joint) for joint in (self._left, self._right, self._caster))
+        left, right, front = (self._normal_force(joint) for joint in (self.left, self.right, self._caster))
         return left, right, front
 
     def sample(self) -> Sample:
         """The vehicle now."""
-        joints = [self._left, self._right, self._swivel, self._caster]
-        states = bullet.getJointStates(self._robot, joints, self._client)
+        joints = [self.left, self.right, self._swivel, self._caster]
+        states = bullet.getJointStates(self.body, joints, self.client)
         left, right, swivel, roll = (state[0] for state in states)
         return Sample(self.time(), self.pose(), (left, right, swivel, roll), (states[0][1], states[1][1]))
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """What the engine holds of every link, by the link's name."""
-        base = bullet.getBodyInfo(self._robot, self._client)[0].decode()
+        base = bullet.getBodyInfo(self.body, self.client)[0].decode()
         names = {base: -1}
-        for joint in range(bullet.getNumJoints(self._robot, self._client)):
-            names[bullet.getJointInfo(self._robot, joint, self._client)[12].decode()] = joint
+        for joint in range(bullet.getNumJoints(self.body, self.client)):
+            names[bullet.getJointInfo(self.body, joint, self.client)[12].decode()] = joint
         return {name: self._dynamics(index) for name, index in names.items()}
 
     # How it is built
 
     def _add_ground(self) -> None:
-        shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=self._client)
-        ground = bullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        bullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=self._client)
-        bullet.setCollisionFilterGroupMask(ground, -1, GROUND, WHEEL, self._client)
+        shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=self.client)
+        ground = bullet.createMultiBody(0.0, shape, physicsClientId=self.client)
+        bullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=self.client)
+        bullet.setCollisionFilterGroupMask(ground, -1, GROUND, WHEEL, self.client)
 
     def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
         """Static boxes as one body of compound shapes: the solver then keeps one body instead of many."""
@@ -307,86 +313,90 @@ class BulletSimulator:
             halfExtents=[[box.half_length, box.half_width, height / 2] for box in boxes],
             collisionFramePositions=[[box.x, box.y, height / 2] for box in boxes],
             collisionFrameOrientations=[[0.0, 0.0, sin(box.yaw / 2), cos(box.yaw / 2)] for box in boxes],
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
-        body = bullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self._client)
+        body = bullet.createMultiBody(0.0, shape, physicsClientId=self.client)
+        bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         vehicle = self.vehicle
-        self._robot = bullet.loadURDF(
+        self.body = bullet.loadURDF(
             str(vehicle.urdf),
             [pose.x, pose.y, vehicle.wheel_radius + height],
             [0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
             flags=bullet.URDF_USE_INERTIA_FROM_FILE
             | bullet.URDF_USE_IMPLICIT_CYLINDER
             | bullet.URDF_IGNORE_VISUAL_SHAPES,
-            physicsClientId=self._client,
+            physicsClientId=self.client,
         )
         joints = {}
-        for joint in range(bullet.getNumJoints(self._robot, self._client)):
-            joints[bullet.getJointInfo(self._robot, joint, self._client)[1].decode()] = joint
-            self._drive_joint(joint, 0.0, 0.0)  # every joint starts with a motor that holds it
-        self._left, self._right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
+        for joint in range(bullet.getNumJoints(self.body, self.client)):
+            joints[bullet.getJointInfo(self.body, joint, self.client)[1].decode()] = joint
+            self._release(joint)  # every joint starts with a motor that holds it
+        self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
         self._com = self._dynamics_info(-1)[3]
-        wheels = (self._left, self._right, self._caster)
+        wheels = (self.left, self.right, self._caster)
         for link in (-1, *joints.values()):
             # Damping goes to the whole body and must stand in a call of its own; so must friction.
-            bullet.changeDynamics(
-                self._robot, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self._client
-            )
+            bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
             group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
-            bullet.setCollisionFilterGroupMask(self._robot, link, group, mask, self._client)
+            bullet.setCollisionFilterGroupMask(self.body, link, group, mask, self.client)
         contact = vehicle.contact
         for wheel in wheels:
+            bullet.changeDynamics(self.body, wheel, lateralFriction=contact.wheel_friction, physicsClientId=self.client)
+        for wheel in (self.left, self.right):
             bullet.changeDynamics(
-                self._robot, wheel, lateralFriction=contact.wheel_friction, physicsClientId=self._client
-            )
-        for wheel in (self._left, self._right):
-            bullet.changeDynamics(
-                self._robot,
+                self.body,
                 wheel,
                 rollingFriction=contact.rolling_friction,
                 spinningFriction=contact.spinning_friction,
-                physicsClientId=self._client,
+                physicsClientId=self.client,
             )
         velocity = [speed * cos(pose.yaw), speed * sin(pose.yaw), 0.0]
-        bullet.resetBaseVelocity(self._robot, velocity, [0.0, 0.0, 0.0], self._client)
-        rolling = {wheel: vehicle.wheel_radius for wheel in (self._left, self._right)}
+        bullet.resetBaseVelocity(self.body, velocity, [0.0, 0.0, 0.0], self.client)
+        rolling = {wheel: vehicle.wheel_radius for wheel in (self.left, self.right)}
         rolling[self._caster] = vehicle.caster_radius
         for wheel, radius in rolling.items():
-            bullet.resetJointState(self._robot, wheel, 0.0, speed / radius, self._client)
+            bullet.resetJointState(self.body, wheel, 0.0, speed / radius, self.client)
 
-    def _drive_joint(self, joint: int, speed: float, torque: float) -> None:
+    def _release(self, joint: int) -> None:
         bullet.setJointMotorControl2(
-            self._robot,
-            joint,
-            bullet.VELOCITY_CONTROL,
-            targetVelocity=speed,
-            force=torque,
-            physicsClientId=self._client,
+            self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0, physicsClientId=self.client
         )
 
-    def _clearance_at(self, pose: Pose) -> float:
-        footprint = as_rows((moved(self.vehicle.footprint, pose),))
-        return float(clearance(footprint[0], self._world.solids))
+    def _run(self, steps: int, watched: bool) -> bool:
+        """Physics steps; where contact is possible each is checked, and the first one ends them."""
+        for _ in range(steps):
+            self.step()
+            if watched and self.touching():
+                return True
+        return False
+
+    def _planar_pose(self) -> tuple[float, float, float]:
+        """x, y, yaw of the rear-axle centre: the engine's centre of mass less its offset, turned by the quaternion."""
+        (x, y, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(self.body, self.client)
+        ahead, _, up = self._com
+        forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
+        x -= ahead * forward_x + up * 2 * (qx * qz + qw * qy)
+        y -= ahead * forward_y + up * 2 * (qy * qz - qw * qx)
+        return x, y, atan2(forward_y, forward_x)
 
     def _chassis_frame(self) -> tuple[Array, Array]:
         """Origin (3,) [m] and rotation (3, 3) of the chassis frame; the engine gives the centre of mass."""
-        com, orientation = bullet.getBasePositionAndOrientation(self._robot, self._client)
+        com, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
         rotation = np.array(bullet.getMatrixFromQuaternion(orientation)).reshape(3, 3)
         return np.array(com) - rotation @ self._com, rotation
 
     def _link_height(self, joint: int) -> float:
-        return float(bullet.getLinkState(self._robot, joint, physicsClientId=self._client)[4][2])
+        return float(bullet.getLinkState(self.body, joint, physicsClientId=self.client)[4][2])
 
     def _normal_force(self, joint: int) -> float:
-        contacts = bullet.getContactPoints(bodyA=self._robot, linkIndexA=joint, physicsClientId=self._client)
+        contacts = bullet.getContactPoints(bodyA=self.body, linkIndexA=joint, physicsClientId=self.client)
         return float(sum(contact[9] for contact in contacts))
 
     def _dynamics_info(self, link: int) -> Any:
-        return bullet.getDynamicsInfo(self._robot, link, self._client)
+        return bullet.getDynamicsInfo(self.body, link, self.client)
 
     def _dynamics(self, link: int) -> LinkDynamics:
         info = self._dynamics_info(link)

@@ -1,9 +1,9 @@
 """From a commanded heading change to wheel speeds: a yaw-rate profile inside the vehicle's limits.
 
-A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached: the
-trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest turn
-within the limits on yaw rate and yaw acceleration. A turn that a control period cuts short hands its yaw rate on to
-the next one.
+A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached:
+the trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest
+turn within the limits on yaw rate and yaw acceleration. A turn that a control period cuts short hands its yaw rate on
+to the next one.
 """
 
 from dataclasses import dataclass

@@ -149,11 +149,15 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Any) -> VehicleSpec:
         if joint not in urdf.joint_map:
             there = ", ".join(urdf.joint_map)
             raise _Unfit(f"has no joint '{joint}' (joints.{field}); its joints are: {there}")
+        if urdf.joint_map[joint].type != "continuous":
+            raise _Unfit(f"joint '{joint}' is {urdf.joint_map[joint].type}; make it continuous")
     links = {field: urdf.joint_map[joint].child for field, joint in names.items()}
     at = {field: urdf.get_transform(link)[:3, 3] for field, link in links.items()}
     radius = {field: _sphere_radius(urdf, link) for field, link in links.items() if field != "swivel"}
     if abs(radius["left_drive"] - radius["right_drive"]) > 1e-9:
         raise _Unfit("the drive wheels differ in radius")
+    if at["left_drive"][1] <= at["right_drive"][1]:
+        raise _Unfit("the left drive wheel is not to the left of the right one; swap the joints in the TOML")
     efforts = [_effort(urdf, names[field]) for field in ("left_drive", "right_drive")]
     mass, com, inertia = _composite(urdf)
     wheel = radius["left_drive"]
@@ -187,7 +191,7 @@ def _composite(urdf: Any) -> tuple[float, Any, Any]:
         inertial = link.inertial
         if inertial is None or inertial.mass is None or inertial.inertia is None:
             raise _Unfit(f"link '{link.name}' has no mass and inertia; give it an <inertial>")
-        if inertial.mass <= 0 or np.any(np.linalg.eigvalsh(inertial.inertia) <= 0):
+        if not inertial.mass > 0 or np.any(np.linalg.eigvalsh(inertial.inertia) <= 0):
             raise _Unfit(f"link '{link.name}' has a mass or inertia that is not positive (mass {inertial.mass:g} kg)")
         origin = np.eye(4) if inertial.origin is None else inertial.origin
         frame = urdf.get_transform(link.name) @ origin
@@ -202,7 +206,7 @@ def _composite(urdf: Any) -> tuple[float, Any, Any]:
 
 def _sphere_radius(urdf: Any, link: str) -> float:
     for collision in urdf.link_map[link].collisions:
-        if collision.geometry.sphere is not None:
+        if collision.geometry.sphere is not None and collision.geometry.sphere.radius > 0:
             return float(collision.geometry.sphere.radius)
     raise _Unfit(f"wheel '{link}' has no <sphere> collision shape; contact with the ground is true only for spheres")
 

@@ -61,7 +61,8 @@ class WorldSource:
             if is_solvable(world, room):
                 return world
         self._explain(world, room)
-        again = f" in {MOST_ATTEMPTS} attempts; lower its cover" if self.file.layout.is_random else "; move its boxes apart"
+        random = self.file.layout.is_random
+        again = f" in {MOST_ATTEMPTS} attempts; lower its cover" if random else "; move its boxes apart"
         raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
 
     def _attempt(self, seed: int, attempt: int) -> WorldSpec:
@@ -106,7 +107,7 @@ def load_world(name: str) -> WorldSource:
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
-    if path in below:
+    if path.resolve() in below:
         raise UserError(f"{path}: its 'base' leads back to itself")
     values = read_toml(path)
     base = values.pop("base", None)
@@ -116,4 +117,4 @@ def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(f"{path}: 'base' must be the name of a world")
     beside = path.parent / f"{base}.toml"
     found = beside if beside.is_file() else assets.find("worlds", base)
-    return merged(_with_base(found, (*below, path)), values)
+    return merged(_with_base(found, (*below, path.resolve())), values)

@@ -1,4 +1,4 @@
-"""Layouts: how obstacles are placed. Each is a module with its own options, and a member of `AnyLayout` by its `kind`."""
+"""Layouts: how obstacles are placed. Each is a module with its own options; `AnyLayout` tells them apart by `kind`."""
 
 from typing import Annotated
 

@@ -67,8 +67,8 @@ class RandomBoxes:
         x, y = rng.uniform((0.0, 0.0), (arena.width, arena.depth))
         half_length, half_width = rng.uniform(self.min_side, self.max_side, 2) / 2
         yaw = rng.uniform(-pi / 2, pi / 2)
-        numbers = [round(float(number), 3) for number in (x, y, half_length, half_width)]
-        return OrientedBox(*numbers, yaw=round(float(yaw), 4))
+        x, y, half_length, half_width = (round(float(number), 3) for number in (x, y, half_length, half_width))
+        return OrientedBox(x, y, half_length, half_width, round(float(yaw), 4))
 
     def _leaves_room(self, box: OrientedBox, row: Array, arena: Arena) -> bool:
         corners = box.corners()

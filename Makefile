@@ -1,0 +1,47 @@
+# Set-up, demo, tests and checks. Needs only CPython 3.11 (or 3.10) with venv, and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3.10 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+DEMO := runs/demo
+
+.PHONY: help demo test lint format benchmark clean
+
+help:
+	@echo 'make demo       train 1000 episodes in contact physics, then drive an unseen world (about 7 minutes)'
+	@echo 'make test       the whole test suite'
+	@echo 'make lint       ruff and mypy'
+	@echo 'make format     let ruff rewrite the sources'
+	@echo 'make benchmark  speed against the bare engine'
+	@echo 'make clean      remove the environment, runs and caches'
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' || \
+		{ echo "CPython 3.10 or 3.11 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(INSTALLED)
+	$(BIN)/nnql-bullet train --out $(DEMO) --overwrite
+	$(BIN)/nnql-bullet navigate $(DEMO)
+	@echo 'Look at $(DEMO)/learning_curve.png and the picture named above.'
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python scripts/make_tricycle.py --check
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+benchmark: $(INSTALLED)
+	$(BIN)/python scripts/benchmark.py
+
+clean:
+	rm -rf $(VENV) runs dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
