@@ -1,0 +1,126 @@
+"""Commanded turns against an ideal unicycle that follows the same yaw-rate profile without slip."""
+
+from collections.abc import Callable
+from math import copysign, cos, degrees, pi, radians, sin, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Pose
+from nnql_bullet.sim.base import Motion, Sample
+from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.worlds.spec import WorldSpec
+
+SPEED, YAW_RATE, YAW_ACCELERATION = 2.0, 1.5708, 7.4  # [m/s], [rad/s], [rad/s2]
+TRACK, RADIUS = 0.60, 0.125  # [m]
+TURNS = (0, 30, 60, -30, -60)  # degrees
+GAP = {"reference": 6e-3, "fast": 12e-3}  # RMS [m]; proportional to the step by nature, and the steps are 1 : 2
+
+Make = Callable[..., BulletSimulator]
+
+
+def profile(turn: float, time: float) -> float:
+    """Yaw rate of the quickest turn from straight to straight: a trapezoid, or a triangle where there is no time."""
+    peak = min(YAW_RATE, sqrt(YAW_ACCELERATION * abs(turn)))
+    if peak == 0.0:
+        return 0.0
+    end = peak / YAW_ACCELERATION + abs(turn) / peak
+    rate = min(YAW_ACCELERATION * time, peak, YAW_ACCELERATION * (end - time))
+    return copysign(max(rate, 0.0), turn)
+
+
+def unicycle(start: Pose, turn: float, times: NDArray[Any]) -> NDArray[Any]:
+    """Poses (n, 3) of the ideal vehicle."""
+
+    def derivative(time: float, state: NDArray[Any]) -> tuple[float, float, float]:
+        return SPEED * cos(state[2]), SPEED * sin(state[2]), profile(turn, time)
+
+    begin = (start.x, start.y, start.yaw)
+    solution = solve_ivp(derivative, (0.0, times[-1]), begin, t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.01)
+    return np.asarray(solution.y.T)
+
+
+def turned(simulator: BulletSimulator, world: WorldSpec, turn: float) -> tuple[Motion, list[Sample], float]:
+    """One turn of 1 s from running straight, and its RMS distance from the ideal one."""
+    trace: list[Sample] = []
+    simulator.reset(world)
+    motion = simulator.advance(turn, trace)
+    times = np.array([sample.time for sample in trace])
+    reached = np.array([(sample.pose.x, sample.pose.y) for sample in trace])
+    gaps = np.hypot(*(reached - unicycle(world.start, turn, times)[:, :2]).T)
+    return motion, trace, float(np.sqrt(np.mean(gaps**2)))
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_the_five_actions_follow_the_unicycle(
+    simulator_of: Make, empty_world: WorldSpec, physics: str, turn: int
+) -> None:
+    motion, trace, gap = turned(simulator_of(physics, decision_period=1.0), empty_world, radians(turn))
+    assert motion.duration == pytest.approx(1.0)
+    assert len(trace) == 30
+    assert degrees(motion.pose.yaw) == pytest.approx(turn, abs=0.1)
+    assert degrees(motion.heading_error) == pytest.approx(turn - degrees(motion.pose.yaw), abs=1e-9)
+    assert abs(motion.yaw_rate) < 0.01
+    assert gap < GAP[physics]
+
+
+# The engine's friction cone has axes fixed in the world, so grip depends on the direction of travel: near yaw 0.26 a
+# turn to the right, and near 1.30 its mirror image to the left, departs from the unicycle by up to 11.1 mm (reference)
+# and 13.3 mm (fast). The heading, which the controller closes, keeps its tolerance everywhere.
+@pytest.mark.parametrize("yaw", [0.26, pi / 4, 1.30, 2.0, pi, -1.0])
+@pytest.mark.parametrize("turn", TURNS)
+def test_heading_is_reached_from_any_yaw(
+    simulator_of: Make, world_of: Callable[..., WorldSpec], physics: str, turn: int, yaw: float
+) -> None:
+    world = world_of(start=Pose(100.0, 100.0, yaw))
+    motion, _, gap = turned(simulator_of(physics, decision_period=1.0), world, radians(turn))
+    change = (degrees(motion.pose.yaw - yaw) + 180.0) % 360.0 - 180.0
+    assert change == pytest.approx(turn, abs=0.1)
+    assert gap < 15e-3
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_wheels_roll_without_slip(simulator_of: Make, empty_world: WorldSpec, physics: str, turn: int) -> None:
+    motion, trace, _ = turned(simulator_of(physics, decision_period=1.0), empty_world, radians(turn))
+    left, right, *_ = trace[-1].joint_angles
+    assert RADIUS * (left + right) / 2 == pytest.approx(motion.path_length, rel=5e-3)
+    assert RADIUS * (right - left) / TRACK == pytest.approx(motion.pose.yaw, rel=5e-3, abs=1e-4)
+
+
+def test_caster_trails_again_soon_after_a_turn(simulator_of: Make, empty_world: WorldSpec, physics: str) -> None:
+    _, trace, _ = turned(simulator_of(physics, decision_period=1.0), empty_world, radians(60))
+    end = YAW_RATE / YAW_ACCELERATION + radians(60) / YAW_RATE
+    swivel = {sample.time: abs(degrees(sample.joint_angles[2])) for sample in trace}
+    assert max(swivel.values()) > 25.0
+    assert all(angle < 1.0 for time, angle in swivel.items() if time > end + 0.1)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_what_half_a_second_cannot_turn_is_left_over(
+    simulator_of: Make, empty_world: WorldSpec, physics: str, side: int
+) -> None:
+    simulator = simulator_of(physics, decision_period=0.5)
+    simulator.reset(empty_world)
+    motion = simulator.advance(side * radians(60))
+    rise = YAW_RATE / YAW_ACCELERATION
+    reached = YAW_RATE * rise / 2 + YAW_RATE * (0.5 - rise)  # ramp, then flat; 35.4 degrees
+    assert degrees(motion.heading_error) == pytest.approx(side * (60.0 - degrees(reached)), abs=0.1)
+    assert motion.yaw_rate == pytest.approx(side * YAW_RATE, rel=0.01)
+
+
+def test_a_turn_goes_on_over_several_decisions(simulator_of: Make, empty_world: WorldSpec, physics: str) -> None:
+    simulator = simulator_of(physics, decision_period=0.5)
+    simulator.reset(empty_world)
+    left_over = simulator.advance(radians(60)).heading_error
+    motion = simulator.advance(left_over)
+    assert degrees(motion.pose.yaw) == pytest.approx(60.0, abs=0.1)
+    assert abs(motion.yaw_rate) < 0.01
+
+
+def test_a_control_period_of_broken_steps_is_refused_with_both_values(simulator_of: Make, physics: str) -> None:
+    with pytest.raises(UserError, match=r"0\.504 s.*0\.00833333 s"):
+        simulator_of(physics, decision_period=0.504)

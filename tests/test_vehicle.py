@@ -1,0 +1,398 @@
+import importlib.util
+import re
+import sys
+import xml.etree.ElementTree as ET
+from math import inf
+
+import numpy as np
+import pytest
+import trimesh
+
+from nnql_bullet import assets
+from nnql_bullet.errors import UserError
+from nnql_bullet.vehicle.spec import load_vehicle
+
+ROBOTS = assets.folder("robots")
+URDF = (ROBOTS / "tricycle.urdf").read_text(encoding="utf-8")
+TOML = (ROBOTS / "tricycle.toml").read_text(encoding="utf-8")
+TREE = ET.fromstring(URDF)
+LINKS = ("chassis", "left_wheel", "right_wheel", "fork", "caster_wheel")
+
+
+@pytest.fixture(scope="module")
+def script():
+    """scripts/make_tricycle.py as a module."""
+    path = ROBOTS.parent / "scripts" / "make_tricycle.py"
+    spec = importlib.util.spec_from_file_location("make_tricycle", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_tricycle"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["make_tricycle"]
+
+
+def floats(text):
+    return np.array([float(part) for part in text.split()])
+
+
+def mass_of(link):
+    return float(TREE.find(f"link[@name='{link}']/inertial/mass").get("value"))
+
+
+def centre_of(link):
+    return floats(TREE.find(f"link[@name='{link}']/inertial/origin").get("xyz"))
+
+
+def inertia_of(link):
+    i = {key: float(value) for key, value in TREE.find(f"link[@name='{link}']/inertial/inertia").attrib.items()}
+    return np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
+
+
+def place_of(joint):
+    return floats(TREE.find(f"joint[@name='{joint}']/origin").get("xyz"))
+
+
+def link_places():
+    """Where each link's frame lies in the chassis frame: all joints are drawn without rotation."""
+    places = {"chassis": np.zeros(3)}
+    for joint in TREE.findall("joint"):
+        assert joint.find("origin").get("rpy") == "0 0 0"
+        places[joint.find("child").get("link")] = places[joint.find("parent").get("link")] + place_of(joint.get("name"))
+    return places
+
+
+def test_committed_urdf_is_what_the_script_gives(script):
+    assert script.urdf() == URDF
+
+
+def test_script_finds_the_committed_file_up_to_date_and_a_changed_one_not(script, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["make_tricycle.py", "--check"])
+    assert script.main() == 0
+    monkeypatch.setattr(script, "URDF", tmp_path / "tricycle.urdf")
+    script.URDF.write_text(URDF.replace("104.5", "104.6"), encoding="utf-8")
+    assert script.main() == 1
+    monkeypatch.setattr(sys, "argv", ["make_tricycle.py"])
+    assert script.main() == 0
+    assert script.URDF.read_text(encoding="utf-8") == URDF
+    assert "120 kg" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("link", "mass"), [("chassis", 104.5), ("left_wheel", 6), ("right_wheel", 6), ("fork", 1.5), ("caster_wheel", 2)]
+)
+def test_masses_are_those_of_the_table(link, mass):
+    assert mass_of(link) == mass
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("mass", 120.0),
+        ("com_ahead", 0.125),
+        ("com_height", 0.206),
+        ("yaw_inertia", 13.3),
+        ("track", 0.60),
+        ("wheelbase", 0.70),
+        ("wheel_radius", 0.125),
+        ("caster_radius", 0.05),
+        ("caster_trail", 0.04),
+        ("wheel_spin_inertia", 0.0469),
+        ("wheel_torque", 40.0),
+    ],
+)
+def test_vehicle_is_the_one_of_the_table_within_one_percent(vehicle, field, value):
+    assert getattr(vehicle, field) == pytest.approx(value, rel=0.01)
+
+
+def test_chassis_inertia_and_centre_of_mass_are_those_of_the_table():
+    assert np.diag(inertia_of("chassis")) == pytest.approx([2.77, 9.30, 10.89], rel=0.01)
+    assert centre_of("chassis") == pytest.approx([0.12, 0, 0.22 - 0.125], rel=0.01)
+
+
+def test_static_wheel_loads_are_those_of_the_table(vehicle):
+    front = vehicle.mass * 9.81 * vehicle.com_ahead / vehicle.wheelbase
+    assert front == pytest.approx(210, rel=0.01)
+    assert (vehicle.mass * 9.81 - front) / 2 == pytest.approx(483, rel=0.01)
+
+
+def test_composite_is_that_of_point_and_parallel_axis_sums(vehicle):
+    places = link_places()
+    masses = np.array([mass_of(link) for link in LINKS])
+    centres = np.array([places[link] + centre_of(link) for link in LINKS])
+    centre = masses @ centres / masses.sum()
+    yaw = sum(
+        inertia_of(link)[2, 2] + mass * np.hypot(*(at - centre)[:2]) ** 2
+        for link, mass, at in zip(LINKS, masses, centres, strict=True)
+    )
+    assert vehicle.mass == pytest.approx(masses.sum())
+    assert (vehicle.com_ahead, vehicle.com_height) == pytest.approx((centre[0], centre[2] + 0.125))
+    assert vehicle.yaw_inertia == pytest.approx(yaw)
+
+
+def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
+    """Trimesh adds up the parts as one body, an oracle that shares no formula with the package."""
+    places = link_places()
+    scene = trimesh.Scene()
+    for link in script.vehicle()[0]:
+        mesh = link.solid.mesh()
+        mesh.density = link.mass / mesh.volume
+        scene.add_geometry(mesh, transform=trimesh.transformations.translation_matrix(places[link.name]))
+    assert vehicle.yaw_inertia == pytest.approx(scene.moment_inertia[2, 2], rel=1e-3)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_inertia_is_that_of_the_links_solid(script, link):
+    (part,) = [part for part in script.vehicle()[0] if part.name == link]
+    if part.solid.shape == "box":
+        exact = trimesh.primitives.Box(extents=part.solid.size)
+    else:
+        turned = trimesh.transformations.euler_matrix(*part.solid.rpy)
+        radius, width = part.solid.size
+        exact = trimesh.creation.cylinder(radius=radius, height=width, sections=2048, transform=turned)
+    expected = exact.moment_inertia * mass_of(link) / exact.mass
+    assert inertia_of(link) == pytest.approx(expected, rel=1e-3, abs=1e-6)
+    assert centre_of(link) == pytest.approx(np.array(part.solid.at))
+
+
+@pytest.mark.parametrize(
+    ("link", "size"), [("chassis", (1.0, 0.5, 0.26)), ("fork", (0.06, 0.06, 0.08))], ids=["chassis", "fork"]
+)
+def test_inertia_of_a_block_is_the_closed_form(link, size):
+    x, y, z = np.square(size)
+    assert np.diag(inertia_of(link)) == pytest.approx(mass_of(link) / 12 * np.array([y + z, x + z, x + y]), rel=1e-4)
+
+
+@pytest.mark.parametrize("link", ["left_wheel", "right_wheel", "caster_wheel"])
+def test_inertia_of_a_wheel_is_that_of_the_tyre_that_is_seen(link):
+    tyre = TREE.find(f"link[@name='{link}']/visual/geometry/cylinder")
+    r, width, m = float(tyre.get("radius")), float(tyre.get("length")), mass_of(link)
+    across = m / 12 * (3 * r**2 + width**2)
+    assert np.diag(inertia_of(link)) == pytest.approx([across, m * r**2 / 2, across], rel=1e-3)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_inertia_is_one_that_a_solid_can_have(link):
+    moments = np.linalg.eigvalsh(inertia_of(link))
+    assert moments[0] > 0
+    assert moments[0] + moments[1] >= moments[2] * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script, link):
+    """What lies between `low` and `high` spreads about `c` by at most (high - c)(c - low): Bhatia and Davis, 2000."""
+    (part,) = [part for part in script.vehicle()[0] if part.name == link]
+    low, high = trimesh.util.concatenate([solid.mesh() for solid in part.visuals]).bounds
+    moments, centre = np.diag(inertia_of(link)), centre_of(link)
+    spread = (moments.sum() / 2 - moments) / mass_of(link)
+    assert np.all(spread > 0)
+    assert np.all(spread <= (high - centre) * (centre - low))
+
+
+@pytest.mark.parametrize("wheel", ["left_wheel", "right_wheel", "caster_wheel"])
+def test_wheel_touches_the_ground_where_its_tyre_does(wheel):
+    tyre = TREE.find(f"link[@name='{wheel}']/visual/geometry/cylinder")
+    sphere = TREE.find(f"link[@name='{wheel}']/collision/geometry/sphere")
+    assert sphere.get("radius") == tyre.get("radius")
+    assert link_places()[wheel][2] - float(sphere.get("radius")) == pytest.approx(-0.125)
+
+
+def test_footprint_covers_everything_that_is_seen_within_a_centimetre(script, vehicle):
+    places = link_places()
+    meshes = []
+    for link in script.vehicle()[0]:
+        for solid in link.visuals:
+            meshes.append(solid.mesh().apply_translation(places[link.name]))
+    low, high = trimesh.util.concatenate(meshes).bounds
+    box = vehicle.footprint
+    assert box.x - box.half_length <= low[0] + 0.01
+    assert box.x + box.half_length >= high[0] - 0.01
+    assert box.half_width >= max(-low[1], high[1]) - 0.01
+
+
+def test_footprint_covers_the_true_width_of_the_tyres(vehicle):
+    width = float(TREE.find("link[@name='left_wheel']/visual/geometry/cylinder").get("length"))
+    assert vehicle.footprint.half_width >= vehicle.track / 2 + width / 2 - 1e-9
+    assert vehicle.footprint.x - vehicle.footprint.half_length <= -vehicle.wheel_radius
+    assert vehicle.footprint.y == 0
+
+
+def test_footprint_holds_the_caster_however_it_swivels(vehicle):
+    reach = vehicle.caster_trail + vehicle.caster_radius
+    swivel = place_of("swivel")[0]
+    assert swivel + reach <= vehicle.footprint.x + vehicle.footprint.half_length
+    assert reach <= vehicle.footprint.half_width
+
+
+def test_clear_radius_is_the_half_diagonal_of_the_footprint(vehicle):
+    assert vehicle.clear_radius == pytest.approx(np.hypot(1.10, 0.65) / 2)
+
+
+def test_sensor_stands_above_the_chassis_at_the_head_of_the_mast(vehicle):
+    head = TREE.findall("link[@name='chassis']/visual")[-1]
+    assert vehicle.sensor == pytest.approx(tuple(floats(head.find("origin").get("xyz"))))
+
+
+def test_links_are_those_that_the_joints_move(vehicle):
+    assert vehicle.links == {
+        "left_drive": "left_wheel",
+        "right_drive": "right_wheel",
+        "swivel": "fork",
+        "caster_roll": "caster_wheel",
+    }
+
+
+def test_limits_stay_below_grip(vehicle):
+    """PHYSICS section 1: the grip limit of a rear-driven tricycle with a free caster, at friction 0.8."""
+    a, wheelbase, track = vehicle.com_ahead, vehicle.wheelbase, vehicle.track
+    grip = vehicle.contact.wheel_friction * 9.81 * (1 - a / wheelbase) / np.sqrt(1 + (2 * a / track) ** 2)
+    assert grip == pytest.approx(5.95, rel=0.01)
+    assert 2.0 * vehicle.limits.yaw_rate < grip
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """Writes a robot and gives the path to its TOML."""
+
+    def write(urdf=URDF, toml=TOML):
+        (tmp_path / "mine.toml").write_text(toml, encoding="utf-8")
+        if urdf is not None:
+            (tmp_path / "tricycle.urdf").write_text(urdf, encoding="utf-8")
+        return str(tmp_path / "mine.toml")
+
+    return write
+
+
+def replaced(text, *pairs):
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def test_copy_of_the_robot_is_read_like_the_shipped_one(robot, vehicle):
+    copy = load_vehicle(robot())
+    assert copy.name == "mine"
+    assert (copy.mass, copy.footprint, copy.limits) == (vehicle.mass, vehicle.footprint, vehicle.limits)
+
+
+WHEEL_LIMIT = '<limit effort="40" velocity="100" />'
+CASTER_INERTIA = 'ixx="0.0014" ixy="0" ixz="0" iyy="0.0025" iyz="0" izz="0.0014"'
+SPHERE = '<sphere radius="0.125" />'
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        pytest.param(
+            [('<joint name="swivel"', '<joint name="pivot"')],
+            r"has no joint 'swivel' \(joints\.swivel\); its joints are: left_drive, right_drive, pivot, caster_roll$",
+            id="missing joint",
+        ),
+        pytest.param(
+            [('<joint name="left_drive" type="continuous">', '<joint name="left_drive" type="fixed">')],
+            r"joint 'left_drive' is fixed; make it continuous",
+            id="fixed wheel",
+        ),
+        pytest.param(
+            [('<mass value="6" />', '<mass value="-6" />')],
+            r"link 'left_wheel' has a mass or inertia that is not positive \(mass -6 kg\)",
+            id="negative mass",
+        ),
+        pytest.param([('mass value="2"', 'mass value="0"')], r"link 'caster_wheel' has a mass", id="zero mass"),
+        pytest.param([('mass value="2"', 'mass value="nan"')], r"link 'caster_wheel' has a mass", id="nan mass"),
+        pytest.param([('mass value="2"', 'mass value="two"')], r"cannot be read as a URDF", id="mass in words"),
+        pytest.param(
+            [(CASTER_INERTIA, re.sub(r'"[\d.]+"', '"0"', CASTER_INERTIA))],
+            r"link 'caster_wheel' has a mass or inertia that is not positive \(mass 2 kg\)",
+            id="zero inertia",
+        ),
+        pytest.param(
+            [('ixx="0.0014"', 'ixx="-0.0014"')],
+            r"link 'caster_wheel' has a mass or inertia that is not positive",
+            id="negative inertia",
+        ),
+        pytest.param(
+            [(WHEEL_LIMIT, "")],
+            r"joint 'left_drive' has no <limit effort>; give its torque limit in N m",
+            id="no effort limit",
+        ),
+        pytest.param([(WHEEL_LIMIT, '<limit velocity="9" />')], r"'left_drive' has no <limit effort>", id="no effort"),
+        pytest.param([('effort="40"', 'effort="0"')], r"'left_drive' has no <limit effort>", id="zero effort"),
+        pytest.param([('effort="40"', 'effort="inf"')], r"'left_drive' has no <limit effort>", id="infinite effort"),
+        pytest.param(
+            [(SPHERE, '<cylinder radius="0.125" length="0.05" />')],
+            r"wheel 'left_wheel' has no <sphere> collision shape",
+            id="no sphere wheel",
+        ),
+        pytest.param([(SPHERE, '<sphere radius="0" />')], r"wheel 'left_wheel' has no <sphere>", id="tiny sphere"),
+        pytest.param(
+            [('<box size="1.1 0.65 0.28" />', '<sphere radius="0.5" />')],
+            r"base link 'chassis' must have exactly one collision shape, a <box> over the footprint",
+            id="no footprint",
+        ),
+        pytest.param([('<child link="fork" />', '<child link="frok" />')], r"cannot be read as a URDF", id="no child"),
+        pytest.param([(URDF[len(URDF) // 2 :], "")], r"has no joint 'left_drive'", id="cut short"),
+    ],
+)
+def test_urdf_of_no_such_vehicle_is_refused_in_one_line(robot, pairs, message):
+    with pytest.raises(UserError, match=message) as refusal:
+        load_vehicle(robot(urdf=replaced(URDF, *pairs)))
+    assert "tricycle.urdf: " in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_wheels_of_two_sizes_are_refused(robot):
+    with pytest.raises(UserError, match="the drive wheels differ in radius"):
+        load_vehicle(robot(urdf=URDF.replace(SPHERE, '<sphere radius="0.126" />', 1)))
+
+
+def test_link_without_inertial_is_refused(robot):
+    bare = re.sub(r"<inertial>.*?</inertial>", "", URDF, count=1, flags=re.DOTALL)
+    with pytest.raises(UserError, match="link 'chassis' has no mass and inertia; give it an <inertial>"):
+        load_vehicle(robot(urdf=bare))
+
+
+@pytest.mark.parametrize("text", ["", "hello", "<robot", "<a/>", "<html><body>404</body></html>"])
+def test_file_that_is_no_urdf_is_refused_in_one_line(robot, text):
+    with pytest.raises(UserError, match=r"tricycle\.urdf: ") as refusal:
+        load_vehicle(robot(urdf=text))
+    assert "\n" not in str(refusal.value)
+
+
+def test_missing_urdf_is_refused(robot):
+    with pytest.raises(UserError, match=r"there is no such URDF; put it beside its TOML, or correct 'urdf' there"):
+        load_vehicle(robot(urdf=None))
+
+
+def test_unknown_robot_lists_the_shipped_ones():
+    with pytest.raises(UserError, match=r"robots: there is no file 'rover'; .* one of: tricycle$"):
+        load_vehicle("rover")
+
+
+@pytest.mark.parametrize(
+    ("pairs", "message"),
+    [
+        ([("yaw_rate = 1.5708", "yaw_rate = 0.0")], "'limits.yaw_rate': input should be greater than 0"),
+        ([("[limits]", "[limits]\nspeed = 3.0")], "unknown key 'limits.speed'; valid keys: yaw_acceleration, yaw_rate"),
+        ([('swivel = "swivel"', "")], "key 'joints.swivel' is missing"),
+        ([("wheel_friction = 0.8", "wheel_friction = -0.8")], "'contact.wheel_friction': input should be greater"),
+        ([("position = [0.35, 0.0, 0.475]", "position = [0.35, 0.0]")], "'sensor.position"),
+    ],
+)
+def test_mistake_in_a_robots_toml_is_named(robot, pairs, message):
+    with pytest.raises(UserError) as refusal:
+        load_vehicle(robot(toml=replaced(TOML, *pairs)))
+    assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize(("left", "right"), [("right_drive", "left_drive"), ("left_drive", "left_drive")])
+def test_drives_on_the_wrong_side_are_refused(robot, left, right):
+    toml = re.sub(r'left_drive = "\w+"', f'left_drive = "{left}"', TOML)
+    toml = re.sub(r'right_drive = "\w+"', f'right_drive = "{right}"', toml)
+    with pytest.raises(UserError, match="the left drive wheel is not to the left of the right one"):
+        load_vehicle(robot(toml=toml))
+
+
+def test_weaker_drive_limits_the_torque(robot):
+    assert load_vehicle(robot(urdf=URDF.replace('effort="40"', 'effort="35"', 1))).wheel_torque == 35
+    assert load_vehicle(robot()).wheel_torque < inf

@@ -1,0 +1,407 @@
+from math import hypot, inf, pi
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely import affinity
+
+from nnql_bullet import assets
+from nnql_bullet.config import parse
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import OrientedBox, Pose
+from nnql_bullet.worlds.grid import CELL, free_cells, is_solvable
+from nnql_bullet.worlds.source import MOST_ATTEMPTS, WorldFile, WorldSource, load_world
+from nnql_bullet.worlds.spec import WorldSpec
+
+ROOM = 0.8
+SHIPPED = ("paper", "empty", "cover_2.5", "cover_7.5", "cover_10", "cover_15", "cover_20")
+MEAN_BOX = 25.0  # sides from 2 m to 8 m
+DRAWN = [("paper", 0), ("paper", 1), ("paper", 100_000), ("cover_10", 0), ("cover_10", 1), ("cover_20", 0)]
+
+
+@pytest.fixture(scope="module", params=DRAWN, ids=lambda drawn: f"{drawn[0]}-{drawn[1]}")
+def drawn(request):
+    name, seed = request.param
+    source = load_world(name)
+    return source.file, source.draw(seed, ROOM)
+
+
+def source_of(**values):
+    return WorldSource("test", parse(WorldFile, values, "test"))
+
+
+def small_world(*boxes, **values):
+    """A 20 m x 10 m arena to be crossed along its middle."""
+    layout = {"kind": "boxes", "boxes": list(boxes)}
+    return source_of(layout=layout, **{"width": 20.0, "depth": 10.0, "start": [3, 5], "target": [17, 5], **values})
+
+
+def crowded():
+    """Worlds of which most have to be drawn more than once."""
+    layout = {"kind": "random_boxes", "cover": 0.3, "min_side": 2.0, "max_side": 6.0, "clear_radius": 2.0}
+    return source_of(width=24.0, depth=24.0, start=[5, 5], target=[19, 19], layout=layout)
+
+
+def box(x, y, length, width, yaw_degrees=0.0):
+    return {"x": x, "y": y, "length": length, "width": width, "yaw_degrees": yaw_degrees}
+
+
+def polygon(box):
+    length, width = box.half_length, box.half_width
+    turned = affinity.rotate(shapely.box(-length, -width, length, width), box.yaw, origin=(0, 0), use_radians=True)
+    return affinity.translate(turned, box.x, box.y)
+
+
+def obstacles_of(world):
+    return shapely.MultiPolygon([polygon(box) for box in world.obstacles])
+
+
+def room_to_move(world, room):
+    """Where the centre of a disc of this radius may be: an oracle without a grid."""
+    arena = shapely.box(room, room, world.width - room, world.depth - room)
+    taken = shapely.union_all([polygon(box).buffer(room, quad_segs=64) for box in world.obstacles])
+    return arena.difference(taken)
+
+
+def is_crossable(world, room):
+    free = room_to_move(world, room)
+    ends = [shapely.Point(world.start.x, world.start.y), shapely.Point(world.target)]
+    return any(all(part.covers(end) for end in ends) for part in getattr(free, "geoms", [free]))
+
+
+# A generator that gives other worlds makes every published number another number. Change these only on purpose.
+@pytest.mark.parametrize(
+    ("name", "seed", "digest"),
+    [
+        ("paper", 0, "28fd1ec1093fbd66"),
+        ("paper", 1, "319ee147c30ea01f"),
+        ("paper", 2, "6176fd3ef0a35e19"),
+        ("paper", 100_000, "0a3830c12602f347"),
+        ("cover_10", 0, "627b59f5c0704236"),
+        ("cover_10", 1, "26c25455e7561d4f"),
+        ("cover_10", 2, "f10854904a22cffc"),
+        ("cover_10", 100_000, "263dcc7021f1c315"),
+    ],
+)
+def test_seeds_give_the_worlds_that_they_always_gave(name, seed, digest):
+    assert load_world(name).draw(seed, ROOM).digest == digest
+
+
+def test_digest_of_a_redrawn_world_is_the_one_it_always_was():
+    world = crowded().draw(2, ROOM)
+    assert world.digest == "bd8c43aed64c1ca5"  # of the fifth attempt; see above
+
+
+def test_same_seed_gives_the_same_world_from_any_source():
+    one, other = load_world("paper"), load_world("paper")
+    other.draw(5, ROOM)
+    assert one.draw(4, ROOM) == other.draw(4, ROOM)
+
+
+def test_different_seeds_give_different_worlds():
+    source = load_world("paper")
+    assert len({source.draw(seed, ROOM).digest for seed in range(6)}) == 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"start": Pose(20, 20, 0.1)},
+        {"target": (90.0, 89.0)},
+        {"target_radius": 1.0},
+        {"obstacle_height": 2.0},
+        {"width": 101.0},
+        {"obstacles": (OrientedBox(50, 50, 1, 1, 0.2),)},
+        {"obstacles": ()},
+    ],
+)
+def test_digest_tells_worlds_apart_but_not_by_name_or_seed(change):
+    values = {
+        "name": "a",
+        "seed": 1,
+        "width": 100.0,
+        "depth": 100.0,
+        "obstacles": (OrientedBox(50, 50, 1, 1, 0.1),),
+        "start": Pose(20, 20, 0),
+        "target": (90.0, 90.0),
+        "target_radius": 2.0,
+        "obstacle_height": 1.5,
+    }
+    world = WorldSpec(**values)
+    assert WorldSpec(**{**values, "name": "b", "seed": 2}).digest == world.digest
+    assert WorldSpec(**{**values, **change}).digest != world.digest
+
+
+def test_boxes_do_not_overlap(drawn):
+    _, world = drawn
+    union = shapely.union_all([polygon(box) for box in world.obstacles])
+    assert union.area == pytest.approx(sum(box.area for box in world.obstacles), rel=1e-9)
+
+
+def test_boxes_lie_inside_the_arena(drawn):
+    _, world = drawn
+    assert shapely.box(0, 0, world.width, world.depth).covers(obstacles_of(world))
+
+
+def test_boxes_have_the_sides_asked_for(drawn):
+    file, world = drawn
+    sides = [2 * side for box in world.obstacles for side in (box.half_length, box.half_width)]
+    assert file.layout.min_side - 2e-3 <= min(sides)
+    assert max(sides) <= file.layout.max_side + 2e-3
+
+
+def test_boxes_stay_clear_of_start_and_target(drawn):
+    file, world = drawn
+    for point in (shapely.Point(world.start.x, world.start.y), shapely.Point(world.target)):
+        assert point.distance(obstacles_of(world)) >= file.layout.clear_radius - 1e-9
+
+
+def test_boxes_cover_what_is_asked_but_for_the_last_box(drawn):
+    file, world = drawn
+    missing = file.layout.cover * world.width * world.depth - obstacles_of(world).area
+    assert missing <= MEAN_BOX / 2
+    assert missing > MEAN_BOX / 2 - file.layout.max_side**2
+    assert world.cover == pytest.approx(obstacles_of(world).area / (world.width * world.depth))
+
+
+def test_cover_is_within_half_a_mean_box_of_what_is_asked_on_average():
+    source = load_world("cover_2.5")
+    cover = np.mean([source.draw(seed, ROOM).cover for seed in range(20)])
+    assert abs(cover - 0.025) * 100 * 100 <= MEAN_BOX / 2
+
+
+def test_boxes_point_every_way():
+    yaws = [box.yaw for seed in range(4) for box in load_world("cover_10").draw(seed, ROOM).obstacles]
+    assert -pi / 2 <= min(yaws) < -1.4
+    assert 1.4 < max(yaws) <= pi / 2
+    assert abs(np.mean(yaws)) < 0.3
+
+
+def test_drawn_world_can_be_crossed(drawn):
+    _, world = drawn
+    assert is_crossable(world, ROOM)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_world_that_had_to_be_drawn_again_can_be_crossed(seed):
+    world = crowded().draw(seed, ROOM)
+    assert is_crossable(world, ROOM)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_cell_is_called_free_that_is_not(seed):
+    world = crowded().draw(seed, ROOM)
+    rows, columns = np.nonzero(free_cells(world, ROOM))
+    solid = shapely.union_all([obstacles_of(world), shapely.box(0, 0, world.width, world.depth).exterior])
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):  # the corners of the cells
+        corners = shapely.points((columns - 1 + i) * CELL, (rows - 1 + j) * CELL)
+        assert shapely.distance(corners, solid).min() >= ROOM - 1e-9
+
+
+@given(
+    st.lists(
+        st.builds(
+            OrientedBox, st.floats(0, 12), st.floats(0, 10), st.floats(0.01, 2), st.floats(0.01, 2), st.floats(-2, 2)
+        ),
+        max_size=5,
+    ),
+    st.floats(9, 12),
+    st.floats(0.3, 1.5),
+)
+@settings(max_examples=60, deadline=None)
+def test_solvable_worlds_can_be_crossed_and_those_with_room_to_spare_are_solvable(obstacles, width, room):
+    world = WorldSpec("t", 0, width, 10.0, tuple(obstacles), Pose(2, 2, 0), (7.0, 8.0), 1.0, 1.5)
+    if is_solvable(world, room):
+        assert is_crossable(world, room - 1e-6)
+    else:
+        assert not is_crossable(world, room + 4 * CELL)
+
+
+def test_start_faces_the_target_unless_told_otherwise():
+    assert load_world("empty").draw(0, ROOM).start == Pose(20.0, 20.0, round(pi / 4, 6))
+    assert small_world(start_yaw_degrees=-90).draw(0, ROOM).start.yaw == pytest.approx(-pi / 2, abs=1e-6)
+
+
+def test_walls_enclose_the_arena_without_reaching_into_it():
+    world = small_world().draw(0, ROOM)
+    ring = shapely.union_all([polygon(wall) for wall in world.walls])
+    arena = shapely.box(0, 0, 20, 10)
+    assert ring.intersection(arena).area == pytest.approx(0, abs=1e-9)
+    assert ring.union(arena).symmetric_difference(shapely.box(-1, -1, 21, 11)).area == pytest.approx(0, abs=1e-9)
+
+
+def test_solids_are_obstacles_and_walls():
+    assert small_world(box(10, 8, 1, 1)).draw(0, ROOM).solids.shape == (5, 6)
+    assert load_world("empty").draw(0, ROOM).solids.shape == (4, 6)
+
+
+def test_explicit_boxes_stand_where_they_are_given_whatever_the_seed():
+    source = small_world(box(10, 8, 2, 1, 30), box(8, 1, 1, 1))
+    expected = (OrientedBox(10, 8, 1, 0.5, pytest.approx(pi / 6)), OrientedBox(8, 1, 0.5, 0.5, 0))
+    assert source.draw(0, ROOM).obstacles == expected
+    assert source.draw(9, ROOM).digest == source.draw(0, ROOM).digest
+
+
+@pytest.mark.parametrize("thickness", [2.0, 0.3, 0.1, 0.01])
+def test_world_with_a_wall_across_is_refused(thickness):
+    message = r"world 'test', seed 3: no path 1\.60 m wide to the target; move its boxes apart"
+    with pytest.raises(UserError, match=message):
+        small_world(box(10, 5, thickness, 10)).draw(3, ROOM)
+
+
+@pytest.mark.parametrize(("gap", "passes"), [(1.5, False), (1.6, False), (2.6, True), (4.0, True)])
+def test_gap_is_passable_if_it_is_wide_enough(gap, passes):
+    blocks = [box(10, (5 - gap / 2) / 2, 1, 5 - gap / 2), box(10, 10 - (5 - gap / 2) / 2, 1, 5 - gap / 2)]
+    if passes:
+        assert is_crossable(small_world(*blocks).draw(0, ROOM), ROOM)
+    else:
+        with pytest.raises(UserError, match="no path"):
+            small_world(*blocks).draw(0, ROOM)
+
+
+def test_random_world_too_crowded_to_cross_is_refused_after_many_attempts():
+    layout = {"kind": "random_boxes", "cover": 0.25, "min_side": 3.0, "max_side": 3.0, "clear_radius": 2.1}
+    source = source_of(width=16.0, depth=16.0, start=[3, 3], target=[13, 13], layout=layout)
+    with pytest.raises(UserError, match=rf"seed 0: no path .* in {MOST_ATTEMPTS} attempts; lower its cover"):
+        source.draw(0, 2.0)
+
+
+def test_layout_without_room_for_its_cover_is_refused():
+    layout = {"kind": "random_boxes", "cover": 0.4, "min_side": 8.0, "max_side": 8.0}
+    with pytest.raises(UserError, match="no room for boxes over 40% of the arena; lower 'cover'"):
+        source_of(width=22.0, depth=22.0, start=[6, 6], target=[16, 16], layout=layout).draw(0, ROOM)
+
+
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [
+        ({"start": [10, 5]}, r"its start \(10, 5\) is inside a box"),
+        ({"target": [10, 5]}, r"its target \(10, 5\) is inside a box"),
+        ({"start": [8.5, 5]}, r"its start \(8\.5, 5\) is 0\.50 m from a box or wall, too near for the vehicle"),
+        ({"start": [0.5, 5]}, r"its start \(0\.5, 5\) is 0\.50 m from a box or wall"),
+        ({"start": [30, 5]}, r"its start \(30, 5\) is outside the arena; move it inside"),
+        ({"start": [-5, 5]}, r"its start \(-5, 5\) is outside the arena; move it inside"),
+        ({"target": [17, -1]}, r"its target \(17, -1\) is outside the arena; move it inside"),
+        ({"target": [17, 10.05]}, r"its target \(17, 10\.05\) is outside the arena; move it inside"),
+        ({"start": [0, 0]}, r"its start \(0, 0\) is outside the arena; move it inside"),
+    ],
+)
+def test_start_or_target_in_a_box_near_a_wall_or_outside_is_refused(values, what):
+    with pytest.raises(UserError, match=what) as refusal:
+        small_world(box(10, 5, 2, 2), **values).draw(0, ROOM)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_worlds_load_and_draw(name):
+    source = load_world(name)
+    world = source.draw(0, ROOM)
+    assert (world.name, world.seed) == (name, 0)
+    assert (world.start.x, world.start.y, *world.target) == (20, 20, 90, 90)
+    assert (world.width, world.depth) == (100, 100)
+    asked = {"paper": 0.05, "empty": 0.0}.get(name)
+    assert world.cover == pytest.approx(float(name[6:]) / 100 if asked is None else asked, abs=0.006)
+
+
+def test_every_shipped_world_is_tested():
+    assert sorted(SHIPPED) == sorted(path.stem for path in assets.folder("worlds").glob("*.toml"))
+
+
+def test_base_gives_what_a_world_leaves_out(tmp_path):
+    (tmp_path / "ground.toml").write_text(
+        'width = 50.0\ntarget = [40, 40]\n[layout]\nkind = "random_boxes"\ncover = 0.1\nmin_side = 1.0\n'
+    )
+    (tmp_path / "middle.toml").write_text('base = "ground"\ndepth = 60.0\n')
+    (tmp_path / "top.toml").write_text('base = "middle"\ntarget = [45, 45]\n[layout]\ncover = 0.2\n')
+    source = load_world(str(tmp_path / "top.toml"))
+    assert source.name == "top"
+    assert (source.file.width, source.file.depth, source.file.target) == (50.0, 60.0, (45.0, 45.0))
+    assert (source.file.layout.cover, source.file.layout.min_side) == (0.2, 1.0)
+
+
+def test_base_may_be_a_shipped_world(tmp_path):
+    (tmp_path / "mine.toml").write_text('base = "cover_10"\ntarget_radius = 3.0\n')
+    file = load_world(str(tmp_path / "mine.toml")).file
+    assert (file.target_radius, file.layout.cover) == (3.0, 0.1)
+
+
+@pytest.mark.parametrize("bases", [("a",), ("b", "a"), ("b", "c", "a"), ("../worlds/a",), ("../worlds/b", "./a")])
+def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
+    folder = tmp_path / "worlds"
+    folder.mkdir()
+    for name, base in zip("abc", bases, strict=False):
+        (folder / f"{name}.toml").write_text(f'base = "{base}"\n')
+    with pytest.raises(UserError, match="its 'base' leads back to itself"):
+        load_world(str(folder / "a.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
+            r"unknown key 'widht'; valid keys: depth, layout, obstacle_height, start, start_yaw_degrees, target,"
+            r" target_radius, width",
+        ),
+        (
+            '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',
+            r"unknown key 'layout\.size'; valid keys: clear_radius, cover, kind, max_side, min_side$",
+        ),
+        (
+            '[layout]\nkind = "random_boxes"\ncovr = 0.1\n',
+            r"unknown key 'layout\.covr'; valid keys: clear_radius, cover",
+        ),
+        ('[layout]\nkind = "boxes"\nboxs = []\n', r"unknown key 'layout\.boxs'; valid keys: boxes, kind$"),
+        (
+            '[layout]\nkind = "boxes"\nboxes = [{x = 1, y = 1, length = 1, width = 1, hight = 1}]\n',
+            r"unknown key 'layout\.boxes\.0\.hight'; valid keys: length, width, x, y, yaw_degrees$",
+        ),
+        ('[layout]\nkind = "maze"\n', r"'layout\.kind' must be one of: boxes, random_boxes$"),
+        ("[layout]\ncover = 0.1\n", r"'layout\.kind' must be one of: boxes, random_boxes$"),
+        ("width = 3.0\n", r"key 'layout' is missing$"),
+        ('[layout]\nkind = "random_boxes"\n', r"key 'layout\.cover' is missing$"),
+        ('[layout]\nkind = "random_boxes"\ncover = 0.9\n', r"'layout\.cover': input should be less than or equal"),
+        (
+            '[layout]\nkind = "random_boxes"\ncover = 0.1\nmin_side = 9.0\n',
+            r"'layout': min_side 9 is above max_side 8$",
+        ),
+        ("base = 3\n", r"'base' must be the name of a world$"),
+        ('base = "atlantis"\n', r"there is no file 'atlantis'; give a path .* one of: cover_10"),
+        ("width = \n", r"cannot be read as TOML"),
+    ],
+)
+def test_mistake_in_a_world_file_is_one_line_that_says_what_is_valid(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(UserError, match=message) as refusal:
+        load_world(str(path))
+    assert "\n" not in str(refusal.value)
+
+
+def test_unknown_world_lists_the_shipped_ones():
+    with pytest.raises(UserError, match="there is no file 'atlantis'") as refusal:
+        load_world("atlantis")
+    assert all(name in str(refusal.value) for name in SHIPPED)
+
+
+def test_free_cells_of_an_empty_arena_fill_it_up_to_the_clearance():
+    world = small_world().draw(0, ROOM)
+    area = free_cells(world, ROOM).sum() * CELL**2
+    assert (20 - 2 * ROOM - 4 * CELL) * (10 - 2 * ROOM - 4 * CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
+
+
+@pytest.mark.parametrize("room", [0.65, 0.7, 0.71, 0.75, 0.8])
+def test_free_cells_keep_off_walls_that_no_cell_ends_at(room):
+    world = small_world(width=20.01, depth=10.01).draw(0, room)
+    rows, columns = np.nonzero(free_cells(world, room))
+    assert columns.max() * CELL <= 20.01 - room
+    assert rows.max() * CELL <= 10.01 - room
+
+
+def test_two_ends_in_one_cell_are_joined_and_none_is_joined_in_no_room():
+    world = WorldSpec("t", 0, 10.0, 10.0, (), Pose(5, 5, 0), (5.05, 5.05), 1.0, 1.5)
+    assert is_solvable(world, ROOM)
+    assert not is_solvable(world, hypot(5, 5))
+    assert not is_solvable(world, inf)
