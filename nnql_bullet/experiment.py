@@ -16,6 +16,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sim.base import DriveOptions, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.twin import TwinSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.spec import load_vehicle
 from nnql_bullet.worlds.source import load_world
@@ -55,8 +56,10 @@ class RunConfig:
     """A shipped world or a path to a TOML file."""
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
-    simulator: Literal["bullet"] = "bullet"
+    simulator: Literal["bullet", "twin"] = "bullet"
+    """Contact physics, or the ideal vehicle."""
     physics: Literal["fast", "reference"] = "fast"
+    """Of the simulator `bullet`."""
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
@@ -110,6 +113,8 @@ class Experiment:
     @cached_property
     def simulator(self) -> Simulator:
         """The simulator."""
+        if self.config.simulator == "twin":
+            return TwinSimulator(self.vehicle, self.config.drive)
         return BulletSimulator(self.vehicle, self.config.drive, PHYSICS[self.config.physics])
 
     @cached_property

@@ -28,7 +28,8 @@ import nnql_bullet  # noqa: F401 (registers the environment)
 from nnql_bullet import paper
 from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
-from nnql_bullet.sim.bullet import COMMAND_RATE, OBSTACLE, PHYSICS, BulletSimulator
+from nnql_bullet.sim.base import COMMAND_RATE
+from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletSimulator
 from nnql_bullet.tricycle_env import TricycleEnv
 
 LEFT_60, RIGHT_60 = paper.TURNS.index(radians(60.0)), paper.TURNS.index(radians(-60.0))

@@ -113,7 +113,7 @@ def vehicle() -> tuple[list[Link], list[Joint]]:
     chassis = Link(
         "chassis",
         104.5,
-        # The heavy parts (battery, drives) fill this block, low and towards the rear axle.
+        # Not a part but a distribution of mass: the block with the inertia of battery and drives, low and to the rear.
         box((1.0, 0.5, 0.26), (0.12, 0.0, 0.22 - r)),
         visuals=(
             box((0.92, 0.50, 0.20), (0.39, 0.0, 0.255 - r), "body"),

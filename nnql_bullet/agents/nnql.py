@@ -48,6 +48,13 @@ class NnqlOptions:
     output_weights: Positive = 0.1
     """Initial weights into the output layer are uniform within +- this: Q-values start near zero (II.D)."""
 
+    def __post_init__(self) -> None:
+        """Refuses temperatures in the wrong order."""
+        if self.temperature_min > self.temperature_max:
+            raise ValueError(
+                f"temperature_min {self.temperature_min:g} is above temperature_max {self.temperature_max:g}"
+            )
+
 
 class Nnql:
     """The 8-6-5 network: sigmoid hidden units, linear outputs (targets reach -0.6), one Q-value a turn."""

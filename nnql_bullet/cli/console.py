@@ -45,6 +45,7 @@ def progress(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, st
             MofNCompleteColumn(),
             TextColumn("{task.fields[note]}"),
             TimeRemainingColumn(),
+            TextColumn("left"),
         )
         with Progress(*columns, console=err, expand=True) as bar:
             task = bar.add_task(what, total=total, completed=done, note="")

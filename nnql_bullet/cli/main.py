@@ -80,7 +80,12 @@ def _sentence(box: str) -> str:
     """What the parser's box of text says first."""
     lines = [line.strip("╭╮╰╯│─ ") for line in box.splitlines()[1:]]
     text = " ".join(lines[: lines.index("")] if "" in lines else lines)
-    return re.split(r"\. | ?Perhaps| For full", text)[0].rstrip(".")
+    sentence = re.split(r"\. | ?Perhaps| For full", text)[0].rstrip(".")
+    choices = re.search(r"Expected one of \((.*?)\)", text)
+    if choices:
+        names = sorted(set(re.findall(r"'(.*?)'", choices[1])) - {"None"})
+        sentence += f"; give one of: {', '.join(names)}"
+    return sentence
 
 
 def _overview() -> str:

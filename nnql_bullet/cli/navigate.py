@@ -23,6 +23,7 @@ def navigate(
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
+    sim: Annotated[Literal["bullet", "twin"], tyro.conf.arg(help_behavior_hint="")] = "bullet",
     physics: Annotated[Literal["fast", "reference"], tyro.conf.arg(help_behavior_hint="")] = "reference",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
     json_output: Annotated[
@@ -42,7 +43,8 @@ def navigate(
         run: Run folder, or a policy.safetensors.
         world: Shipped world (paper, cover_2.5 ... cover_20) or TOML file; default that of the training.
         seed: Of the world; default 0.
-        physics: Solver settings; default reference, the more exact.
+        sim: Contact physics (bullet, the default), whatever it was trained in, or the ideal vehicle (twin).
+        physics: Solver settings of contact physics; default reference, the more exact.
         out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED.
         json_output: Print one JSON object instead of text.
     """
@@ -50,7 +52,7 @@ def navigate(
         raise UserError(f"--seed {seed}: world seeds are not negative")
     policy = run / POLICY if run.is_dir() else run
     weights = load_weights(policy)
-    config = changed(parse(RunConfig, weights.config, str(policy)), world=world, physics=physics)
+    config = changed(parse(RunConfig, weights.config, str(policy)), world=world, simulator=sim, physics=physics)
     experiment = Experiment(config)
     experiment.agent.load(weights.arrays)
     spec = experiment.world(seed)
@@ -59,7 +61,7 @@ def navigate(
     folder = out or policy.parent / "navigate" / f"{spec.name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     label = f"{config.agent.kind}, {weights.episodes} episodes"
-    recording = recorder.recording(policy=label, physics=config.physics, version=__version__)
+    recording = recorder.recording(policy=label, simulator=sim, physics=config.physics, version=__version__)
     recording.save(folder / "trajectory.npz")
     draw_trajectory(recording, folder / "trajectory.png")
     result = {

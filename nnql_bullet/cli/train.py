@@ -27,7 +27,9 @@ RECENT = 100
 
 def train(
     config: Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE", help_behavior_hint="")] = None,
-    sim: Annotated[Literal["bullet"] | None, tyro.conf.arg(metavar="bullet", help_behavior_hint="")] = None,
+    sim: Annotated[
+        Literal["bullet", "twin"] | None, tyro.conf.arg(metavar="bullet|twin", help_behavior_hint="")
+    ] = None,
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
     seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
@@ -51,11 +53,11 @@ def train(
 
     Args:
         config: Preset (paper, literal) or TOML file; default paper.
-        sim: Simulator; default that of the configuration.
+        sim: Contact physics (bullet, the default) or the ideal vehicle (twin: no slip, some ten times faster).
         episodes: Training episodes in all; default 1000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper.
-        physics: Solver settings; default fast.
+        physics: Solver settings of contact physics; default fast.
         out: Run folder; default runs/CONFIG-SEED.
         resume: Go on with the run in this folder, bit for bit as if it had never stopped.
         overwrite: Start anew in a folder that holds a run already.
@@ -72,7 +74,8 @@ def train(
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
         resolved = load_config(name, changes)
         experiment = Experiment(resolved)
-        experiment.training_world(0)  # what is wrong with the world shows before anything is written
+        # What is wrong with world, robot or drive shows before anything is written.
+        experiment.navigation.reset(experiment.training_world(0))
         agent = experiment.agent
         folder = out or Path("runs") / f"{Path(name).stem}-{resolved.seed}"
         run = create_run(folder, resolved, overwrite)
@@ -80,7 +83,8 @@ def train(
     if len(run.episodes) == total:
         say(f"{run.folder} has its {total} episodes already; give more with --episodes")
         return 0
-    say(f"training {run.config.agent.kind} in {run.config.physics} contact physics, world '{run.config.world}'")
+    where = "the ideal twin" if run.config.simulator == "twin" else f"{run.config.physics} contact physics"
+    say(f"training {run.config.agent.kind} in {where}, world '{run.config.world}'")
     finished = _run(run, experiment, agent)
     draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
     say(f"learning curve: {run.folder / LEARNING_CURVE}")

@@ -19,7 +19,7 @@ from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, distance, wrap_angle
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
-from nnql_bullet.sim.base import DriveOptions, Motion, Sample, whole_steps
+from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -52,11 +52,6 @@ SHAPES_PER_COMPOUND = 16
 CONTACT_BREAKING_THRESHOLD = 0.0005
 """Keeps one contact a wheel: with the default of 0.02 m a rolling wheel drags old contacts along, at the solver's cost.
 The engine holds this one number for the whole process, so every simulator sets the same."""
-
-COMMAND_RATE = 120.0
-"""Wheel-speed commands per second, in every setting: the controller is part of the vehicle, not of the physics."""
-SAMPLE_EVERY = 4
-"""Commands from one sample of a trace to the next: 30 samples a second."""
 
 
 @dataclass(frozen=True, slots=True)

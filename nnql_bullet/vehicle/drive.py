@@ -9,6 +9,7 @@ to the next one.
 from dataclasses import dataclass
 from math import copysign, sqrt
 
+import numba
 import numpy as np
 
 from nnql_bullet.geometry import Array
@@ -49,21 +50,23 @@ def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
 
 def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
     """Yaw rate [rad/s] and heading since the start of the turn [rad] at `times` (n,) [s]."""
-    rise = np.clip(times, 0.0, turn.rise)
-    hold = np.clip(times - turn.rise, 0.0, turn.hold)
-    fall = np.clip(times - turn.rise - turn.hold, 0.0, turn.fall)
-    rate_up, heading_up = _ramp(turn.start, turn.peak, turn.rise, rise)
-    rate_down, heading_down = _ramp(turn.peak, 0.0, turn.fall, fall)
-    rate = np.where(times < turn.rise, rate_up, rate_down)
-    return rate, heading_up + turn.peak * hold + heading_down
+    return _sample(turn.start, turn.peak, turn.rise, turn.hold, turn.fall, times)  # type: ignore[no-any-return]
 
 
-def _ramp(first: float, last: float, duration: float, time: Array) -> tuple[Array, Array]:
-    """A linear ramp and its integral, `time` within it."""
-    if duration == 0.0:
-        return np.full_like(time, last), np.zeros_like(time)
-    slope = (last - first) / duration
-    return first + slope * time, (first + slope * time / 2) * time
+@numba.njit(cache=True)
+def _sample(start: float, peak: float, rise: float, hold: float, fall: float, times: Array) -> tuple[Array, Array]:
+    rates, headings = np.empty(len(times)), np.empty(len(times))
+    for i, time in enumerate(times):
+        t = min(time, rise)
+        rate = start + (peak - start) * t / rise if rise > 0 else peak
+        heading = (start + rate) / 2 * t
+        heading += peak * min(max(time - rise, 0.0), hold)
+        t = min(max(time - rise - hold, 0.0), fall)
+        if t > 0:
+            rate = peak * (1 - t / fall)
+            heading += (peak + rate) / 2 * t
+        rates[i], headings[i] = rate, heading
+    return rates, headings
 
 
 def wheel_speeds(speed: float, yaw_rate: float, track: float, wheel_radius: float) -> tuple[float, float]:

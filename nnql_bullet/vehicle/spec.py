@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import hypot, inf
 from pathlib import Path
 from typing import Annotated, Any
+from xml.etree import ElementTree
 
 import numpy as np
 import yourdfpy
@@ -137,6 +138,7 @@ def _load_urdf(path: Path) -> Any:
         raise UserError(f"{path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
     try:
+        ElementTree.parse(path)  # yourdfpy mends broken XML without a word
         return yourdfpy.URDF.load(str(path), load_meshes=False, load_collision_meshes=False)
     except Exception as error:  # yourdfpy raises whatever its parsers raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
@@ -151,6 +153,9 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Any) -> VehicleSpec:
             raise _Unfit(f"has no joint '{joint}' (joints.{field}); its joints are: {there}")
         if urdf.joint_map[joint].type != "continuous":
             raise _Unfit(f"joint '{joint}' is {urdf.joint_map[joint].type}; make it continuous")
+        axis = (0.0, 0.0, 1.0) if field == "swivel" else (0.0, 1.0, 0.0)
+        if not np.allclose(urdf.joint_map[joint].axis, axis):
+            raise _Unfit(f"joint '{joint}' must have the axis {axis}, so that a positive speed rolls ahead")
     links = {field: urdf.joint_map[joint].child for field, joint in names.items()}
     at = {field: urdf.get_transform(link)[:3, 3] for field, link in links.items()}
     radius = {field: _sphere_radius(urdf, link) for field, link in links.items() if field != "swivel"}
@@ -158,6 +163,8 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Any) -> VehicleSpec:
         raise _Unfit("the drive wheels differ in radius")
     if at["left_drive"][1] <= at["right_drive"][1]:
         raise _Unfit("the left drive wheel is not to the left of the right one; swap the joints in the TOML")
+    if at["caster_roll"][0] >= at["swivel"][0]:
+        raise _Unfit("the caster wheel does not trail its swivel; put its centre behind the swivel axis")
     efforts = [_effort(urdf, names[field]) for field in ("left_drive", "right_drive")]
     mass, com, inertia = _composite(urdf)
     wheel = radius["left_drive"]
