@@ -101,6 +101,12 @@ class Experiment:
         self.config = config
         self.vehicle = load_vehicle(config.robot)
         self.worlds = load_world(config.world)
+        sensor_height, obstacle_height = self.vehicle.sensor_height, self.worlds.file.obstacle_height
+        if obstacle_height <= sensor_height:
+            raise UserError(
+                f"world '{self.worlds.name}': obstacles of {obstacle_height:g} m do not reach up to the sensor of "
+                f"'{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
+            )
 
     def world(self, seed: int) -> WorldSpec:
         """The world of a seed."""

@@ -51,9 +51,7 @@ def refused(answer: tuple[int, str, str]) -> str:
 
 
 class TestTrain:
-    def test_it_says_where_things_are_and_how_to_go_on(
-        self, run_cli: Cli, here: Path, small_world: Path
-    ) -> None:
+    def test_it_says_where_things_are_and_how_to_go_on(self, run_cli: Cli, here: Path, small_world: Path) -> None:
         code, out, err = run_cli("train", "--episodes", 2, "--world", small_world, "--seed", 4)
         folder = here / "runs" / "paper-4"
         assert code == 0
@@ -64,7 +62,7 @@ class TestTrain:
 
     def test_a_config_file_names_the_run(self, run_cli: Cli, here: Path, small_world: Path) -> None:
         (here / "mine.toml").write_text(
-            f'preset = "literal"\nepisodes = 1\nworld = "{small_world}"\n\n[agent]\nkind = "nnql"\ngradient_step = 0.7\n'
+            f'preset = "literal"\nepisodes = 1\nworld = "{small_world}"\n[agent]\nkind = "nnql"\ngradient_step = 0.7\n'
         )
         assert run_cli("train", "--config", "mine.toml")[0] == 0
         resolved = (here / "runs" / "mine-0" / "config.toml").read_text()
@@ -212,9 +210,7 @@ class TestBadArguments:
         assert [word for word in words if word not in line] == []
         assert list(here.iterdir()) == []
 
-    def test_bad_seed_or_world_of_navigate(
-        self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot
-    ) -> None:
+    def test_bad_seed_or_world_of_navigate(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
         before = snapshot(tiny_run)
         assert "-3" in refused(run_cli("navigate", tiny_run, "--seed", "-3"))
         assert "nowhere" in refused(run_cli("navigate", tiny_run, "--world", "nowhere"))
@@ -267,8 +263,7 @@ class TestBadConfig:
 
 def world(boxes: str, start: str = "[5.0, 5.0]", target: str = "[25.0, 25.0]") -> str:
     return (
-        f"width = 30.0\ndepth = 30.0\nstart = {start}\ntarget = {target}\n"
-        f'[layout]\nkind = "boxes"\nboxes = [{boxes}]\n'
+        f'width = 30.0\ndepth = 30.0\nstart = {start}\ntarget = {target}\n[layout]\nkind = "boxes"\nboxes = [{boxes}]\n'
     )
 
 
@@ -302,9 +297,7 @@ class TestBadWorld:
         assert snapshot(tiny_run) == before
         assert [path.name for path in here.iterdir()] == ["bad.toml"]
 
-    def test_a_box_at_the_front_corner_of_the_start_is_no_crash(
-        self, run_cli: Cli, tiny_run: Path, here: Path
-    ) -> None:
+    def test_a_box_at_the_front_corner_of_the_start_is_no_crash(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         # The nose reaches 0.9 m ahead of the rear axle; this box stands at its corner, 0.92 m away from the axle.
         (here / "tight.toml").write_text(
             world("{x = 6.48, y = 5.88, length = 1.0, width = 1.2}", start="[5.1, 5.1]").replace(
@@ -370,9 +363,7 @@ class TestBadRobot:
             ("[0.35, 0.0, 0.475]", "[0.35, 0.0]", ["sensor.position"]),
         ],
     )
-    def test_a_bad_robot_file_is_one_line(
-        self, run_cli: Cli, here: Path, old: str, new: str, words: list[str]
-    ) -> None:
+    def test_a_bad_robot_file_is_one_line(self, run_cli: Cli, here: Path, old: str, new: str, words: list[str]) -> None:
         text = (ROBOTS / "tricycle.toml").read_text()
         assert old in text
         (here / "mine.toml").write_text(text.replace(old, new))

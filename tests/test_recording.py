@@ -190,7 +190,9 @@ class TestRefusal:
         assert str(saved) in message
         assert "\n" not in message
 
-    @pytest.mark.parametrize("content", [b"hello\nworld\n", b"\x89PNG\r\n\x1a\n" + bytes(64), b"PK\x03\x04", b"\x80\x04N."])
+    @pytest.mark.parametrize(
+        "content", [b"hello\nworld\n", b"\x89PNG\r\n\x1a\n" + bytes(64), b"PK\x03\x04", b"\x80\x04N."]
+    )
     def test_a_foreign_file(self, tmp_path: Path, content: bytes) -> None:
         path = tmp_path / "other.npz"
         path.write_bytes(content)

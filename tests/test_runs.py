@@ -287,9 +287,7 @@ class TestDamage:
         assert snapshot(copy) == before
 
     @pytest.mark.parametrize("damage", ["missing", "short", "words", "header"])
-    def test_damaged_episodes_are_refused(
-        self, run_cli: Cli, copy: Path, snapshot: Snapshot, damage: str
-    ) -> None:
+    def test_damaged_episodes_are_refused(self, run_cli: Cli, copy: Path, snapshot: Snapshot, damage: str) -> None:
         path = copy / "episodes.csv"
         lines = path.read_text().splitlines()
         if damage == "missing":

@@ -16,7 +16,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 COMMAND_RATE = 120.0
 """Wheel-speed commands per second, in every simulator: the controller is part of the vehicle, not of the physics."""
 SAMPLE_EVERY = 4
-"""Commands from one sample of a trace to the next: 30 samples a second."""
+"""Commands from one sample of a trace to the next: 30 samples a second. The moment an episode ends is sampled too."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ class TwinSimulator:
         )
         commands = len(poses) - 1
         if trace is not None:
-            self._extend(trace, poses, np.diff(headings[: commands + 1]) * COMMAND_RATE)
+            self._extend(trace, poses, np.diff(headings[: commands + 1]) * COMMAND_RATE, over=event != 0)
         x, y, yaw = poses[-1].tolist()
         self._pose = Pose(x, y, wrap_angle(yaw))
         self._yaw_rate = float(rates[commands])
@@ -84,13 +84,13 @@ class TwinSimulator:
         origin_x, origin_y = x + np.cos(yaw) * ahead - np.sin(yaw) * left, y + np.sin(yaw) * ahead + np.cos(yaw) * left
         return scan_from(cast_rays(origin_x, origin_y, self._ray_angles + yaw, self._world.solids, paper.SENSOR_RANGE))
 
-    def _extend(self, trace: list[Sample], poses: Array, yaw_rates: Array) -> None:
+    def _extend(self, trace: list[Sample], poses: Array, yaw_rates: Array, over: bool) -> None:
         """Samples between the decisions; the joints turn as the wheels roll."""
         for command, yaw_rate in enumerate(yaw_rates.tolist(), 1):
             left, right = wheel_speeds(self.drive.speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
             swivel, roll = _caster_rates(self._joints[2], self.drive.speed, yaw_rate, *self._caster)
             self._joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
-            if command % SAMPLE_EVERY == 0:
+            if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
                 x, y, yaw = poses[command].tolist()
                 a, b, c, d = self._joints.tolist()
                 time = self._time + command / COMMAND_RATE

@@ -105,6 +105,11 @@ class VehicleSpec:
     """Limit of each drive [N m]."""
 
     @property
+    def sensor_height(self) -> float:
+        """Of the rays above the ground [m]."""
+        return self.sensor[2] + self.wheel_radius
+
+    @property
     def clear_radius(self) -> float:
         """Radius of the smallest circle, about the footprint's centre, that holds the footprint [m]."""
         return hypot(self.footprint.half_length, self.footprint.half_width)
