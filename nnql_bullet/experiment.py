@@ -13,6 +13,7 @@ from nnql_bullet.agents.nnql import NnqlOptions
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sim.base import DriveOptions, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
@@ -109,8 +110,18 @@ class Experiment:
             )
 
     def world(self, seed: int) -> WorldSpec:
-        """The world of a seed."""
-        return self.worlds.draw(seed, self.vehicle.clear_radius + PATH_MARGIN)
+        """The world of a seed.
+
+        Raises:
+            UserError: If there is none, or the vehicle would stand in an obstacle at its start.
+        """
+        if seed < 0:
+            raise UserError(f"world seed {seed}: world seeds are not negative")
+        world = self.worlds.draw(seed, self.vehicle.clear_radius + PATH_MARGIN)
+        start = world.start
+        if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids) <= 0:
+            raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
+        return world
 
     def training_world(self, episode: int) -> WorldSpec:
         """The world of a training episode."""

@@ -20,7 +20,6 @@ from math import radians
 
 import gymnasium
 import numpy as np
-import pybullet
 from rich.console import Console
 from rich.table import Table
 
@@ -30,6 +29,7 @@ from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.sim.base import COMMAND_RATE
 from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletSimulator
+from nnql_bullet.sim.bullet import bullet as pybullet
 from nnql_bullet.tricycle_env import TricycleEnv
 
 LEFT_60, RIGHT_60 = paper.TURNS.index(radians(60.0)), paper.TURNS.index(radians(-60.0))

@@ -147,7 +147,6 @@ class TestSimulatorContract:
             assert not motion.touching
             poses = [before, *(sample.pose for sample in trace)]
             expected = min(footprint_at(pose).distance(solids) for pose in poses)
-            assert expected < 1.5  # farther off it is not watched at every instant
             assert motion.clearance == pytest.approx(expected, abs=0.02)  # samples are 67 mm apart
 
     def test_contact_and_target_end_the_period(self, simulator: Simulator, world_of: WorldOf) -> None:

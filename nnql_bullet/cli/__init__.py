@@ -18,6 +18,10 @@ def main(arguments: list[str] | None = None) -> int:
     """
     if UNSUPPORTED_PYTHON:
         return complain(UNSUPPORTED_PYTHON)
-    from nnql_bullet.cli.main import run  # after the check: its imports need what other Pythons cannot install
+    try:
+        from nnql_bullet.cli.main import run  # after the check: its imports need what other Pythons cannot install
 
-    return run(sys.argv[1:] if arguments is None else arguments)
+        return run(sys.argv[1:] if arguments is None else arguments)
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 130

@@ -48,9 +48,6 @@ def run(arguments: list[str]) -> int:
         return complain(str(error))
     except OSError as error:
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
-    except KeyboardInterrupt:
-        complain("interrupted")
-        return 130
 
 
 def _call(verb: str, arguments: list[str]) -> int:
@@ -80,6 +77,7 @@ def _sentence(box: str) -> str:
     """What the parser's box of text says first."""
     lines = [line.strip("╭╮╰╯│─ ") for line in box.splitlines()[1:]]
     text = " ".join(lines[: lines.index("")] if "" in lines else lines)
+    text = re.sub(r"no type matching \S+ could be instantiated from \['(.*?)'\]", r"not a valid value: '\1'", text)
     sentence = re.split(r"\. | ?Perhaps| For full", text)[0].rstrip(".")
     choices = re.search(r"Expected one of \((.*?)\)", text)
     if choices:

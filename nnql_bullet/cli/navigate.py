@@ -9,7 +9,6 @@ import tyro
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import say
 from nnql_bullet.config import parse
-from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig, changed
 from nnql_bullet.recording import Recorder
 from nnql_bullet.reports.plots import draw_trajectory
@@ -48,8 +47,6 @@ def navigate(
         out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED.
         json_output: Print one JSON object instead of text.
     """
-    if seed < 0:
-        raise UserError(f"--seed {seed}: world seeds are not negative")
     policy = run / POLICY if run.is_dir() else run
     weights = load_weights(policy)
     config = changed(parse(RunConfig, weights.config, str(policy)), world=world, simulator=sim, physics=physics)

@@ -17,7 +17,7 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, distance, wrap_angle
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, wrap_angle
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
@@ -68,7 +68,7 @@ class Physics:
 
 PHYSICS = {
     "reference": Physics(time_step=1 / 240, iterations=200, residual=1e-7),
-    "fast": Physics(time_step=1 / 120, iterations=200, residual=1e-6),
+    "fast": Physics(time_step=1 / 120, iterations=200, residual=1e-7),
 }
 
 
@@ -111,9 +111,9 @@ class BulletSimulator:
         footprint = vehicle.footprint
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
-        # No point of the vehicle gets farther than this, slip included [m]: what is farther off need not be watched.
-        self._reach = 1.1 * fastest * drive.decision_period
-        self._reach_of_command = 1.1 * fastest / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
+        # No point of the vehicle gets farther than this from one command to the next, slip included [m]: what is
+        # farther off cannot be touched before the next look.
+        self._reach = 1.1 * fastest / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
         self._footprint = as_rows((footprint,))[0]
 
     def close(self) -> None:
@@ -135,11 +135,7 @@ class BulletSimulator:
         wanted = (begin.yaw + headings).tolist()
         speed, gain = self.drive.speed, self.drive.heading_gain
         track, radius = self.vehicle.track, self.vehicle.wheel_radius
-        target_x, target_y = self._world.target
-        target_radius = self._world.target_radius
-        watched = self._clearance <= self._reach
-        arriving = distance(begin, target_x, target_y) <= self._reach + target_radius
-        solids = self._world.solids
+        (target_x, target_y), target_radius = self._world.target, self._world.target_radius
         closest = clear = self._clearance
         x, y, yaw = begin.x, begin.y, begin.yaw
         path_length, commands = 0.0, 0
@@ -147,30 +143,28 @@ class BulletSimulator:
         for commands, rate in enumerate(feed_forward, 1):
             yaw_rate = rate + gain * wrap_angle(wanted[commands - 1] - yaw)
             self.command_wheels(*wheel_speeds(speed, yaw_rate, track, radius))
-            touching = self._run(self._steps_per_command, watched and clear <= self._reach_of_command)
+            touching = self._run(self._steps_per_command, watched=clear <= self._reach)
             last_x, last_y = x, y
             x, y, yaw = self._planar_pose()
             path_length += hypot(x - last_x, y - last_y)
-            if watched:
-                clear = clearance_at(x, y, yaw, self._footprint, solids)
-                closest = min(closest, clear)
-            at_target = arriving and hypot(x - target_x, y - target_y) <= target_radius
+            clear = clearance_at(x, y, yaw, self._footprint, self._world.solids)
+            closest = min(closest, clear)
+            at_target = hypot(x - target_x, y - target_y) <= target_radius
             over = touching or at_target
             if trace is not None and (over or commands % SAMPLE_EVERY == 0):
                 trace.append(self.sample())
             if over:
                 break
-        pose = Pose(x, y, yaw)
         self._turn_rate = float(rates[commands])
-        self._clearance = clearance_at(x, y, yaw, self._footprint, solids)
+        self._clearance = clear
         return Motion(
-            pose=pose,
+            pose=Pose(x, y, yaw),
             speed=self.speed(),
             yaw_rate=self.yaw_rate(),
             wheel_speeds=self.wheel_speeds(),
             duration=(self._steps - first_step) * self.physics.time_step,
             path_length=path_length,
-            clearance=0.0 if touching else min(closest, self._clearance),
+            clearance=0.0 if touching else closest,
             heading_error=wrap_angle(begin.yaw + heading_change - yaw),
             touching=touching,
             at_target=at_target and not touching,
