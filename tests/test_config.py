@@ -261,6 +261,15 @@ def test_changed_replaces_what_is_given():
         changed(config, sed=1)
 
 
+def test_a_table_of_another_kind_replaces_the_one_below():
+    base = {"layout": {"kind": "random_boxes", "cover": 0.1}, "width": 10.0}
+    assert merged(base, {"layout": {"kind": "boxes", "boxes": []}}) == {
+        "layout": {"kind": "boxes", "boxes": []},
+        "width": 10.0,
+    }
+    assert merged(base, {"layout": {"kind": "random_boxes", "cover": 0.2}})["layout"]["cover"] == 0.2
+
+
 def test_merged_lays_tables_over_tables_and_changes_neither():
     base, changes = {"a": {"b": 1, "c": {"d": 2}}, "e": 3}, {"a": {"c": {"d": 4}}, "e": {"f": 5}}
     assert merged(base, changes) == {"a": {"b": 1, "c": {"d": 4}}, "e": {"f": 5}}

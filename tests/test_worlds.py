@@ -321,6 +321,13 @@ def test_base_gives_what_a_world_leaves_out(tmp_path):
     assert (source.file.layout.cover, source.file.layout.min_side) == (0.2, 1.0)
 
 
+def test_explicit_boxes_may_replace_the_random_ones_of_a_base(tmp_path):
+    boxes = "[{ x = 50.0, y = 50.0, length = 4.0, width = 2.0 }]"
+    (tmp_path / "mine.toml").write_text(f'base = "paper"\n[layout]\nkind = "boxes"\nboxes = {boxes}\n')
+    world = load_world(str(tmp_path / "mine.toml")).draw(0, 0.8)
+    assert world.obstacles == (OrientedBox(50.0, 50.0, 2.0, 1.0, 0.0),)
+
+
 def test_base_may_be_a_shipped_world(tmp_path):
     (tmp_path / "mine.toml").write_text('base = "cover_10"\ntarget_radius = 3.0\n')
     file = load_world(str(tmp_path / "mine.toml")).file
