@@ -121,6 +121,13 @@ def test_weights_are_a_function_of_the_seed():
     assert not np.allclose(one["0.weight"], other["0.weight"])
 
 
+def test_making_an_agent_leaves_the_global_generators_alone():
+    torch_state, numpy_state = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    Nnql(NnqlOptions(), 4)
+    assert torch.equal(torch.get_rng_state(), torch_state)
+    assert np.array_equal(np.random.get_state()[1], numpy_state)  # noqa: NPY002
+
+
 def test_weights_do_not_depend_on_the_global_generators():
     expected = Nnql(NnqlOptions(), 4).arrays()
     torch.rand(3)

@@ -61,11 +61,13 @@ class Nnql:
 
     def __init__(self, options: NnqlOptions, seed: int) -> None:
         self.options = options
-        self.network = torch.nn.Sequential(
-            torch.nn.Linear(paper.SECTORS, paper.HIDDEN_UNITS, dtype=torch.float64),
-            torch.nn.Sigmoid(),
-            torch.nn.Linear(paper.HIDDEN_UNITS, len(paper.TURNS), dtype=torch.float64),
-        )
+        with torch.device("meta"):  # without weights yet: torch would draw its own from the global generator
+            self.network = torch.nn.Sequential(
+                torch.nn.Linear(paper.SECTORS, paper.HIDDEN_UNITS, dtype=torch.float64),
+                torch.nn.Sigmoid(),
+                torch.nn.Linear(paper.HIDDEN_UNITS, len(paper.TURNS), dtype=torch.float64),
+            )
+        self.network.to_empty(device="cpu")
         self.temperature = options.temperature_max
         self._optimizer = torch.optim.SGD(self.network.parameters(), lr=options.gradient_step)
         self._errors: list[float] = []
