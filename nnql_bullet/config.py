@@ -72,10 +72,15 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     result = dict(base)
     for key, value in changes.items():
         old = result.get(key)
-        if isinstance(old, Mapping) and isinstance(value, Mapping) and value.get("kind") in (None, old.get("kind")):
-            value = merged(old, value)
-        result[key] = value
+        if isinstance(old, Mapping) and isinstance(value, Mapping) and _same_kind(old, value):
+            result[key] = merged(old, value)
+        else:
+            result[key] = value
     return result
+
+
+def _same_kind(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    return "kind" not in one or "kind" not in other or one["kind"] == other["kind"]
 
 
 def _first_mistake(cls: type, error: ValidationError) -> str:
