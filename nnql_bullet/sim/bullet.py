@@ -10,9 +10,10 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import atan2, cos, hypot, sin
+from math import cos, hypot, sin
 from typing import Any
 
+import numba
 import numpy as np
 
 from nnql_bullet import paper
@@ -145,9 +146,8 @@ class BulletSimulator:
             self.command_wheels(*wheel_speeds(speed, yaw_rate, track, radius))
             touching = self._run(self._steps_per_command, watched=clear <= self._reach)
             last_x, last_y = x, y
-            x, y, yaw = self._planar_pose()
+            x, y, yaw, clear = self._look()
             path_length += hypot(x - last_x, y - last_y)
-            clear = clearance_at(x, y, yaw, self._footprint, self._world.solids)
             closest = min(closest, clear)
             at_target = hypot(x - target_x, y - target_y) <= target_radius
             over = touching or at_target
@@ -182,7 +182,8 @@ class BulletSimulator:
 
     def pose(self) -> Pose:
         """Of the rear-axle centre, seen from above."""
-        return Pose(*self._planar_pose())
+        x, y, yaw, _ = self._look()
+        return Pose(x, y, yaw)
 
     # What physics is probed with
 
@@ -216,7 +217,7 @@ class BulletSimulator:
         for first in range(0, len(solids), SHAPES_PER_COMPOUND):
             self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
         self._add_vehicle(pose, speed, height)
-        self._clearance = clearance_at(pose.x, pose.y, pose.yaw, self._footprint, world.solids)
+        self._clearance = self._look()[3]
 
     def step(self) -> None:
         """One physics step."""
@@ -362,14 +363,11 @@ class BulletSimulator:
                 return True
         return False
 
-    def _planar_pose(self) -> tuple[float, float, float]:
-        """x, y, yaw of the rear-axle centre: the engine's centre of mass less its offset, turned by the quaternion."""
+    def _look(self) -> tuple[float, float, float, float]:
+        """x, y [m] and yaw [rad] of the rear-axle centre, and the clearance there [m]."""
         (x, y, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(self.body, self.client)
         ahead, _, up = self._com
-        forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
-        x -= ahead * forward_x + up * 2 * (qx * qz + qw * qy)
-        y -= ahead * forward_y + up * 2 * (qy * qz - qw * qx)
-        return x, y, atan2(forward_y, forward_x)
+        return _seen_from_above(x, y, qx, qy, qz, qw, ahead, up, self._footprint, self._world.solids)  # type: ignore[no-any-return]
 
     def _chassis_frame(self) -> tuple[Array, Array]:
         """Origin (3,) [m] and rotation (3, 3) of the chassis frame; the engine gives the centre of mass."""
@@ -390,6 +388,30 @@ class BulletSimulator:
     def _dynamics(self, link: int) -> LinkDynamics:
         info = self._dynamics_info(link)
         return LinkDynamics(info[0], info[2], info[1], info[6], info[7])
+
+
+@numba.njit(cache=True)
+def _seen_from_above(
+    com_x: float,
+    com_y: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    qw: float,
+    ahead: float,
+    up: float,
+    footprint: Array,
+    solids: Array,
+) -> tuple[float, float, float, float]:
+    """x, y, yaw of the rear-axle centre and the clearance there, from the engine's centre of mass and quaternion.
+
+    The centre of mass lies `ahead` of the axle and `up` from it [m] in the chassis frame.
+    """
+    forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
+    x = com_x - (ahead * forward_x + up * 2 * (qx * qz + qw * qy))
+    y = com_y - (ahead * forward_y + up * 2 * (qy * qz - qw * qx))
+    yaw = np.arctan2(forward_y, forward_x)
+    return x, y, yaw, clearance_at(x, y, yaw, footprint, solids)
 
 
 def _disconnect(client: int) -> None:
