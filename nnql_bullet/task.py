@@ -31,9 +31,9 @@ class TaskOptions:
     """What the paper leaves open about states, rewards and endings."""
 
     front_distance: Distance = 5.0
-    """A state is non-safe with the front sector below this [m]. Success of NNQL at 10 % cover (twin, validation worlds, 4
-    seeds), with the front-side distance beside it: 5 and 3.5 m gave 74 %, 4 and 3.5 m 73 %, 6 and 4 m 64 %, 7 and 3.5 m
-    56 %."""
+    """A state is non-safe with the front sector below this [m]. Success of NNQL at 10 % cover (twin, validation worlds,
+    4 seeds), with the front-side distance beside it: 5 and 3.5 m gave 74 %, 4 and 3.5 m 73 %, 6 and 4 m 64 %, 7 and
+    3.5 m 56 %."""
     front_side_distance: Distance = 3.5
     """... or one of the sectors at +-45 degrees below this [m]. On this vehicle, whose yaw rate takes time to build up,
     2.5 / 3.5 m gave 95 / 97 % at 5 % and 68 / 74 % at 10 % cover (NNQL), 97 / 99 % and 82 / 88 % (a hand rule that
