@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from nnql_bullet import assets
+from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
@@ -412,3 +412,13 @@ def test_two_ends_in_one_cell_are_joined_and_none_is_joined_in_no_room():
     assert is_solvable(world, ROOM)
     assert not is_solvable(world, hypot(5, 5))
     assert not is_solvable(world, inf)
+
+
+def test_the_world_named_paper_is_the_papers():
+    file = load_world("paper").file
+    assert (file.width, file.depth, file.start, file.target) == (
+        paper.ARENA_SIDE,
+        paper.ARENA_SIDE,
+        paper.START,
+        paper.TARGET,
+    )
