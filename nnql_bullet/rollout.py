@@ -1,14 +1,14 @@
 """One episode, whoever drives and whoever watches: training and navigation both run through here."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf, sqrt
 from typing import Protocol
 
 from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import REWARD_TERMS, Ending
+from nnql_bullet.task import REWARD_TERMS, Ending, Property
 from nnql_bullet.worlds.spec import WorldSpec
 
 Policy = Callable[[Observation], int]
@@ -33,7 +33,7 @@ class EpisodeSummary:
     """Decisions taken in non-safe states."""
     episode_return: float
     """Sum of rewards, not discounted."""
-    terms: dict[str, float] = field(default_factory=dict)
+    terms: dict[str, float]
     """Sum of each reward term."""
 
 
@@ -82,7 +82,7 @@ def run_episode(
             watcher.see(transition)
         motion, observation = transition.motion, transition.s_t
         steps += 1
-        non_safe_steps += transition.s_tm1.property.value == "NS"
+        non_safe_steps += transition.s_tm1.property is Property.NON_SAFE
         duration += motion.duration
         path_length += motion.path_length
         squared_errors += motion.heading_error**2

@@ -41,7 +41,7 @@ class TaskOptions:
     other_distance: Distance = 0.0
     """... or any other sector below this [m]. Watching all eight alike cost 22 points; 0 is off."""
     reward_non_safe_to_safe: float = 0.4
-    """The number is illegible in the paper. 0.2 / 0.4 / 1.0 gave 95 / 97 / 96 %: the evidence does not decide."""
+    """Illegible in the paper. A kinematic study before this program got 95 / 97 / 96 % with 0.2 / 0.4 / 1.0: undecided."""
     max_steps: Annotated[int, Field(ge=1)] = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
 
