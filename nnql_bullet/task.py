@@ -39,9 +39,10 @@ class TaskOptions:
     2.5 / 3.5 m gave 95 / 97 % at 5 % and 68 / 74 % at 10 % cover (NNQL), 97 / 99 % and 82 / 88 % (a hand rule that
     turns away from the fuller front side)."""
     other_distance: Distance = 0.0
-    """... or any other sector below this [m]. Watching all eight alike cost 22 points; 0 is off."""
+    """... or any other sector below this [m]. Watching all eight alike cost 22 points in a
+    kinematic study that came before this program; 0 is off."""
     reward_non_safe_to_safe: float = 0.4
-    """Illegible in the paper. A kinematic study before this program got 95 / 97 / 96 % with 0.2 / 0.4 / 1.0: undecided."""
+    """Illegible in the paper. 0.2 / 0.4 / 1.0 gave 95 / 97 / 96 % in that study: the evidence does not decide."""
     max_steps: Annotated[int, Field(ge=1)] = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
 
