@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import hypot, inf, pi
 
 import numpy as np
@@ -5,13 +6,15 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 from shapely import affinity
 
 from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.worlds.grid import CELL, free_cells, is_solvable
+from nnql_bullet.worlds.grid import CELL, is_solvable
+from nnql_bullet.worlds.layouts import random_boxes
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, WorldFile, WorldSource, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -71,6 +74,27 @@ def is_crossable(world, room):
     return any(all(part.covers(end) for end in ends) for part in getattr(free, "geoms", [free]))
 
 
+def is_free(world, x, y, room):
+    """Whether the cell around a point is free: it is where one can go from there to there."""
+    return is_solvable(replace(world, start=Pose(x, y, 0.0), target=(x, y)), room)
+
+
+def is_solvable_on_the_whole_grid(world, room):
+    """What `is_solvable` says, from every cell of the world at once."""
+    shape = round(world.depth / CELL), round(world.width / CELL)
+    rows, columns = np.indices(shape)
+    centres = shapely.points((columns + 0.5) * CELL, (rows + 0.5) * CELL)
+    growth = hypot(CELL, CELL) / 2
+    taken = np.zeros(shape, dtype=bool)
+    for box in world.obstacles:
+        grown = replace(box, half_length=box.half_length + growth, half_width=box.half_width + growth)
+        taken |= shapely.covers(polygon(grown), centres)
+    distances = ndimage.distance_transform_edt(~np.pad(taken, 1, constant_values=True), sampling=CELL)[1:-1, 1:-1]
+    regions, _ = ndimage.label(distances >= room + hypot(CELL, CELL), structure=np.ones((3, 3)))
+    start, target = (regions[int(y / CELL), int(x / CELL)] for x, y in ((world.start.x, world.start.y), world.target))
+    return bool(start == target != 0)
+
+
 # A generator that gives other worlds makes every published number another number. Change these only on purpose.
 @pytest.mark.parametrize(
     ("name", "seed", "digest"),
@@ -83,6 +107,12 @@ def is_crossable(world, room):
         ("cover_10", 1, "26c25455e7561d4f"),
         ("cover_10", 2, "f10854904a22cffc"),
         ("cover_10", 100_000, "263dcc7021f1c315"),
+        ("paper", 1_000_000, "b5a0ea6478b78788"),
+        ("cover_2.5", 1, "ca69f98ff128b6d8"),
+        ("cover_15", 100_000, "626cd842c88e8eec"),
+        ("cover_20", 0, "deb747aa5f27bc37"),
+        ("cover_20", 140, "ecd15fddc998b6ca"),  # drawn twice: the target is shut in at first
+        ("cover_20", 100_127, "da0f4762cc713113"),  # drawn twice: the start is shut in at first
     ],
 )
 def test_seeds_give_the_worlds_that_they_always_gave(name, seed, digest):
@@ -191,13 +221,43 @@ def test_world_that_had_to_be_drawn_again_can_be_crossed(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_cell_is_called_free_that_is_not(seed):
+def test_cells_are_free_where_there_is_room_and_only_there(seed):
     world = crowded().draw(seed, ROOM)
-    rows, columns = np.nonzero(free_cells(world, ROOM))
     solid = shapely.union_all([obstacles_of(world), shapely.box(0, 0, world.width, world.depth).exterior])
-    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):  # the corners of the cells
-        corners = shapely.points((columns - 1 + i) * CELL, (rows - 1 + j) * CELL)
-        assert shapely.distance(corners, solid).min() >= ROOM - 1e-9
+    spared = 0
+    for x, y in np.random.default_rng(seed).uniform(0, 24, (1000, 2)).tolist():
+        left, low = (CELL * int(number / CELL) for number in (x, y))
+        distance = shapely.box(left, low, left + CELL, low + CELL).distance(solid)
+        if is_free(world, x, y, ROOM):
+            assert distance >= ROOM - 1e-9
+        else:
+            assert distance <= ROOM + 2 * CELL
+        spared += distance > ROOM + 2 * CELL
+    assert spared > 10
+
+
+@pytest.mark.parametrize("room", [0.3, 0.5, 0.8])
+def test_solvable_worlds_are_those_that_the_whole_grid_shows(room):
+    layout = crowded().file.layout
+    arena = random_boxes.Arena(24.0, 24.0, ((5.0, 5.0), (19.0, 19.0)))
+    answers = []
+    for seed in range(40):
+        obstacles = layout.place(arena, np.random.default_rng(seed))
+        world = WorldSpec("t", 0, 24.0, 24.0, obstacles, Pose(5, 5, 0), (19.0, 19.0), 1.0, 1.5)
+        answers.append(is_solvable(world, room))
+        assert answers[-1] == is_solvable_on_the_whole_grid(world, room)
+    assert any(answers) or room > 0.5
+    assert not all(answers)
+
+
+@pytest.mark.parametrize("gaps", [(2.6, 2.6, 2.6), (2.6, 2.6, 1.5), (1.5, 2.6, 2.6)])
+def test_way_may_lead_around_several_corners(gaps):
+    """Three walls across the arena, open at the far side in turn."""
+    walls = [
+        OrientedBox(5.0 * i, 5 - gap / 2 if i % 2 else 5 + gap / 2, 0.2, 5 - gap / 2) for i, gap in enumerate(gaps, 1)
+    ]
+    world = WorldSpec("t", 0, 20.0, 10.0, tuple(walls), Pose(2, 8, 0), (18.0, 2.0), 1.0, 1.5)
+    assert is_solvable(world, ROOM) == (min(gaps) > 2)
 
 
 @given(
@@ -395,16 +455,31 @@ def test_unknown_world_lists_the_shipped_ones():
 
 def test_free_cells_of_an_empty_arena_fill_it_up_to_the_clearance():
     world = small_world().draw(0, ROOM)
-    area = free_cells(world, ROOM).sum() * CELL**2
+    centres = [(x, y) for x in np.arange(0.1, 20, CELL).tolist() for y in np.arange(0.1, 10, CELL).tolist()]
+    area = sum(is_free(world, x, y, ROOM) for x, y in centres) * CELL**2
     assert (20 - 2 * ROOM - 4 * CELL) * (10 - 2 * ROOM - 4 * CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
 
 
 @pytest.mark.parametrize("room", [0.65, 0.7, 0.71, 0.75, 0.8])
 def test_free_cells_keep_off_walls_that_no_cell_ends_at(room):
     world = small_world(width=20.01, depth=10.01).draw(0, room)
-    rows, columns = np.nonzero(free_cells(world, room))
-    assert columns.max() * CELL <= 20.01 - room
-    assert rows.max() * CELL <= 10.01 - room
+    edges = CELL * np.arange(1, 50)
+    assert max(x for x in edges + 10 if is_free(world, x - CELL / 2, 5.0, room)) <= 20.01 - room
+    assert max(y for y in edges if is_free(world, 10.0, y - CELL / 2, room)) <= 10.01 - room
+
+
+@pytest.mark.parametrize("end", [(20.005, 5.0), (20.01, 5.0), (20.02, 5.0), (5.0, 10.005), (-0.1, 5.0), (5.0, -0.1)])
+def test_end_beyond_the_last_whole_cell_is_reached_from_nowhere(end):
+    world = small_world(width=20.01, depth=10.01).draw(0, ROOM)
+    assert not is_solvable(replace(world, target=end), ROOM)
+    assert not is_solvable(replace(world, start=Pose(*end, 0.0)), ROOM)
+
+
+@pytest.mark.parametrize("tries", [2, 33, random_boxes.MOST_TRIES])
+def test_boxes_do_not_depend_on_how_many_are_drawn_at_a_time(monkeypatch, tries):
+    expected = load_world("cover_10").draw(0, ROOM)
+    monkeypatch.setattr(random_boxes, "FIRST_TRIES", tries)
+    assert load_world("cover_10").draw(0, ROOM) == expected
 
 
 def test_two_ends_in_one_cell_are_joined_and_none_is_joined_in_no_room():

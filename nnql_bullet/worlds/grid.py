@@ -1,64 +1,100 @@
 """The world on a grid: where the vehicle's centre may be, and whether that reaches from start to target."""
 
-from dataclasses import replace
-from math import cos, floor, hypot, sin
+from heapq import heappop, heappush
+from math import floor, hypot
 
+import numba
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
-from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.geometry import Array, squared_distance
 from nnql_bullet.worlds.spec import WorldSpec
 
 CELL = 0.2
 """Side of a cell [m]."""
 
+_DIAGONAL = hypot(CELL, CELL)
+_GROWTH = np.array([0.0, 0.0, _DIAGONAL / 2, _DIAGONAL / 2, 0.0, 0.0])
 
-def occupancy(world: WorldSpec, cell: float = CELL) -> NDArray[np.bool_]:
-    """Cells (rows along y, columns along x) that an obstacle may touch, with a wall all round.
-
-    Boxes grow by half a cell's diagonal, so that one too thin to hold a cell's centre is not overlooked; a cell that
-    reaches out of the arena is wall.
-    """
-    rows, columns = floor(world.depth / cell + 1e-9), floor(world.width / cell + 1e-9)
-    grid = np.zeros((rows, columns), dtype=np.bool_)
-    grow = hypot(cell, cell) / 2
-    for box in world.obstacles:
-        _fill(grid, replace(box, half_length=box.half_length + grow, half_width=box.half_width + grow), cell)
-    return np.pad(grid, 1, constant_values=True)
-
-
-def free_cells(world: WorldSpec, clearance: float, cell: float = CELL) -> NDArray[np.bool_]:
-    """Cells from anywhere in which every obstacle and wall is at least `clearance` [m] away; walls included."""
-    taken = occupancy(world, cell)
-    # Between cell centres; points of the two cells may each be half a diagonal nearer.
-    distances = ndimage.distance_transform_edt(~taken, sampling=cell)
-    return np.asarray(distances >= clearance + hypot(cell, cell))
+Cell = tuple[int, int]
+"""Row along y, column along x."""
 
 
 def is_solvable(world: WorldSpec, clearance: float) -> bool:
-    """Whether a disc of radius `clearance` [m] can go from the start to the target."""
-    free = free_cells(world, clearance)
-    regions, _ = ndimage.label(free, structure=np.ones((3, 3)))
-    ends = ((world.start.x, world.start.y), world.target)
-    if not all(0 <= x <= world.width and 0 <= y <= world.depth for x, y in ends):
+    """Whether a disc of radius `clearance` [m] can go from the start to the target, from free cell to free cell.
+
+    A box takes the cells whose centres it holds when it is grown by half a cell's diagonal, so that one too thin to
+    hold any is not overlooked; a cell that reaches out of the arena is wall. A cell is free if every obstacle and wall
+    is at least `clearance` away from anywhere in it.
+    """
+    shape = floor(world.depth / CELL + 1e-9), floor(world.width / CELL + 1e-9)
+    start, target = _cell_of(world.start.x, world.start.y), _cell_of(*world.target)
+    if not all(0 <= cell[axis] < shape[axis] for cell in (start, target) for axis in (0, 1)):
         return False
-    start, target = (regions[_cell_of(x, y)] for x, y in ends)
-    return bool(start == target != 0)
+    boxes = world.solids[: len(world.obstacles)] + _GROWTH
+    # Between cell centres; points of the two cells may each be half a diagonal nearer.
+    reach = clearance + _DIAGONAL
+    # From the target, which most worlds have nearer to a corner: what is more often shut in is sooner searched.
+    return bool(_are_joined(target, start, shape, boxes, reach))
 
 
-def _cell_of(x: float, y: float) -> tuple[int, int]:
-    return int(y / CELL) + 1, int(x / CELL) + 1
+def _cell_of(x: float, y: float) -> Cell:
+    return floor(y / CELL), floor(x / CELL)
 
 
-def _fill(grid: NDArray[np.bool_], box: OrientedBox, cell: float) -> None:
-    corners = box.corners() / cell
-    low = np.maximum(np.floor(corners.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(corners.max(axis=0)).astype(int), (grid.shape[1], grid.shape[0]))
-    if np.any(low >= high):
-        return
-    dx = (np.arange(low[0], high[0]) + 0.5) * cell - box.x
-    dy = ((np.arange(low[1], high[1]) + 0.5) * cell - box.y)[:, None]
-    c, s = cos(box.yaw), sin(box.yaw)
-    inside = (np.abs(c * dx + s * dy) <= box.half_length) & (np.abs(c * dy - s * dx) <= box.half_width)
-    grid[low[1] : high[1], low[0] : high[0]] |= inside
+@numba.njit(cache=True, nogil=True)
+def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
+    """Whether a box takes a cell whose centre is nearer than `reach` [m] to that of `cell`."""
+    far = int(reach / CELL)
+    for row in range(-far, far + 1):
+        for column in range(-far, far + 1):
+            x, y = (cell[1] + column + 0.5) * CELL, (cell[0] + row + 0.5) * CELL
+            if (row * row + column * column) * CELL**2 < reach**2 and squared_distance(x, y, box) == 0.0:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
+    """A lower bound [m] on how far the centre of a cell is from those of cells that are taken or wall.
+
+    It is `reach` or more exactly where that distance is, and 0 elsewhere.
+    """
+    row, column = cell
+    walls = (min(row, column, shape[0] - 1 - row, shape[1] - 1 - column) + 1) * CELL
+    if walls < reach:
+        return 0.0
+    closest = np.inf
+    for i in range(len(boxes)):
+        squared = squared_distance((column + 0.5) * CELL, (row + 0.5) * CELL, boxes[i])
+        if squared < reach**2 and _takes_a_cell_around(cell, boxes[i], reach):
+            return 0.0
+        closest = min(closest, squared)
+    return float(max(reach, min(walls, np.sqrt(closest))))
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float) -> bool:
+    """Whether free cells, each one of the eight around the last, lead from `begin` to `end`.
+
+    Greedy best-first search (Russell and Norvig, Artificial Intelligence, 3.5.1): the cell nearest to the end is next.
+    The room around a cell is measured only where it does not follow from that around the cell it is entered from.
+    """
+    seen = np.zeros(shape, dtype=np.bool_)
+    seen[begin] = True
+    heap = [(0, begin, 0.0)]
+    while heap:
+        _, cell, room = heappop(heap)
+        if room < reach:
+            room = _room_around(cell, shape, boxes, reach)
+            if room < reach:
+                continue
+        if cell == end:
+            return True
+        # A free cell is not at the edge: `reach` is more than a cell.
+        for row in range(cell[0] - 1, cell[0] + 2):
+            for column in range(cell[1] - 1, cell[1] + 2):
+                if not seen[row, column]:
+                    seen[row, column] = True
+                    to_go = (row - end[0]) ** 2 + (column - end[1]) ** 2
+                    heappush(heap, (to_go, (row, column), room - _DIAGONAL))
+    return False

@@ -3,16 +3,19 @@
 from math import pi
 from typing import Annotated, Literal
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance, distance
+from nnql_bullet.geometry import Array, OrientedBox, clearance, squared_distance
 from nnql_bullet.worlds.layouts.base import Arena
 
 Positive = Annotated[float, Field(gt=0)]
 MOST_TRIES = 20_000
+FIRST_TRIES = 32
 
 
 @options
@@ -49,35 +52,68 @@ class RandomBoxes:
         """
         mean_area = ((self.min_side + self.max_side) / 2) ** 2
         wanted = self.cover * arena.width * arena.depth - mean_area / 2
-        boxes: list[OrientedBox] = []
-        rows = np.empty((0, 6))
-        for _ in range(MOST_TRIES):
-            if sum(box.area for box in boxes) >= wanted:
-                return tuple(boxes)
-            box = self._draw(arena, rng)
-            row = as_rows((box,))
-            if clearance(row[0], rows) > 0 and self._leaves_room(box, row, arena):
-                boxes.append(box)
-                rows = np.concatenate([rows, row])
+        size, keep_free = np.array([arena.width, arena.depth]), np.array(arena.keep_free)
+        candidates = self._draw(arena, rng, FIRST_TRIES)
+        while True:
+            chosen, area = _chosen(_rows(candidates), wanted, size, keep_free, self.clear_radius)
+            if area >= wanted:
+                return tuple(OrientedBox(*box) for box in candidates[chosen].tolist())
+            more = min(len(candidates) // 2, MOST_TRIES - len(candidates))
+            if more == 0:
+                break
+            candidates = np.concatenate([candidates, self._draw(arena, rng, more)])
         raise UserError(
             f"layout: no room for boxes over {self.cover:.0%} of the arena; lower 'cover', 'max_side' or 'clear_radius'"
         )
 
-    def _draw(self, arena: Arena, rng: np.random.Generator) -> OrientedBox:
-        x, y = rng.uniform((0.0, 0.0), (arena.width, arena.depth))
-        half_length, half_width = rng.uniform(self.min_side, self.max_side, 2) / 2
-        yaw = rng.uniform(-pi / 2, pi / 2)
-        x, y, half_length, half_width = (round(float(number), 3) for number in (x, y, half_length, half_width))
-        return OrientedBox(x, y, half_length, half_width, round(float(yaw), 4))
+    def _draw(self, arena: Arena, rng: np.random.Generator, count: int) -> Array:
+        """Candidates (count, 5): centre, half length, half width [m] and yaw [rad]."""
+        low = (0.0, 0.0, self.min_side, self.min_side, -pi / 2)
+        high = (arena.width, arena.depth, self.max_side, self.max_side, pi / 2)
+        drawn = rng.uniform(low, high, (count, 5)).tolist()
+        # numpy's own rounding differs from the decimal one where a number is all but halfway.
+        return np.array(
+            [
+                (round(x, 3), round(y, 3), round(length / 2, 3), round(width / 2, 3), round(yaw, 4))
+                for x, y, length, width, yaw in drawn
+            ]
+        )
 
-    def _leaves_room(self, box: OrientedBox, row: Array, arena: Arena) -> bool:
-        corners = box.corners()
-        if np.any(corners < 0.0) or np.any(corners > (arena.width, arena.depth)):
-            return False
-        reach = np.hypot(box.half_length, box.half_width)
-        for x, y in arena.keep_free:
-            if distance(Pose(box.x, box.y, 0.0), x, y) > reach + self.clear_radius:
-                continue
-            if clearance(as_rows((OrientedBox(x, y, 0.0, 0.0),))[0], row) < self.clear_radius:
-                return False
-        return True
+
+def _rows(candidates: Array) -> Array:
+    """Candidates as the rows (n, 6) of `geometry.as_rows`."""
+    yaw = candidates[:, 4]
+    return np.column_stack([candidates[:, :4], np.cos(yaw), np.sin(yaw)])
+
+
+@numba.njit(cache=True, nogil=True)
+def _chosen(
+    rows: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float
+) -> tuple[NDArray[np.int64], float]:
+    """Which boxes (n, 6) are placed, in their order, until their area is the one `wanted` [m2]; and that area."""
+    placed = np.empty_like(rows)
+    chosen = np.empty(len(rows), dtype=np.int64)
+    count, area = 0, 0.0
+    for i in range(len(rows)):
+        if area >= wanted:
+            break
+        if _leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], placed[:count]) > 0:
+            for j in range(6):  # numba takes seconds to compile the assignment of a row
+                placed[count, j] = rows[i, j]
+            chosen[count] = i
+            area += 4.0 * rows[i, 2] * rows[i, 3]
+            count += 1
+    return chosen[:count], area
+
+
+@numba.njit(cache=True, nogil=True)
+def _leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
+    """Whether a box lies in the arena of this size (2,) and off the points (n, 2) that are to be kept free."""
+    across = abs(row[2] * row[4]) + abs(row[3] * row[5])
+    along = abs(row[2] * row[5]) + abs(row[3] * row[4])
+    if row[0] < across or row[0] > size[0] - across or row[1] < along or row[1] > size[1] - along:
+        return False
+    nearest = np.inf
+    for point in keep_free:
+        nearest = min(nearest, squared_distance(point[0], point[1], row))
+    return bool(nearest >= clear_radius**2)
