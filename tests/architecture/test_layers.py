@@ -14,7 +14,7 @@ PACKAGE = Path(nnql_bullet.__file__).resolve().parent
 # folder has to be given its place here.
 LAYERS = (
     ("paper", "errors", "files"),
-    ("config", "assets", "geometry", "seeding"),
+    ("config", "assets", "geometry", "seeding", "executors"),
     ("worlds", "vehicle", "sensing"),
     ("sim",),
     ("task",),
