@@ -21,6 +21,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, wrap_angle
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
+from nnql_bullet.sim.local import LocalFleet
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -65,11 +66,14 @@ class Physics:
     """At most, a step."""
     residual: float
     """The solver stops when its squared residual falls below this."""
+    resists_driven: bool
+    """Whether rolling resistance acts on driven wheels too. There it only takes 1 N m of what the controllers have, and
+    costs the solver a third of its time; on free wheels it always acts."""
 
 
 PHYSICS = {
-    "reference": Physics(time_step=1 / 240, iterations=200, residual=1e-7),
-    "fast": Physics(time_step=1 / 120, iterations=200, residual=1e-7),
+    "reference": Physics(time_step=1 / 240, iterations=200, residual=1e-7, resists_driven=True),
+    "fast": Physics(time_step=1 / 120, iterations=80, residual=1e-7, resists_driven=False),
 }
 
 
@@ -105,16 +109,16 @@ class BulletSimulator:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
         self._finalizer = weakref.finalize(self, _disconnect, self.client)
         angles = ray_angles()
-        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))]) * paper.SENSOR_RANGE
+        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
         self._turn_rate = 0.0
         self._clearance = 0.0
         self._steps = 0
         footprint = vehicle.footprint
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
-        # No point of the vehicle gets farther than this from one command to the next, slip included [m]: what is
-        # farther off cannot be touched before the next look.
-        self._reach = 1.1 * fastest / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
+        # No point of the vehicle gets farther than this from one look to the next, slip included [m]: what is farther
+        # off cannot be touched in between.
+        self._reach = 1.1 * fastest * SAMPLE_EVERY / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
         self._footprint = as_rows((footprint,))[0]
 
     def close(self) -> None:
@@ -128,35 +132,38 @@ class BulletSimulator:
         self.place(world, world.start, self.drive.speed)
 
     def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
-        """Follows the turn's profile for one control period, or up to the first contact or the target."""
+        """Follows the turn's profile for one control period, or up to the first contact or the target.
+
+        The wheels are commanded 120 times a second and the heading is fed back at every look, 30 times a second: its
+        error dies out a hundred times more slowly. Contact is seen at the physics step that it happens in, the target
+        after the wheel command that reaches it.
+        """
         begin, first_step = self.pose(), self._steps
         turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
         rates, headings = sample_turn(turn, self._command_times)
-        feed_forward = (np.diff(headings) * COMMAND_RATE).tolist()
-        wanted = (begin.yaw + headings).tolist()
-        speed, gain = self.drive.speed, self.drive.heading_gain
-        track, radius = self.vehicle.track, self.vehicle.wheel_radius
-        (target_x, target_y), target_radius = self._world.target, self._world.target_radius
-        closest = clear = self._clearance
-        x, y, yaw = begin.x, begin.y, begin.yaw
-        path_length, commands = 0.0, 0
-        touching = at_target = False
-        for commands, rate in enumerate(feed_forward, 1):
-            yaw_rate = rate + gain * wrap_angle(wanted[commands - 1] - yaw)
-            self.command_wheels(*wheel_speeds(speed, yaw_rate, track, radius))
-            touching = self._run(self._steps_per_command, watched=clear <= self._reach)
-            last_x, last_y = x, y
-            x, y, yaw, clear = self._look()
-            path_length += hypot(x - last_x, y - last_y)
-            closest = min(closest, clear)
-            at_target = hypot(x - target_x, y - target_y) <= target_radius
-            over = touching or at_target
-            if trace is not None and (over or commands % SAMPLE_EVERY == 0):
+        wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
+        way = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
+        speeds = np.empty((SAMPLE_EVERY, 2))
+        command, last = 0, len(feed_forward)
+        touching = over = False
+        while True:
+            com, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
+            near, close, at_target = _track(com, orientation, way, self._constants, self._footprint, self._world.solids)
+            over = command > 0 and (touching or at_target)
+            if trace is not None and (over or command % SAMPLE_EVERY == 0 < command):
                 trace.append(self.sample())
-            if over:
+            if over or command == last:
                 break
-        self._turn_rate = float(rates[commands])
-        self._clearance = clear
+            _steer(way, wanted[command], feed_forward[command:], speeds, self._constants)
+            for left, right in speeds[: 1 if close else last - command].tolist():
+                self.command_wheels(left, right)
+                touching = self._run(self._steps_per_command, watched=near)
+                command += 1
+                if touching:
+                    break
+        x, y, yaw, path_length, smallest, _ = way.tolist()
+        self._clearance = self._look()[3]
+        self._turn_rate = float(rates[command])
         return Motion(
             pose=Pose(x, y, yaw),
             speed=self.speed(),
@@ -164,7 +171,7 @@ class BulletSimulator:
             wheel_speeds=self.wheel_speeds(),
             duration=(self._steps - first_step) * self.physics.time_step,
             path_length=path_length,
-            clearance=0.0 if touching else closest,
+            clearance=0.0 if touching else smallest,
             heading_error=wrap_angle(begin.yaw + heading_change - yaw),
             touching=touching,
             at_target=at_target and not touching,
@@ -172,12 +179,9 @@ class BulletSimulator:
 
     def scan(self) -> Scan:
         """One batch of rays from the sensor, which pitches and rolls with the chassis."""
-        position, rotation = self._chassis_frame()
-        origin = position + rotation @ self.vehicle.sensor
-        ends = origin + (rotation @ self._rays).T
-        hits = bullet.rayTestBatch(
-            [origin.tolist()] * len(ends), ends.tolist(), collisionFilterMask=OBSTACLE, physicsClientId=self.client
-        )
+        position, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
+        begins, ends = _moved_rays(*position, *orientation, self._sensor, self._rays)
+        hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
         return scan_from(np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE)
 
     def pose(self) -> Pose:
@@ -218,6 +222,10 @@ class BulletSimulator:
             self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
         self._add_vehicle(pose, speed, height)
         self._clearance = self._look()[3]
+        ahead, _, up = self._com
+        drive, (target_x, target_y) = self.drive, world.target
+        control = drive.speed, drive.heading_gain, self.vehicle.track, self.vehicle.wheel_radius
+        self._constants = np.array((ahead, up, self._reach, *control, target_x, target_y, world.target_radius))
 
     def step(self) -> None:
         """One physics step."""
@@ -226,13 +234,21 @@ class BulletSimulator:
 
     def command_wheels(self, left: float, right: float) -> None:
         """Has the wheel-speed controllers track these speeds [rad/s] within the torque limit, until told otherwise."""
-        body, client, torque = self.body, self.client, self.vehicle.wheel_torque
-        motor, mode = bullet.setJointMotorControl2, bullet.VELOCITY_CONTROL
-        motor(body, self.left, mode, targetVelocity=left, force=torque, physicsClientId=client)
-        motor(body, self.right, mode, targetVelocity=right, force=torque, physicsClientId=client)
+        if self._resisted and not self.physics.resists_driven:
+            self._resist(0.0)
+        torque = self.vehicle.wheel_torque
+        bullet.setJointMotorControlArray(
+            self.body,
+            (self.left, self.right),
+            bullet.VELOCITY_CONTROL,
+            targetVelocities=(left, right),
+            forces=(torque, torque),
+            physicsClientId=self.client,
+        )
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
+        self._resist(self.vehicle.contact.rolling_friction)
         for joint in (self.left, self.right):
             self._release(joint)
 
@@ -292,12 +308,15 @@ class BulletSimulator:
 
     def _add_ground(self) -> None:
         shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=self.client)
-        ground = bullet.createMultiBody(0.0, shape, physicsClientId=self.client)
+        ground = bullet.createMultiBody(0.0, shape, useMaximalCoordinates=True, physicsClientId=self.client)
         bullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=self.client)
         bullet.setCollisionFilterGroupMask(ground, -1, GROUND, WHEEL, self.client)
 
     def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
-        """Static boxes as one body of compound shapes: the solver then keeps one body instead of many."""
+        """Static boxes as one body of compound shapes: the solver then keeps one body instead of many.
+
+        Like the ground it is a plain rigid body ("maximal coordinates"), which costs less than a multibody.
+        """
         shape = bullet.createCollisionShapeArray(
             shapeTypes=[bullet.GEOM_BOX] * len(boxes),
             halfExtents=[[box.half_length, box.half_width, height / 2] for box in boxes],
@@ -305,7 +324,7 @@ class BulletSimulator:
             collisionFrameOrientations=[[0.0, 0.0, sin(box.yaw / 2), cos(box.yaw / 2)] for box in boxes],
             physicsClientId=self.client,
         )
-        body = bullet.createMultiBody(0.0, shape, physicsClientId=self.client)
+        body = bullet.createMultiBody(0.0, shape, useMaximalCoordinates=True, physicsClientId=self.client)
         bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
@@ -326,6 +345,7 @@ class BulletSimulator:
         self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
         self._com = self._dynamics_info(-1)[3]
+        self._sensor = np.subtract(vehicle.sensor, self._com)
         wheels = (self.left, self.right, self._caster)
         for link in (-1, *joints.values()):
             # Damping goes to the whole body and must stand in a call of its own; so must friction.
@@ -336,19 +356,21 @@ class BulletSimulator:
         for wheel in wheels:
             bullet.changeDynamics(self.body, wheel, lateralFriction=contact.wheel_friction, physicsClientId=self.client)
         for wheel in (self.left, self.right):
-            bullet.changeDynamics(
-                self.body,
-                wheel,
-                rollingFriction=contact.rolling_friction,
-                spinningFriction=contact.spinning_friction,
-                physicsClientId=self.client,
-            )
+            friction = contact.spinning_friction
+            bullet.changeDynamics(self.body, wheel, spinningFriction=friction, physicsClientId=self.client)
+        self._resist(contact.rolling_friction)
         velocity = [speed * cos(pose.yaw), speed * sin(pose.yaw), 0.0]
         bullet.resetBaseVelocity(self.body, velocity, [0.0, 0.0, 0.0], self.client)
         rolling = {wheel: vehicle.wheel_radius for wheel in (self.left, self.right)}
         rolling[self._caster] = vehicle.caster_radius
         for wheel, radius in rolling.items():
             bullet.resetJointState(self.body, wheel, 0.0, speed / radius, self.client)
+
+    def _resist(self, rolling_friction: float) -> None:
+        """Sets the drive wheels' rolling friction [m]."""
+        for wheel in (self.left, self.right):
+            bullet.changeDynamics(self.body, wheel, rollingFriction=rolling_friction, physicsClientId=self.client)
+        self._resisted = rolling_friction > 0
 
     def _release(self, joint: int) -> None:
         bullet.setJointMotorControl2(
@@ -357,9 +379,14 @@ class BulletSimulator:
 
     def _run(self, steps: int, watched: bool) -> bool:
         """Physics steps; where contact is possible each is checked, and the first one ends them."""
+        if not watched:
+            for _ in range(steps):
+                bullet.stepSimulation(self.client)
+            self._steps += steps
+            return False
         for _ in range(steps):
             self.step()
-            if watched and self.touching():
+            if self.touching():
                 return True
         return False
 
@@ -367,13 +394,8 @@ class BulletSimulator:
         """x, y [m] and yaw [rad] of the rear-axle centre, and the clearance there [m]."""
         (x, y, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(self.body, self.client)
         ahead, _, up = self._com
-        return _seen_from_above(x, y, qx, qy, qz, qw, ahead, up, self._footprint, self._world.solids)  # type: ignore[no-any-return]
-
-    def _chassis_frame(self) -> tuple[Array, Array]:
-        """Origin (3,) [m] and rotation (3, 3) of the chassis frame; the engine gives the centre of mass."""
-        com, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
-        rotation = np.array(bullet.getMatrixFromQuaternion(orientation)).reshape(3, 3)
-        return np.array(com) - rotation @ self._com, rotation
+        x, y, yaw = _rear_axle(x, y, qx, qy, qz, qw, ahead, up)
+        return x, y, yaw, clearance_at(x, y, yaw, self._footprint, self._world.solids)
 
     def _link_height(self, joint: int) -> float:
         return float(bullet.getLinkState(self.body, joint, physicsClientId=self.client)[4][2])
@@ -391,32 +413,102 @@ class BulletSimulator:
 
 
 @numba.njit(cache=True)
-def _seen_from_above(
-    com_x: float,
-    com_y: float,
-    qx: float,
-    qy: float,
-    qz: float,
-    qw: float,
-    ahead: float,
-    up: float,
-    footprint: Array,
-    solids: Array,
-) -> tuple[float, float, float, float]:
-    """x, y, yaw of the rear-axle centre and the clearance there, from the engine's centre of mass and quaternion.
+def _rear_axle(
+    com_x: float, com_y: float, qx: float, qy: float, qz: float, qw: float, ahead: float, up: float
+) -> tuple[float, float, float]:
+    """x, y [m] and yaw [rad] of the rear-axle centre, from the engine's centre of mass and quaternion.
 
     The centre of mass lies `ahead` of the axle and `up` from it [m] in the chassis frame.
     """
     forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
     x = com_x - (ahead * forward_x + up * 2 * (qx * qz + qw * qy))
     y = com_y - (ahead * forward_y + up * 2 * (qy * qz - qw * qx))
-    yaw = np.arctan2(forward_y, forward_x)
-    return x, y, yaw, clearance_at(x, y, yaw, footprint, solids)
+    return x, y, np.arctan2(forward_y, forward_x)
+
+
+@numba.njit(cache=True)
+def _track(
+    com: tuple[float, float, float],
+    orientation: tuple[float, float, float, float],
+    way: Array,
+    constants: Array,
+    footprint: Array,
+    solids: Array,
+) -> tuple[bool, bool, bool]:
+    """Looks where the vehicle is.
+
+    From one look to the next no point of the vehicle moves farther than the reach, so the clearance is worked out only
+    where it may have fallen to the reach, or below the smallest.
+
+    Args:
+        com: The engine's centre of mass [m].
+        orientation: The engine's quaternion.
+        way: Brought up to date: x, y, yaw of the rear-axle centre, path length, smallest clearance so far, and what the
+            clearance is now at least.
+        constants: Of the simulator, see `BulletSimulator.place`.
+        footprint: A row (6,) of `as_rows`.
+        solids: Rows (n, 6) of `as_rows`.
+
+    Returns:
+        Whether contact, and whether the target, is possible before the next look; whether the target is reached.
+    """
+    ahead, up, reach, _, _, _, _, target_x, target_y, target_radius = constants
+    x, y, yaw = _rear_axle(com[0], com[1], *orientation, ahead, up)
+    way[3] += np.hypot(x - way[0], y - way[1])
+    way[0], way[1], way[2] = x, y, yaw
+    way[5] -= reach
+    if way[5] <= max(way[4], reach):
+        way[5] = clearance_at(x, y, yaw, footprint, solids)
+        way[4] = min(way[4], way[5])
+    to_target = np.hypot(x - target_x, y - target_y) - target_radius
+    return way[5] <= reach, to_target <= reach, to_target <= 0.0
+
+
+@numba.njit(cache=True)
+def _steer(way: Array, wanted: float, feed_forward: Array, speeds: Array, constants: Array) -> None:
+    """Fills in wheel speeds (k, 2) [rad/s] up to the next look.
+
+    Args:
+        way: As in `_track`.
+        wanted: Heading by now [rad].
+        feed_forward: Yaw rates from now on (m,) [rad/s]; what is beyond them is left as it is.
+        speeds: Left and right, to be filled.
+        constants: As in `_track`.
+    """
+    _, _, _, speed, gain, track, radius, _, _, _ = constants
+    correction = gain * wrap_angle(wanted - way[2])
+    for k in range(min(len(speeds), len(feed_forward))):
+        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, feed_forward[k] + correction, track, radius)
+
+
+@numba.njit(cache=True)
+def _moved_rays(
+    x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float, sensor: Array, rays: Array
+) -> tuple[Array, Array]:
+    """Where rays (n, 3) begin and end in the world (n, 3) [m], with the sensor (3,) seen from the centre of mass."""
+    ahead, left, up = _rotated(sensor[0], sensor[1], sensor[2], qx, qy, qz, qw)
+    begins, ends = np.empty(rays.shape), np.empty(rays.shape)
+    begins[:, 0], begins[:, 1], begins[:, 2] = x + ahead, y + left, z + up
+    for i, ray in enumerate(rays):
+        ends[i] = _rotated(ray[0], ray[1], ray[2], qx, qy, qz, qw)
+    return begins, ends + begins
+
+
+@numba.njit(cache=True)
+def _rotated(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> tuple[float, float, float]:
+    """A vector turned by a unit quaternion: v + 2 w (q x v) + 2 q x (q x v)."""
+    tx, ty, tz = 2 * (qy * z - qz * y), 2 * (qz * x - qx * z), 2 * (qx * y - qy * x)
+    return x + qw * tx + qy * tz - qz * ty, y + qw * ty + qz * tx - qx * tz, z + qw * tz + qx * ty - qy * tx
 
 
 def _disconnect(client: int) -> None:
     if bullet.isConnected(client):
         bullet.disconnect(client)
+
+
+def bullet_fleet(vehicle: VehicleSpec, drive: DriveOptions, physics: Physics, size: int) -> LocalFleet:
+    """Vehicles in contact physics, in this process."""
+    return LocalFleet([BulletSimulator(vehicle, drive, physics) for _ in range(size)])
 
 
 def has_numpy() -> bool:

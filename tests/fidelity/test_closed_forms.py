@@ -6,7 +6,7 @@ rows is proportional to the time step by nature.
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import degrees, hypot
+from math import degrees, hypot, radians
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,7 +16,8 @@ import pytest
 import tomlkit
 
 from nnql_bullet.geometry import Pose
-from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.sim.base import DriveOptions
+from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -127,6 +128,22 @@ def test_rolling_resistance_slows_free_wheels(simulator_of: Make, empty_world: W
     run(simulator, 1.0)
     arm, load = 0.002, MASS * G * REAR_SHARE / 2
     assert simulator.speed() == pytest.approx(2.0 - 2 * arm * load / (RADIUS * EFFECTIVE_MASS), abs=5e-3)
+
+
+@pytest.mark.parametrize("turn", [0.0, 30.0, 60.0, -60.0])
+def test_driven_wheels_overcome_rolling_resistance(
+    vehicle: VehicleSpec, empty_world: WorldSpec, physics: str, turn: float
+) -> None:
+    ends = []
+    for resists_driven in (True, False):
+        settings = replace(PHYSICS[physics], resists_driven=resists_driven)
+        simulator = BulletSimulator(vehicle, DriveOptions(decision_period=1.0), settings)
+        simulator.reset(empty_world)
+        ends.append(simulator.advance(radians(turn)).pose)
+        simulator.close()
+    with_it, without = ends
+    assert hypot(with_it.x - without.x, with_it.y - without.y) < 0.5e-3
+    assert degrees(with_it.yaw) == pytest.approx(degrees(without.yaw), abs=0.005)
 
 
 def test_straight_40_m(simulator_of: Make, empty_world: WorldSpec, physics: str) -> None:
