@@ -1,10 +1,14 @@
 """Neural-network Q-learning for an industrial three-wheeled vehicle, proved in contact physics.
 
-Importing it makes `gymnasium.make("nnql_bullet/Tricycle-v0")` known.
+Importing it makes `nnql_bullet/Tricycle-v0` known to `gymnasium.make` and `gymnasium.make_vec`.
 """
 
 from gymnasium.envs.registration import register
 
 __version__ = "0.1.0"
 
-register(id="nnql_bullet/Tricycle-v0", entry_point="nnql_bullet.tricycle_env:TricycleEnv")
+register(
+    id="nnql_bullet/Tricycle-v0",
+    entry_point="nnql_bullet.tricycle_env:TricycleEnv",
+    vector_entry_point="nnql_bullet.tricycle_env:TricycleVectorEnv",
+)

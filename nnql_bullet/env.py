@@ -1,18 +1,32 @@
-"""The task over a simulator: `reset` and `step` only sequence; vehicle, sensing, task and world decide."""
+"""The task over a simulator: `reset` and `step` only sequence; vehicle, sensing, task and world decide.
 
-from dataclasses import dataclass
+`Navigation` is one vehicle, whose every movement can be followed; `FleetNavigation` is many, as arrays.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, Pose, bearing, distance
-from nnql_bullet.sensing import Scan
-from nnql_bullet.sim.base import Motion, Sample, Simulator
-from nnql_bullet.task import Ending, Property, TaskOptions, ending, reward_terms, state_property
+from nnql_bullet.geometry import Array, Pose, bearing, distance, wrap_angles
+from nnql_bullet.sensing import Scan, sector_readings
+from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
+from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property, TaskOptions, ending, reward_terms, state_property
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
 """The sixth action: the paper's rule for a safe state, "changes its orientation toward the target location"."""
 ACTIONS = len(paper.TURNS) + 1
 LARGEST_TURN = max(paper.TURNS)
+_TURNS = np.array([*paper.TURNS, np.nan])
+
+
+def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
+    """The turns (...) [rad] that actions (...) ask for: one of the paper's, or toward the target up to the largest."""
+    toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
+    return np.where(np.equal(action, TOWARD_TARGET), toward, _TURNS[action])
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,17 +54,11 @@ class Transition:
     discount_t: float
     s_t: Observation
     terms: dict[str, float]
-    ending: Ending | None
+    ending: str | None
+    """One of `task.ENDINGS`, or None while the episode goes on."""
     motion: Motion
     scan: Scan
     """The rays behind `s_t`."""
-
-
-def heading_change(action: int, target_bearing: float) -> float:
-    """The turn [rad] that an action asks for: one of the paper's five, or toward the target up to the largest."""
-    if action == TOWARD_TARGET:
-        return min(max(target_bearing, -LARGEST_TURN), LARGEST_TURN)
-    return paper.TURNS[action]
 
 
 class Navigation:
@@ -72,30 +80,164 @@ class Navigation:
     def step(self, action: int, trace: list[Sample] | None = None) -> Transition:
         """Carries out one decision."""
         s_tm1 = self._observation
-        motion = self.simulator.advance(heading_change(action, s_tm1.target_bearing), trace)
+        motion = self.simulator.advance(float(heading_change(action, s_tm1.target_bearing)), trace)
         scan = self.simulator.scan()
         s_t = self._observe(motion.pose, motion.yaw_rate, scan, motion)
         self._steps += 1
-        terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task)
-        end = ending(s_t.property, self._steps, self.task)
+        terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task).tolist()
+        end = int(ending(s_t.property, self._steps, self.task))
         self._observation = s_t
         return Transition(
             s_tm1=s_tm1,
             a_tm1=action,
-            r_t=sum(terms.values()),
-            discount_t=0.0 if end in ("goal", "collision") else 1.0,
+            r_t=sum(terms),
+            discount_t=float(s_t.property in (Property.SAFE, Property.NON_SAFE)),
             s_t=s_t,
-            terms=terms,
-            ending=end,
+            terms=dict(zip(REWARD_TERMS, terms, strict=True)),
+            ending=None if end == GOES_ON else ENDINGS[end],
             motion=motion,
             scan=scan,
         )
 
     def _observe(self, pose: Pose, yaw_rate: float, scan: Scan, motion: Motion | None) -> Observation:
+        touching, at_target = (motion.touching, motion.at_target) if motion else (False, False)
         return Observation(
             readings=scan.readings,
             target_distance=distance(pose, *self._world.target),
             target_bearing=bearing(pose, *self._world.target),
             yaw_rate=yaw_rate,
-            property=state_property(scan.readings, motion, self.task),
+            property=Property(int(state_property(scan.readings, touching, at_target, self.task))),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """What an agent is told of each of n vehicles: see `Observation`."""
+
+    readings: Array
+    """(n, 8) [m]"""
+    target_distance: Array
+    """(n,) [m]"""
+    target_bearing: Array
+    """(n,) [rad]"""
+    yaw_rate: Array
+    """(n,) [rad/s]"""
+    property: NDArray[np.int64]
+    """`Property` (n,)."""
+
+    def of(self, vehicles: NDArray[np.int64] | NDArray[np.bool_]) -> "Observations":
+        """Those of some vehicles only."""
+        return Observations(*(getattr(self, field.name)[vehicles] for field in fields(self)))
+
+
+def stacked(observations: Sequence[Observation]) -> Observations:
+    """Observations of single vehicles as one record."""
+    return Observations(
+        *(np.array([getattr(one, field.name) for one in observations]) for field in fields(Observations))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Transitions:
+    """One step of each of n vehicles: see `Transition`. The rows of those that stood by mean nothing."""
+
+    s_tm1: Observations
+    a_tm1: NDArray[np.int64]
+    """(n,)"""
+    r_t: Array
+    """(n,)"""
+    discount_t: Array
+    """(n,)"""
+    s_t: Observations
+    terms: Array
+    """(n, 6) in the order of `task.REWARD_TERMS`."""
+    ending: NDArray[np.int64]
+    """Index into `task.ENDINGS`, or `task.GOES_ON` (n,)."""
+    motions: Motions
+    active: NDArray[np.bool_]
+    """Which vehicles took a step (n,)."""
+
+
+class FleetNavigation:
+    """Episodes of many vehicles in lockstep, in whatever fleet it is given."""
+
+    def __init__(self, fleet: Fleet, task: TaskOptions) -> None:
+        self.fleet = fleet
+        self.task = task
+        n = fleet.size
+        self._target = np.zeros((n, 2))
+        self._steps = np.zeros(n, np.int64)
+        self._observations = Observations(
+            np.zeros((n, paper.SECTORS)), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+        )
+
+    @property
+    def observations(self) -> Observations:
+        """What there is to know of each vehicle now; the rows of those that were never reset mean nothing."""
+        return self._observations
+
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> None:
+        """Starts an episode in a world for each of some vehicles."""
+        if not worlds:
+            return
+        vehicles = np.array(list(worlds))
+        poses, ray_distances = self.fleet.reset(worlds)
+        self._target[vehicles] = [world.target for world in worlds.values()]
+        self._steps[vehicles] = 0
+        nothing = np.zeros(len(vehicles), np.bool_)
+        self._observe(vehicles, poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing)
+
+    def step(self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None) -> Transitions:
+        """Carries out one decision of each vehicle.
+
+        Args:
+            actions: What each does (n,); of no account where a vehicle is not active.
+            active: Which vehicles take a step (n,); all if it is not given.
+        """
+        s_tm1 = self._observations
+        if active is None:
+            active = np.ones(self.fleet.size, np.bool_)
+        motions, ray_distances = self.fleet.advance(heading_change(actions, s_tm1.target_bearing), active)
+        m = Motions(*(getattr(motions, field.name).copy() for field in fields(Motions)))
+        v = np.flatnonzero(active)
+        self._observe(v, m.pose[v], m.yaw_rate[v], ray_distances[v], m.touching[v], m.at_target[v])
+        s_t = self._observations
+        self._steps += active
+        terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task)
+        return Transitions(
+            s_tm1=s_tm1,
+            a_tm1=actions,
+            r_t=terms.sum(axis=-1),
+            discount_t=np.where(s_t.property <= Property.NON_SAFE, 1.0, 0.0),
+            s_t=s_t,
+            terms=terms,
+            ending=ending(s_t.property, self._steps, self.task),
+            motions=m,
+            active=active,
+        )
+
+    def _observe(
+        self,
+        vehicles: NDArray[np.int64],
+        poses: Array,
+        yaw_rates: Array,
+        ray_distances: Array,
+        touching: NDArray[np.bool_],
+        at_target: NDArray[np.bool_],
+    ) -> None:
+        """Takes down what some vehicles see now, in a record of its own: earlier ones stay as they were."""
+        readings = sector_readings(ray_distances)
+        dx, dy = (self._target[vehicles] - poses[:, :2]).T
+        seen = Observations(
+            readings=readings,
+            target_distance=np.hypot(dx, dy),
+            target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
+            yaw_rate=yaw_rates,
+            property=state_property(readings, touching, at_target, self.task),
+        )
+        if len(vehicles) < self.fleet.size:
+            everyone = Observations(*(getattr(self._observations, field.name).copy() for field in fields(Observations)))
+            for field in fields(Observations):
+                getattr(everyone, field.name)[vehicles] = getattr(seen, field.name)
+            seen = everyone
+        self._observations = seen

@@ -1,7 +1,8 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
+from os import cpu_count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,9 +16,10 @@ from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import training_world_seed
-from nnql_bullet.sim.base import DriveOptions, Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.sim.base import DriveOptions, Fleet, Simulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator, bullet_fleet
+from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
+from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.spec import load_vehicle
 from nnql_bullet.worlds.source import load_world
@@ -61,6 +63,8 @@ class RunConfig:
     """Contact physics, or the ideal vehicle."""
     physics: Literal["fast", "reference"] = "fast"
     """Of the simulator `bullet`."""
+    vehicles: Annotated[int, Field(ge=1)] = 1
+    """That one policy learns from in lockstep; 1 is the paper's online learning."""
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
@@ -133,6 +137,25 @@ class Experiment:
         if self.config.simulator == "twin":
             return TwinSimulator(self.vehicle, self.config.drive)
         return BulletSimulator(self.vehicle, self.config.drive, PHYSICS[self.config.physics])
+
+    def fleet(self, workers: int | None = None) -> Fleet:
+        """As many vehicles as the configuration says.
+
+        Args:
+            workers: Processes (contact physics) or threads (twin) to share them among, whatever the result; one a core
+                if not given.
+
+        Raises:
+            UserError: If there is no worker.
+        """
+        workers = cpu_count() or 1 if workers is None else workers
+        if workers < 1:
+            raise UserError(f"workers must be at least 1, not {workers}")
+        c, size = self.config, self.config.vehicles
+        if c.simulator == "twin":
+            return TwinFleet(self.vehicle, c.drive, size, workers)
+        make = partial(bullet_fleet, self.vehicle, c.drive, PHYSICS[c.physics])
+        return make(size) if min(workers, size) == 1 else WorkerFleet(make, size, min(workers, size))
 
     @cached_property
     def navigation(self) -> Navigation:

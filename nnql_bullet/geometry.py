@@ -42,15 +42,22 @@ class OrientedBox:
         return np.asarray(scaled @ np.array([[c, s], [-s, c]]) + (self.x, self.y))
 
 
+@numba.njit(cache=True)
 def wrap_angle(angle: float) -> float:
     """The same direction in (-pi, pi]."""
     wrapped = pi - (pi - angle) % (2.0 * pi)
-    return wrapped if wrapped > -pi else pi  # the remainder rounds up to 2 pi just above an odd multiple of pi
+    return float(wrapped if wrapped > -pi else pi)  # the remainder rounds up to 2 pi just above an odd multiple of pi
+
+
+def wrap_angles(angles: Array) -> Array:
+    """`wrap_angle` of each."""
+    wrapped = pi - (pi - angles) % (2.0 * pi)
+    return np.where(wrapped > -pi, wrapped, pi)
 
 
 def bearing(pose: Pose, x: float, y: float) -> float:
     """Direction of the point (x, y) seen from `pose`, in (-pi, pi], positive to the left."""
-    return wrap_angle(atan2(y - pose.y, x - pose.x) - pose.yaw)
+    return float(wrap_angle(atan2(y - pose.y, x - pose.x) - pose.yaw))
 
 
 def distance(pose: Pose, x: float, y: float) -> float:
@@ -77,16 +84,23 @@ def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
 
 
 @numba.njit(cache=True)
+def squared_distance(x: float, y: float, box: Array) -> float:
+    """Squared distance [m2] from the point (x, y) to the filled box of a row (6,) of `as_rows`; 0 inside."""
+    dx, dy = x - box[0], y - box[1]
+    along = max(abs(box[4] * dx + box[5] * dy) - box[2], 0.0)
+    across = max(abs(box[4] * dy - box[5] * dx) - box[3], 0.0)
+    return float(along * along + across * across)
+
+
+@numba.njit(cache=True)
 def _corners_to_box(a: Array, b: Array) -> float:
     """Smallest squared distance from a corner of row `a` to the filled box of row `b`."""
     closest = np.inf
     for i in (-1.0, 1.0):
         for j in (-1.0, 1.0):
-            dx = a[0] + i * a[2] * a[4] - j * a[3] * a[5] - b[0]
-            dy = a[1] + i * a[2] * a[5] + j * a[3] * a[4] - b[1]
-            along = max(abs(b[4] * dx + b[5] * dy) - b[2], 0.0)
-            across = max(abs(b[4] * dy - b[5] * dx) - b[3], 0.0)
-            closest = min(closest, along * along + across * across)
+            x = a[0] + i * a[2] * a[4] - j * a[3] * a[5]
+            y = a[1] + i * a[2] * a[5] + j * a[3] * a[4]
+            closest = min(closest, squared_distance(x, y, b))
     return closest
 
 
@@ -127,10 +141,14 @@ def clearance(footprint: Array, boxes: Array) -> float:
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
     """`clearance` of a footprint, a row (6,) in the vehicle's frame, with the vehicle at x, y [m] and yaw [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
-    row = np.empty(6)
-    row[0], row[1] = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
-    row[2], row[3] = footprint[2], footprint[3]
-    row[4], row[5] = c * footprint[4] - s * footprint[5], s * footprint[4] + c * footprint[5]
+    row = (  # a tuple, which costs no allocation
+        x + c * footprint[0] - s * footprint[1],
+        y + s * footprint[0] + c * footprint[1],
+        footprint[2],
+        footprint[3],
+        c * footprint[4] - s * footprint[5],
+        s * footprint[4] + c * footprint[5],
+    )
     return float(clearance(row, boxes))
 
 
@@ -152,7 +170,7 @@ def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sens
     ux, uy = np.cos(angles)[:, None], np.sin(angles)[:, None]
     direction = np.stack([c * ux + s * uy, c * uy - s * ux])  # (2, m, n)
     half = boxes[:, 2:4].T  # (2, n)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         first = (-half - start)[:, None, :] / direction
         second = (half - start)[:, None, :] / direction
     enter = np.nanmax(np.minimum(first, second), axis=0, initial=0.0)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.agents import Agent
-from nnql_bullet.env import Observation, Transition, heading_change
+from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
@@ -136,16 +136,18 @@ class Recorder:
                 **about,
                 "world": {**asdict(self._world), "digest": self._world.digest},
                 "vehicle": {"name": vehicle.name, "footprint": asdict(vehicle.footprint), "sensor": vehicle.sensor},
-                "ending": steps[-1].ending if steps else None,
+                "ending": steps[-1].ending,
             },
             state_time=np.cumsum([0.0, *(step.motion.duration for step in steps)]),
             state_pose=_poses(poses),
             readings=np.array([observation.readings for observation in observations]),
             ray_distances=np.array([scan.distances, *(step.scan.distances for step in steps)]),
-            state_property=np.array([observation.property.value for observation in observations]),
-            q_values=np.array([self._agent.action_values(step.s_tm1) for step in steps]),
+            state_property=np.array([observation.property.label for observation in observations]),
+            q_values=self._agent.action_values(stacked([step.s_tm1 for step in steps])),
             action=np.array([step.a_tm1 for step in steps]),
-            heading_command=np.array([heading_change(step.a_tm1, step.s_tm1.target_bearing) for step in steps]),
+            heading_command=heading_change(
+                [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]
+            ),
             heading_error=np.array([step.motion.heading_error for step in steps]),
             clearance=np.array([step.motion.clearance for step in steps]),
             contact=np.array([step.motion.touching for step in steps]),

@@ -1,17 +1,21 @@
-"""One episode, whoever drives and whoever watches: training and navigation both run through here."""
+"""What an episode comes to, and one episode that can be watched."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
 from typing import Protocol
 
-from nnql_bullet.env import Navigation, Observation, Transition
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, Transition, Transitions, stacked
 from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import REWARD_TERMS, Ending, Property
+from nnql_bullet.sim.local import as_motions
+from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
 from nnql_bullet.worlds.spec import WorldSpec
 
-Policy = Callable[[Observation], int]
+Policy = Callable[[Observations], NDArray[np.int64]]
+"""Actions (n,) for what n vehicles see."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +23,8 @@ class EpisodeSummary:
     """What an episode came to."""
 
     world_seed: int
-    ending: Ending
+    ending: str
+    """One of `task.ENDINGS`."""
     steps: int
     duration: float
     """[s]"""
@@ -37,6 +42,64 @@ class EpisodeSummary:
     """Sum of each reward term."""
 
 
+class Tally:
+    """Adds up the steps of n vehicles' present episodes."""
+
+    def __init__(self, size: int) -> None:
+        self._world_seed = np.zeros(size, np.int64)
+        self._ending = np.full(size, GOES_ON)
+        self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
+        self._clearance = np.zeros(size)
+        self._terms = np.zeros((size, len(REWARD_TERMS)))
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Taken so far (n,)."""
+        return self._steps
+
+    @property
+    def over(self) -> NDArray[np.bool_]:
+        """Whose episodes have ended (n,)."""
+        return np.asarray(self._ending != GOES_ON)
+
+    def begin(self, vehicle: int, world_seed: int) -> None:
+        """A new episode of one vehicle."""
+        self._world_seed[vehicle] = world_seed
+        self._ending[vehicle] = GOES_ON
+        for sums in (self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors, self._terms):
+            sums[vehicle] = 0
+        self._clearance[vehicle] = np.inf
+
+    def add(self, transitions: Transitions) -> None:
+        """One step of those vehicles that took one."""
+        t, on = transitions, transitions.active
+        self._ending[on] = t.ending[on]
+        self._steps += on
+        self._non_safe += on & (t.s_tm1.property == Property.NON_SAFE)
+        self._duration[on] += t.motions.duration[on]
+        self._path_length[on] += t.motions.path_length[on]
+        self._squared_errors[on] += t.motions.heading_error[on] ** 2
+        self._clearance[on] = np.minimum(self._clearance[on], t.motions.clearance[on])
+        self._terms[on] += t.terms[on]
+
+    def summary(self, vehicle: int) -> EpisodeSummary:
+        """Of an episode that is over."""
+        v, terms = vehicle, self._terms[vehicle].tolist()
+        return EpisodeSummary(
+            world_seed=int(self._world_seed[v]),
+            ending=ENDINGS[self._ending[v]],
+            steps=int(self._steps[v]),
+            duration=float(self._duration[v]),
+            path_length=float(self._path_length[v]),
+            clearance=float(self._clearance[v]),
+            heading_error=float(np.sqrt(self._squared_errors[v] / self._steps[v])),
+            non_safe_steps=int(self._non_safe[v]),
+            episode_return=sum(terms),
+            terms=dict(zip(REWARD_TERMS, terms, strict=True)),
+        )
+
+
 class Watcher(Protocol):
     """Is shown everything that happens; a recording is one."""
 
@@ -52,53 +115,67 @@ class Watcher(Protocol):
 
 
 def run_episode(
-    navigation: Navigation,
-    world: WorldSpec,
-    policy: Policy,
-    learn: Callable[[Transition], object] | None = None,
-    watcher: Watcher | None = None,
+    navigation: Navigation, world: WorldSpec, policy: Policy, watcher: Watcher | None = None
 ) -> EpisodeSummary:
-    """Drives one episode to its end.
+    """Drives one vehicle through one episode.
 
     Args:
         navigation: The environment.
         world: Where.
-        policy: Chooses the action.
-        learn: Is given each transition before the next action is chosen.
-        watcher: Is shown each transition too.
+        policy: Chooses the actions.
+        watcher: Is shown each step.
     """
     observation, scan = navigation.reset(world)
     if watcher:
         watcher.begin(world, observation, scan)
-    steps = non_safe_steps = 0
-    duration = path_length = squared_errors = 0.0
-    clearance = inf
-    terms = dict.fromkeys(REWARD_TERMS, 0.0)
-    while True:
-        transition = navigation.step(policy(observation), watcher.trace if watcher else None)
-        if learn:
-            learn(transition)
+    tally = Tally(1)
+    tally.begin(0, world.seed)
+    while not tally.over[0]:
+        action = int(policy(stacked([observation]))[0])
+        transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
             watcher.see(transition)
-        motion, observation = transition.motion, transition.s_t
-        steps += 1
-        non_safe_steps += transition.s_tm1.property is Property.NON_SAFE
-        duration += motion.duration
-        path_length += motion.path_length
-        squared_errors += motion.heading_error**2
-        clearance = min(clearance, motion.clearance)
-        for name, value in transition.terms.items():
-            terms[name] += value
-        if transition.ending:
-            return EpisodeSummary(
-                world_seed=world.seed,
-                ending=transition.ending,
-                steps=steps,
-                duration=duration,
-                path_length=path_length,
-                clearance=clearance,
-                heading_error=sqrt(squared_errors / steps),
-                non_safe_steps=non_safe_steps,
-                episode_return=sum(terms.values()),
-                terms=terms,
-            )
+        tally.add(_alone(transition))
+        observation = transition.s_t
+    return tally.summary(0)
+
+
+def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy) -> list[EpisodeSummary]:
+    """Drives an episode in each world, as many at a time as there are vehicles.
+
+    Returns:
+        What they came to, in the order of `worlds`.
+    """
+    n = navigation.fleet.size
+    tally, place = Tally(n), np.full(n, -1)
+    summaries: dict[int, EpisodeSummary] = {}
+    waiting = iter(range(len(worlds)))
+    while len(summaries) < len(worlds):
+        free = np.flatnonzero((place < 0) | tally.over).tolist()
+        for vehicle in free:
+            if place[vehicle] >= 0:
+                summaries[int(place[vehicle])] = tally.summary(vehicle)
+            place[vehicle] = next(waiting, -1)
+        begun = {vehicle: worlds[place[vehicle]] for vehicle in free if place[vehicle] >= 0}
+        for vehicle, world in begun.items():
+            tally.begin(vehicle, world.seed)
+        navigation.reset(begun)
+        active = place >= 0
+        if active.any():
+            tally.add(navigation.step(policy(navigation.observations), active))
+    return [summaries[i] for i in range(len(worlds))]
+
+
+def _alone(t: Transition) -> Transitions:
+    """A step of one vehicle as that of a fleet of one."""
+    return Transitions(
+        s_tm1=stacked([t.s_tm1]),
+        a_tm1=np.array([t.a_tm1]),
+        r_t=np.array([t.r_t]),
+        discount_t=np.array([t.discount_t]),
+        s_t=stacked([t.s_t]),
+        terms=np.array([list(t.terms.values())]),
+        ending=np.array([ENDINGS.index(t.ending) if t.ending else GOES_ON]),
+        motions=as_motions({0: t.motion}, 1),
+        active=np.ones(1, np.bool_),
+    )

@@ -2,16 +2,18 @@
 
 - config.toml: the configuration, every key resolved
 - episodes.csv: a line for each finished episode
-- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv
-- policy.safetensors: the same weights, under the name that `navigate` takes
+- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv, and what was under way then
+- policy.safetensors: what the agent has learned, for `navigate`
 - learning_curve.png: drawn when the training stops
 """
 
 import csv
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from nnql_bullet import __version__
 from nnql_bullet.agents import Agent
@@ -22,10 +24,11 @@ from nnql_bullet.files import write_text
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
-from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.training.loop import Training, TrainingEpisode
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
+_UNDER_WAY = "under_way/"
 _NUMBERS = ("duration", "path_length", "clearance", "heading_error")
 
 
@@ -37,45 +40,59 @@ class Run:
     config: RunConfig
     episodes: list[TrainingEpisode]
 
-    def save(self, agent: Agent) -> None:
+    def create(self, overwrite: bool) -> None:
+        """Starts the folder.
+
+        Raises:
+            UserError: If it holds something and `overwrite` is not given, or holds something that is not a run.
+        """
+        folder = self.folder
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder}: is a file; give another folder with --out")
+        if folder.is_dir() and any(folder.iterdir()):
+            if not overwrite:
+                raise UserError(f"{folder}: is not empty; go on with --resume, or give --overwrite or another --out")
+            if not (folder / CONFIG).is_file():
+                raise UserError(f"{folder}: holds no run, so it is not overwritten; give another --out")
+            for name in (CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
+                (folder / name).unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        self.save_config()
+
+    def save(self, agent: Agent, training: Training) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
         Raises:
             OSError: If a file cannot be written; the checkpoint before this one is then whole.
         """
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
-        weights = Weights(to_values(self.config), len(self.episodes), agent.arrays())
-        save_weights(weights, self.folder / CHECKPOINT)
-        save_weights(weights, self.folder / POLICY)
+        config, done, learned = to_values(self.config), len(self.episodes), agent.arrays()
+        under_way = {_UNDER_WAY + name: values for name, values in training.arrays().items()}
+        save_weights(Weights(config, done, {**learned, **under_way}), self.folder / CHECKPOINT)
+        save_weights(Weights(config, done, learned), self.folder / POLICY)
+
+    def save_config(self) -> None:
+        """Writes the configuration, every key resolved."""
+        text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(self.config))}"
+        write_text(self.folder / CONFIG, text)
 
 
-def create_run(folder: Path, config: RunConfig, overwrite: bool) -> Run:
-    """Starts a run folder.
+@dataclass(frozen=True)
+class State:
+    """What a checkpoint holds."""
 
-    Raises:
-        UserError: If the folder holds something and `overwrite` is not given, or holds something that is not a run.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder}: is a file; give another folder with --out")
-    if folder.is_dir() and any(folder.iterdir()):
-        if not overwrite:
-            raise UserError(f"{folder}: is not empty; go on with --resume, or give --overwrite or another --out")
-        if not (folder / CONFIG).is_file():
-            raise UserError(f"{folder}: holds no run, so it is not overwritten; give another --out")
-        for name in (CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
-            (folder / name).unlink(missing_ok=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_config(folder, config)
-    return Run(folder, config, [])
+    learned: dict[str, NDArray[Any]]
+    """For `Agent.load`."""
+    under_way: dict[str, NDArray[Any]]
+    """For `Training.load`."""
 
 
-def open_run(folder: Path, episodes: int | None, agent_of: Callable[[RunConfig], Agent]) -> tuple[Run, Agent]:
-    """Reads a run folder as it was at its last checkpoint.
+def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
+    """Reads a run folder as it was at its last checkpoint, if it had come to one. Nothing is written.
 
     Args:
         folder: The run's.
         episodes: A new number of episodes to train in all, or None for the one it has.
-        agent_of: Makes an untrained agent.
 
     Raises:
         UserError: If the folder holds no run, or its files do not fit each other.
@@ -84,25 +101,23 @@ def open_run(folder: Path, episodes: int | None, agent_of: Callable[[RunConfig],
         raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that 'train' wrote")
     config = parse(RunConfig, read_toml(folder / CONFIG), str(folder / CONFIG))
     rows: list[TrainingEpisode] = []
-    agent = agent_of(config)
+    state = None
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
         same = weights.config | {"episodes": 0} == to_values(config) | {"episodes": 0}
         if not same or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
-        agent.load(weights.arrays)
+        parts = weights.arrays.items()
+        state = State(
+            learned={name: values for name, values in parts if not name.startswith(_UNDER_WAY)},
+            under_way={name.removeprefix(_UNDER_WAY): values for name, values in parts if name.startswith(_UNDER_WAY)},
+        )
     if episodes is not None and episodes < len(rows):
         raise UserError(f"{folder}: has {len(rows)} episodes already, so --episodes {episodes} leaves nothing to do")
     if episodes is not None:
         config = parse(RunConfig, to_values(config) | {"episodes": episodes}, "--episodes")
-        _write_config(folder, config)
-    return Run(folder, config, rows), agent
-
-
-def _write_config(folder: Path, config: RunConfig) -> None:
-    text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(config))}"
-    write_text(folder / CONFIG, text)
+    return Run(folder, config, rows), state
 
 
 def _as_csv(episodes: list[TrainingEpisode]) -> str:
@@ -134,7 +149,7 @@ def _read_csv(path: Path) -> list[TrainingEpisode]:
 def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
     summary = EpisodeSummary(
         world_seed=int(row["world_seed"]),
-        ending=row["ending"],  # type: ignore[arg-type]
+        ending=row["ending"],
         steps=int(row["steps"]),
         non_safe_steps=int(row["non_safe_steps"]),
         episode_return=float(row["return"]),

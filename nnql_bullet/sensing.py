@@ -30,5 +30,10 @@ def ray_angles() -> Array:
 
 
 def scan_from(distances: Array) -> Scan:
-    """The scan of ray distances (72,) [m]; a sector reads the smallest of its rays."""
-    return Scan(distances, distances.reshape(paper.SECTORS, RAYS_PER_SECTOR).min(axis=1))
+    """The scan of ray distances (72,) [m]."""
+    return Scan(distances, sector_readings(distances))
+
+
+def sector_readings(distances: Array) -> Array:
+    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the smallest of its rays."""
+    return np.asarray(distances.reshape(*distances.shape[:-1], paper.SECTORS, RAYS_PER_SECTOR).min(axis=-1))

@@ -1,29 +1,44 @@
-"""The paper's task as pure functions: the state property, the reward as named terms, and how an episode ends."""
+"""The paper's task as pure functions: the state property, the reward as named terms, and how an episode ends.
 
-from enum import Enum
-from typing import Annotated, Literal
+They take one vehicle or many: `(...)` in a shape is () or (n,).
+"""
 
+from enum import IntEnum
+from functools import cache
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
-from nnql_bullet.sim.base import Motion
 
+Properties = int | NDArray[np.int64]
+Events = bool | NDArray[np.bool_]
 Distance = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
 
 
-class Property(str, Enum):
+class Property(IntEnum):
     """The state property (II.C)."""
 
-    SAFE = "SS"
-    NON_SAFE = "NS"
-    WINNING = "WS"
-    FAILURE = "FS"
+    SAFE = 0
+    NON_SAFE = 1
+    WINNING = 2
+    FAILURE = 3
+
+    @property
+    def label(self) -> str:
+        """The paper's two letters."""
+        return ("SS", "NS", "WS", "FS")[self]
 
 
-Ending = Literal["goal", "collision", "timeout"]
+ENDINGS = ("goal", "collision", "timeout")
+"""How an episode may end."""
+GOES_ON = -1
+"""In place of an index into `ENDINGS`: it has not."""
 
 
 @options
@@ -47,54 +62,77 @@ class TaskOptions:
     """Decisions in an episode (IV.A)."""
 
 
-def is_safe(readings: Array, task: TaskOptions) -> bool:
-    """Whether the eight readings (8,) [m] are those of a safe state (II.C)."""
-    thresholds = [task.other_distance] * paper.SECTORS
+@cache
+def _thresholds(task: TaskOptions) -> Array:
+    """Of the eight sectors (8,) [m]."""
+    thresholds = np.full(paper.SECTORS, task.other_distance)
     thresholds[FRONT] = task.front_distance
-    thresholds[FRONT_LEFT] = thresholds[FRONT_RIGHT] = task.front_side_distance
-    return all(reading >= threshold for reading, threshold in zip(readings.tolist(), thresholds, strict=True))
+    thresholds[[FRONT_LEFT, FRONT_RIGHT]] = task.front_side_distance
+    return thresholds
 
 
-def state_property(readings: Array, motion: Motion | None, task: TaskOptions) -> Property:
-    """The property of the state with these readings (8,) [m], reached by `motion` (None at the start)."""
-    if motion is not None and motion.touching:
-        return Property.FAILURE
-    if motion is not None and motion.at_target:
-        return Property.WINNING
-    return Property.SAFE if is_safe(readings, task) else Property.NON_SAFE
+def is_safe(readings: Array, task: TaskOptions) -> NDArray[np.bool_]:
+    """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...)."""
+    return np.asarray((readings >= _thresholds(task)).all(axis=-1))
+
+
+_PROPERTY = np.array([[Property.NON_SAFE, Property.SAFE], [Property.WINNING] * 2, [Property.FAILURE] * 2])
+
+
+def state_property(readings: Array, touching: Events, at_target: Events, task: TaskOptions) -> NDArray[np.int64]:
+    """`Property` (...) of states with these readings (..., 8) [m] and these events (...) on the way there."""
+    event = np.maximum(np.multiply(touching, 2), at_target)
+    return np.asarray(_PROPERTY[event, is_safe(readings, task).astype(np.int64)])
 
 
 REWARD_TERMS = ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
 """The paper's six rewards (II.C), in its order."""
+_NON_SAFE_TO_SAFE, _SAFE_TO_NON_SAFE, _CLOSER, _AWAY, _WINNING, _FAILURE, _NONE = range(7)
+_TERM = np.array(
+    [  # to SAFE, NON_SAFE, WINNING, FAILURE
+        [_NONE, _SAFE_TO_NON_SAFE, _WINNING, _FAILURE],  # from SAFE
+        [_NON_SAFE_TO_SAFE, _AWAY, _WINNING, _FAILURE],  # from NON_SAFE
+        [_NONE] * 4,  # from WINNING and FAILURE nothing goes on
+        [_NONE] * 4,
+    ]
+)
+_TERM = np.stack([_TERM, np.where(_TERM == _AWAY, _CLOSER, _TERM)], axis=-1)  # by whether it got closer
+
+
+@cache
+def _rewards(task: TaskOptions) -> Array:
+    """By the number of a term, `_NONE` too, the reward in that term's place (7, 6)."""
+    rewards = np.zeros((len(REWARD_TERMS) + 1, len(REWARD_TERMS)))
+    rewards[_NON_SAFE_TO_SAFE, _NON_SAFE_TO_SAFE] = task.reward_non_safe_to_safe
+    rewards[_SAFE_TO_NON_SAFE, _SAFE_TO_NON_SAFE] = paper.REWARD_SAFE_TO_NON_SAFE
+    rewards[_CLOSER, _CLOSER] = paper.REWARD_CLOSER
+    rewards[_AWAY, _AWAY] = paper.REWARD_AWAY
+    rewards[_WINNING, _WINNING] = paper.REWARD_WINNING
+    rewards[_FAILURE, _FAILURE] = paper.REWARD_FAILURE
+    return rewards
 
 
 def reward_terms(
-    before: Property, after: Property, readings_before: Array, readings_after: Array, task: TaskOptions
-) -> dict[str, float]:
-    """The reward of one step as named terms, of which at most one is not zero (II.C).
+    before: Properties, after: Properties, readings_before: Array, readings_after: Array, task: TaskOptions
+) -> Array:
+    """The reward of steps as the terms `REWARD_TERMS` (..., 6), of which at most one is not zero (II.C).
 
     "Getting closer to the obstacles" is read as: the smallest of the eight readings fell.
     """
-    terms = dict.fromkeys(REWARD_TERMS, 0.0)
-    match before, after:
-        case _, Property.WINNING:
-            terms["winning"] = paper.REWARD_WINNING
-        case _, Property.FAILURE:
-            terms["failure"] = paper.REWARD_FAILURE
-        case Property.NON_SAFE, Property.SAFE:
-            terms["non_safe_to_safe"] = task.reward_non_safe_to_safe
-        case Property.SAFE, Property.NON_SAFE:
-            terms["safe_to_non_safe"] = paper.REWARD_SAFE_TO_NON_SAFE
-        case Property.NON_SAFE, Property.NON_SAFE:
-            closer = readings_after.min() < readings_before.min()
-            terms["closer" if closer else "away"] = paper.REWARD_CLOSER if closer else paper.REWARD_AWAY
-    return terms
+    closer = np.less(readings_after.min(axis=-1), readings_before.min(axis=-1)).astype(np.int64)
+    return np.asarray(_rewards(task)[_TERM[before, after, closer]])
 
 
-def ending(after: Property, steps: int, task: TaskOptions) -> Ending | None:
-    """How the episode has ended after this many steps (IV.A), or None while it goes on."""
-    if after is Property.WINNING:
-        return "goal"
-    if after is Property.FAILURE:
-        return "collision"
-    return "timeout" if steps >= task.max_steps else None
+_ENDING = np.array(
+    [  # in time, and too late
+        [GOES_ON, ENDINGS.index("timeout")],  # SAFE
+        [GOES_ON, ENDINGS.index("timeout")],  # NON_SAFE
+        [ENDINGS.index("goal")] * 2,  # WINNING
+        [ENDINGS.index("collision")] * 2,  # FAILURE
+    ]
+)
+
+
+def ending(after: Properties, steps: int | NDArray[np.int64], task: TaskOptions) -> NDArray[np.int64]:
+    """How episodes have ended after this many steps (IV.A), as an index into `ENDINGS` or `GOES_ON` (...)."""
+    return np.asarray(_ENDING[after, np.greater_equal(steps, task.max_steps).astype(np.int64)])

@@ -12,6 +12,7 @@ from nnql_bullet.cli import main
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.twin import TwinFleet
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -74,6 +75,12 @@ def simulator_of(vehicle: VehicleSpec) -> Iterator[Callable[..., BulletSimulator
 def physics(request: pytest.FixtureRequest) -> str:
     """Every named setting of the engine."""
     return str(request.param)
+
+
+@pytest.fixture(scope="session")
+def compiled_twin(vehicle: VehicleSpec) -> None:
+    """For tests of what is printed: the wait while the twin is compiled, which is announced, is over."""
+    TwinFleet(vehicle, DriveOptions(), 1).close()
 
 
 @pytest.fixture(scope="session")

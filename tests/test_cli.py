@@ -75,6 +75,14 @@ class TestTrain:
         assert run_cli("train", "--config", "mine.toml", "--episodes", 1, "--out", "run")[0] == 0
         assert "episodes = 1\n" in (here / "run" / "config.toml").read_text()
 
+    @pytest.mark.usefixtures("compiled_twin")
+    def test_it_trains_the_ideal_twin_when_asked(self, run_cli: Cli, here: Path, small_config: Path) -> None:
+        code, out, err = run_cli("train", "--sim", "twin", "--episodes", 3, "--config", small_config, "--out", "run")
+        assert code == 0
+        assert "the ideal twin" in out
+        assert (err.count("\n"), "training 3/3" in err) == (1, True)
+        assert 'simulator = "twin"' in (here / "run" / "config.toml").read_text()
+
     def test_as_a_program(self, spawn_cli: Spawn, here: Path, small_world: Path) -> None:
         done = spawn_cli("train", "--episodes", 2, "--world", small_world, "--out", "run", cwd=here)
         assert done.returncode == 0, done.stderr
@@ -120,6 +128,12 @@ class TestNavigate:
         assert (json.loads(out)["world"], json.loads(out)["seed"]) == ("cover_10", 7)
         assert load_recording(here / "drive" / "trajectory.npz").about["physics"] == "fast"
 
+    @pytest.mark.usefixtures("compiled_twin")
+    def test_it_drives_the_ideal_twin_when_asked(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
+        code, _, err = run_cli("navigate", tiny_run, "--sim", "twin", "--out", "drive")
+        assert (code, err) == (0, "")
+        assert load_recording(here / "drive" / "trajectory.npz").about["simulator"] == "twin"
+
     def test_it_takes_a_policy_file(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         (here / "policy.safetensors").write_bytes((tiny_run / "policy.safetensors").read_bytes())
         code, out, _ = run_cli("navigate", "policy.safetensors")
@@ -147,7 +161,8 @@ class TestHelp:
         ("verb", "words"),
         [
             ("train", ["--config", "--episodes", "--seed", "--world", "--physics", "--out", "--resume", "--overwrite"]),
-            ("navigate", ["RUN", "--world", "--seed", "--physics", "--out", "--json"]),
+            ("train", ["--sim", "--vehicles", "--workers"]),
+            ("navigate", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
             ("doctor", ["Check this machine"]),
         ],
     )
@@ -192,6 +207,7 @@ BAD_ARGUMENTS = [
     (["train", "--config", "missing.toml"], ["missing.toml"]),
     (["train", "--world", "nowhere"], ["nowhere", "paper", "cover_10", "empty"]),
     (["train", "--sim", "gazebo"], ["gazebo", "one of: bullet"]),
+    (["train", "--vehicles", "0"], ["vehicles", "greater than or equal to 1"]),
     (["train", "--physics", "slow"], ["slow", "one of: fast, reference"]),
     (["train", "extra"], ["extra"]),
     (["navigate"], ["RUN"]),

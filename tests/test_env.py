@@ -16,7 +16,7 @@ from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
 import nnql_bullet  # noqa: F401 (registers the environment)
-from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Navigation, heading_change
+from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Navigation, Observation, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sensing import Scan
@@ -230,6 +230,36 @@ def navigation_of(vehicle: VehicleSpec, empty_world: WorldSpec) -> Callable[...,
     return make
 
 
+TOWARD = [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), (180.0, 60.0), (-90.0, -60.0)]
+"""Bearing of the target and the turn toward it [degrees]."""
+
+
+class TestObservations:
+    SEEN = (
+        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, Property.SAFE),
+        Observation(np.array(NEAR), 20.0, -0.5, 0.2, Property.NON_SAFE),
+        Observation(np.array(NEARER), 1.0, 0.0, 0.0, Property.WINNING),
+    )
+
+    def test_stacked_has_a_row_for_each_vehicle(self) -> None:
+        many = stacked(self.SEEN)
+        assert many.readings.tolist() == [CLEAR, NEAR, NEARER]
+        assert many.target_distance.tolist() == [30.0, 20.0, 1.0]
+        assert many.target_bearing.tolist() == [0.5, -0.5, 0.0]
+        assert many.yaw_rate.tolist() == [-0.1, 0.2, 0.0]
+        assert many.property.tolist() == [Property.SAFE, Property.NON_SAFE, Property.WINNING]
+
+    @pytest.mark.parametrize("chosen", [np.array([2, 0]), np.array([True, False, True]), np.array([], np.int64)])
+    def test_some_of_them_are_chosen_by_number_or_by_mask(self, chosen: Any) -> None:
+        some = stacked(self.SEEN).of(chosen)
+        wanted = [self.SEEN[i] for i in (np.flatnonzero(chosen) if chosen.dtype == bool else chosen)]
+        assert some.readings.tolist() == [one.readings.tolist() for one in wanted]
+        assert some.target_distance.tolist() == [one.target_distance for one in wanted]
+        assert some.target_bearing.tolist() == [one.target_bearing for one in wanted]
+        assert some.yaw_rate.tolist() == [one.yaw_rate for one in wanted]
+        assert some.property.tolist() == [one.property for one in wanted]
+
+
 class TestTransition:
     def test_the_first_observation_is_of_the_start(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
         world = world_of(start=Pose(10.0, 20.0, 0.5), target=(40.0, 60.0))
@@ -303,12 +333,17 @@ class TestTransition:
         assert navigation.step(0).ending is None
         assert navigation.step(0).ending == "timeout"
 
-    @pytest.mark.parametrize(
-        ("bearing", "turn"),
-        [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), (180.0, 60.0), (-90.0, -60.0)],
-    )
+    @pytest.mark.parametrize(("bearing", "turn"), TOWARD)
     def test_toward_the_target_is_clipped_at_60_degrees(self, bearing: float, turn: float) -> None:
         assert degrees(heading_change(5, radians(bearing))) == pytest.approx(turn)
+
+    def test_turns_of_many_vehicles_are_those_of_each(self) -> None:
+        rows = [(5, bearing, turn) for bearing, turn in TOWARD]
+        rows += [(action, 77.0, turn) for action, turn in enumerate((0.0, 30.0, 60.0, -30.0, -60.0))]
+        actions, bearings, turns = (np.array(column) for column in zip(*rows, strict=True))
+        got = heading_change(actions, np.radians(bearings))
+        assert np.degrees(got) == pytest.approx(turns)
+        assert got.tolist() == [float(heading_change(a, radians(b))) for a, b, _ in rows]
 
     def test_the_six_actions(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
         puppet = Puppet([CLEAR] * 7, [NOWHERE] * 6, vehicle)
@@ -344,8 +379,7 @@ class TestNavigationInContactPhysics:
         assert steps[-1].s_t.property is Property.FAILURE
         assert (steps[-1].discount_t, steps[-1].r_t) == (0.0, -0.6)
         assert len(steps) == 7  # the face is 6.1 m from the nose, 1 m a step
-        properties = [step.s_t.property.value for step in steps]
-        assert properties[-2] == "NS"
+        assert steps[-2].s_t.property is Property.NON_SAFE
         assert sum(step.r_t for step in steps) == pytest.approx(sum(sum(step.terms.values()) for step in steps))
 
 

@@ -16,6 +16,7 @@ from nnql_bullet.geometry import (
     distance,
     moved,
     ray_distances,
+    squared_distance,
     wrap_angle,
 )
 
@@ -117,6 +118,13 @@ def test_moved_box_is_carried_along_rigidly_with_the_pose(box, pose):
 def test_clearance_is_shapelys_distance_to_the_nearest_box(footprint, others):
     expected = min(polygon(footprint).distance(polygon(other)) for other in others)
     assert clearance(as_rows((footprint,))[0], as_rows(others)) == pytest.approx(expected, abs=1e-7)
+
+
+@given(coordinates, coordinates, boxes)
+@settings(max_examples=100, deadline=None)
+def test_squared_distance_of_a_point_is_that_of_shapely(x, y, box):
+    expected = polygon(box).distance(shapely.Point(x, y))
+    assert squared_distance(x, y, as_rows((box,))[0]) == pytest.approx(expected**2, abs=1e-7)
 
 
 @given(boxes, boxes)

@@ -1,4 +1,5 @@
-from math import radians
+from dataclasses import fields, replace
+from math import nextafter, radians
 
 import numpy as np
 import pytest
@@ -8,13 +9,11 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions, make_agent
-from nnql_bullet.agents.nnql import Nnql, boltzmann, encode, nearest_turn
-from nnql_bullet.env import Observation, Transition
+from nnql_bullet.agents.nnql import Nnql, boltzmann, encode, nearest_turns
+from nnql_bullet.env import Observation, Transitions, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Pose
-from nnql_bullet.sensing import scan_from
-from nnql_bullet.sim.base import Motion
-from nnql_bullet.task import Property
+from nnql_bullet.sim.base import Motions
+from nnql_bullet.task import GOES_ON, REWARD_TERMS, Property
 
 NAMES = ("0.weight", "0.bias", "2.weight", "2.bias")
 TOWARD = 5
@@ -25,22 +24,55 @@ all_readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 
 
 def observed(readings=BEFORE, state=Property.NON_SAFE, target_bearing=0.3):
-    return Observation(np.array(readings), 50.0, target_bearing, 0.0, state)
+    """What one vehicle sees."""
+    return stacked([Observation(np.array(readings), 50.0, target_bearing, 0.0, state)])
 
 
 def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
-    motion = Motion(Pose(0, 0, 0), 2.0, 0.0, (16.0, 16.0), 0.5, 1.0, 1.0, 0.0, False, False)
-    return Transition(
+    """A step of one vehicle."""
+    return Transitions(
         s_tm1=before or observed(),
-        a_tm1=action,
-        r_t=reward,
-        discount_t=discount,
+        a_tm1=np.array([action]),
+        r_t=np.array([reward]),
+        discount_t=np.array([discount]),
         s_t=after or observed(AFTER),
-        terms={},
-        ending=None,
-        motion=motion,
-        scan=scan_from(np.full(72, 10.0)),
+        terms=np.zeros((1, len(REWARD_TERMS))),
+        ending=np.array([GOES_ON]),
+        motions=Motions(np.zeros((1, 3)), *np.zeros((5, 1)), *np.zeros((2, 1), np.bool_)),
+        active=np.ones(1, np.bool_),
     )
+
+
+def together(*records):
+    """Records of single vehicles as one of many."""
+    kind = type(records[0])
+    if kind is np.ndarray:
+        return np.concatenate(records)
+    return kind(*(together(*(getattr(record, field.name) for record in records)) for field in fields(kind)))
+
+
+def q_values(agent, observations=None):
+    """Of one vehicle."""
+    (values,) = agent.action_values(observations or observed())
+    return values
+
+
+def learned(agent, step):
+    """The temporal-difference error of a step of one vehicle."""
+    (td_error,) = agent.learn(step)
+    return float(td_error)
+
+
+def explored(agent, observations, uniforms, episode=0):
+    """The actions of one vehicle for each of several uniforms."""
+    many = observations.of(np.zeros(len(uniforms), np.int64))
+    return agent.explore(many, np.full(len(uniforms), episode), np.array(uniforms)).tolist()
+
+
+def exploited(agent, observations=None):
+    """Of one vehicle."""
+    (action,) = agent.exploit(observations or observed()).tolist()
+    return action
 
 
 def sigmoid(x):
@@ -72,8 +104,18 @@ def stepped(weights, x, action, target, step):
     return dict(zip(NAMES, (w1 - step * np.outer(back, x), b1 - step * back, w2_new, b2_new), strict=True))
 
 
+def summed(weights, steps, step):
+    """The weights after one step of gradient descent on the sum of several errors, each (x, action, target)."""
+    moved = [stepped(weights, *one, step) for one in steps]
+    return {name: weights[name] + sum(other[name] - weights[name] for other in moved) for name in NAMES}
+
+
 def same(one, other):
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def close(one, other):
+    return one.keys() == other.keys() and all(one[name] == pytest.approx(other[name], abs=1e-12) for name in one)
 
 
 def random_agent(seed=1, **options):
@@ -97,7 +139,19 @@ def test_network_is_8_6_5_with_sigmoid_hidden_units_and_linear_outputs():
 def test_action_values_are_the_networks_outputs(readings, seed):
     agent = random_agent(seed)
     _, expected = forward(agent.arrays(), inputs(readings))
-    assert agent.action_values(observed(readings)) == pytest.approx(expected, abs=1e-12)
+    assert q_values(agent, observed(readings)) == pytest.approx(expected, abs=1e-12)
+
+
+@given(st.lists(st.tuples(all_readings, st.booleans()), min_size=1, max_size=6))
+@settings(max_examples=50, deadline=None)
+def test_action_values_of_many_vehicles_are_those_of_each(rows):
+    agent = random_agent()
+    seen = [observed(readings, Property.SAFE if safe else Property.NON_SAFE) for readings, safe in rows]
+    values = agent.action_values(together(*seen))
+    assert values.shape == (len(rows), 5)
+    for (readings, safe), got in zip(rows, values, strict=True):
+        expected = np.full(5, np.nan) if safe else forward(agent.arrays(), inputs(readings))[1]
+        assert got == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
 def test_initial_weights_are_uniform_within_their_ranges_and_biases_are_zero():
@@ -112,7 +166,7 @@ def test_initial_weights_are_uniform_within_their_ranges_and_biases_are_zero():
 
 
 def test_initial_q_values_are_near_zero():
-    assert np.abs(Nnql(NnqlOptions(), 0).action_values(observed())).max() < 0.6  # six hidden units of at most 0.1
+    assert np.abs(q_values(Nnql(NnqlOptions(), 0))).max() < 0.6  # six hidden units of at most 0.1
 
 
 def test_weights_are_a_function_of_the_seed():
@@ -143,9 +197,8 @@ def test_one_step_of_learning_is_gradient_descent_toward_eq_2(action, encoding):
     q = forward(before, x_tm1)[1][action]
     td_error = -0.4 + 0.15 * forward(before, x_t)[1].max() - q
     expected = stepped(before, x_tm1, action, q + 0.1 * td_error, 0.7)
-    assert agent.learn(transition(action, reward=-0.4)) == pytest.approx(td_error, abs=1e-12)
-    for name, value in agent.arrays().items():
-        assert value == pytest.approx(expected[name], abs=1e-12)
+    assert learned(agent, transition(action, reward=-0.4)) == pytest.approx(td_error, abs=1e-12)
+    assert close(agent.arrays(), expected)
 
 
 def test_learning_matches_numerical_gradients():
@@ -172,41 +225,110 @@ def test_steps_do_not_add_up_old_gradients():
         q = forward(before, inputs(BEFORE))[1][action]
         target = q + 0.1 * (reward + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
         agent.learn(transition(action, reward))
-        expected = stepped(before, inputs(BEFORE), action, target, 0.5)
-        for name, value in agent.arrays().items():
-            assert value == pytest.approx(expected[name], abs=1e-12)
+        assert close(agent.arrays(), stepped(before, inputs(BEFORE), action, target, 0.5))
+
+
+def wanted(weights, readings, action, reward, discount, readings_after):
+    """A step's (x, action, target) by eq. (2), and its temporal-difference error, at these weights."""
+    q = forward(weights, inputs(readings))[1][action]
+    td_error = reward + discount * 0.15 * forward(weights, inputs(readings_after))[1].max() - q
+    return (inputs(readings), action, q + 0.1 * td_error), td_error
+
+
+steps_of_vehicles = st.lists(
+    st.tuples(all_readings, st.integers(0, 4), st.floats(-1, 1), st.sampled_from([0.0, 1.0]), all_readings),
+    min_size=1,
+    max_size=8,
+)
+
+
+def as_transitions(steps):
+    return together(
+        *(
+            transition(action, reward, discount, observed(before), observed(after))
+            for before, action, reward, discount, after in steps
+        )
+    )
+
+
+@given(steps_of_vehicles)
+@settings(max_examples=100, deadline=None)
+def test_steps_at_once_are_gradient_descent_on_the_sum_of_their_errors(steps):
+    agent = random_agent(gradient_step=0.3)
+    before = agent.arrays()
+    wants, td_errors = zip(*(wanted(before, *step) for step in steps), strict=True)
+    assert agent.learn(as_transitions(steps)) == pytest.approx(np.array(td_errors), abs=1e-12)
+    assert close(agent.arrays(), summed(before, wants, 0.3))
+
+
+def test_one_step_at_once_is_not_several_one_after_another():
+    steps = [(BEFORE, 1, 0.4, 1.0, AFTER), (AFTER, 1, -0.6, 0.0, BEFORE), (BEFORE, 4, -0.4, 1.0, AFTER)]
+    at_once, one_by_one = random_agent(gradient_step=0.3), random_agent(gradient_step=0.3)
+    at_once.learn(as_transitions(steps))
+    for step in steps:
+        weights = one_by_one.arrays()
+        want, td_error = wanted(weights, *step)
+        assert learned(one_by_one, as_transitions([step])) == pytest.approx(td_error, abs=1e-12)
+        assert close(one_by_one.arrays(), stepped(weights, *want, 0.3))  # with one vehicle: the paper's online update
+    assert not close(at_once.arrays(), one_by_one.arrays())
+
+
+def test_vehicles_that_stood_by_teach_nothing():
+    nobody = observed(np.full(8, np.nan))
+    idle = replace(transition(2, np.nan, np.nan, nobody, nobody), active=np.zeros(1, np.bool_))
+    one, other = random_agent(), random_agent()
+    before = one.arrays()
+    errors = one.learn(together(idle, transition(1), idle, transition(4, -0.6, 0.0), idle))
+    assert np.isnan(errors).tolist() == [True, False, True, False, True]
+    assert other.learn(together(transition(1), transition(4, -0.6, 0.0))).tolist() == errors[[1, 3]].tolist()
+    assert same(one.arrays(), other.arrays())
+    assert not same(one.arrays(), before)
+    after = one.arrays()
+    assert np.isnan(one.learn(together(idle, idle))).all()
+    assert same(one.arrays(), after)
+
+
+def test_of_many_vehicles_only_those_in_non_safe_states_teach():
+    safe = transition(TOWARD, reward=-0.2, before=observed(state=Property.SAFE))
+    one, other = random_agent(), random_agent()
+    before = one.arrays()
+    errors = one.learn(together(transition(3), safe, safe))
+    assert np.isnan(errors).tolist() == [False, True, True]
+    assert errors[0] == learned(other, transition(3))
+    assert same(one.arrays(), other.arrays())
+    assert not same(one.arrays(), before)
 
 
 def test_repeated_learning_of_an_ending_converges_to_its_reward():
     agent = Nnql(NnqlOptions(gradient_step=1.0), 0)
     for _ in range(1500):
         agent.learn(transition(3, reward=-0.6, discount=0.0))
-    assert agent.action_values(observed())[3] == pytest.approx(-0.6, abs=1e-3)
+    assert q_values(agent)[3] == pytest.approx(-0.6, abs=1e-3)
 
 
 def test_nothing_is_expected_after_an_ending_for_good():
     agent = random_agent()
-    q = agent.action_values(observed())[1]
-    assert agent.learn(transition(1, reward=-0.6, discount=0.0)) == pytest.approx(-0.6 - q, abs=1e-12)
+    q = q_values(agent)[1]
+    assert learned(agent, transition(1, reward=-0.6, discount=0.0)) == pytest.approx(-0.6 - q, abs=1e-12)
 
 
 def test_timeout_still_expects_what_would_come():
     agent = random_agent()
-    q, best = agent.action_values(observed())[1], agent.action_values(observed(AFTER)).max()
-    assert agent.learn(transition(1, reward=0.4, discount=1.0)) == pytest.approx(0.4 + 0.15 * best - q, abs=1e-12)
+    q, best = q_values(agent)[1], q_values(agent, observed(AFTER)).max()
+    assert learned(agent, transition(1, reward=0.4, discount=1.0)) == pytest.approx(0.4 + 0.15 * best - q, abs=1e-12)
 
 
 def test_next_states_value_is_used_though_it_is_safe():
     agent = random_agent()
     safe = observed(AFTER, Property.SAFE)
-    q, best = agent.action_values(observed())[1], agent.action_values(observed(AFTER)).max()
-    assert agent.learn(transition(1, after=safe)) == pytest.approx(0.4 + 0.15 * best - q, abs=1e-12)
+    q, best = q_values(agent)[1], q_values(agent, observed(AFTER)).max()
+    assert learned(agent, transition(1, after=safe)) == pytest.approx(0.4 + 0.15 * best - q, abs=1e-12)
 
 
 def test_safe_steps_teach_nothing_by_default():
     agent = random_agent()
     before = agent.arrays()
-    assert agent.learn(transition(TOWARD, reward=-0.2, before=observed(state=Property.SAFE))) is None
+    assert np.isnan(learned(agent, transition(TOWARD, reward=-0.2, before=observed(state=Property.SAFE))))
     assert same(agent.arrays(), before)
 
 
@@ -219,61 +341,113 @@ def test_safe_steps_teach_the_nearest_turn_when_asked_to(degrees, action):
     before = agent.arrays()
     safe = observed(state=Property.SAFE, target_bearing=radians(degrees))
     q = forward(before, inputs(BEFORE))[1][action]
-    target = q + 0.1 * (-0.2 + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
-    assert agent.learn(transition(TOWARD, reward=-0.2, before=safe)) is not None
-    expected = stepped(before, inputs(BEFORE), action, target, 0.4)
-    for name, value in agent.arrays().items():
-        assert value == pytest.approx(expected[name], abs=1e-12)
+    td_error = -0.2 + 0.15 * forward(before, inputs(AFTER))[1].max() - q
+    assert learned(agent, transition(TOWARD, reward=-0.2, before=safe)) == pytest.approx(td_error, abs=1e-12)
+    assert close(agent.arrays(), stepped(before, inputs(BEFORE), action, q + 0.1 * td_error, 0.4))
 
 
 def test_non_safe_steps_train_alike_with_safe_steps_on_or_off():
     one, other = random_agent(), random_agent(learn_in_safe_states=True)
-    assert one.learn(transition()) == other.learn(transition())
+    assert learned(one, transition()) == learned(other, transition())
     assert same(one.arrays(), other.arrays())
 
 
-@pytest.mark.parametrize(
-    ("degrees", "turn"), [(0, 0), (30, 1), (60, 2), (-30, 3), (-60, 4), (44, 1), (46, 2), (-44, 3), (-46, 4), (180, 2)]
-)
+NEAREST = [(0, 0), (30, 1), (60, 2), (-30, 3), (-60, 4), (44, 1), (46, 2), (-44, 3), (-46, 4), (180, 2)]
+
+
+@pytest.mark.parametrize(("degrees", "turn"), NEAREST)
 def test_nearest_turn_is_the_papers_turn_closest_by(degrees, turn):
-    assert nearest_turn(radians(degrees)) == turn
+    assert nearest_turns(np.array([radians(degrees)])).tolist() == [turn]
 
 
-@given(st.lists(st.floats(-5, 5), min_size=5, max_size=5), st.floats(0.01, 0.8))
+def test_nearest_turns_of_many():
+    degrees, turns = zip(*NEAREST, strict=True)
+    assert nearest_turns(np.radians(degrees)).tolist() == list(turns)
+
+
+five_values = st.lists(st.floats(-5, 5), min_size=5, max_size=5)
+
+
+@given(st.lists(st.tuples(five_values, st.floats(0.01, 0.8)), min_size=1, max_size=5))
 @settings(max_examples=100, deadline=None)
-def test_boltzmann_is_the_softmax_of_values_over_temperature(values, temperature):
-    probabilities = boltzmann(np.array(values), temperature)
-    assert probabilities == pytest.approx(softmax(np.array(values) / temperature), abs=1e-12)
-    assert probabilities.sum() == pytest.approx(1)
+def test_boltzmann_is_the_softmax_of_values_over_temperature(rows):
+    values, temperatures = (np.array(column) for column in zip(*rows, strict=True))
+    probabilities = boltzmann(values, temperatures)
+    expected = np.array([softmax(np.array(one) / temperature) for one, temperature in rows])
+    assert probabilities == pytest.approx(expected, abs=1e-12)
+    assert probabilities.sum(axis=1) == pytest.approx(np.ones(len(rows)))
 
 
 def test_boltzmann_neither_overflows_nor_gives_nothing_at_the_lowest_temperature():
-    assert boltzmann(np.array([500.0, -500.0, 490.0, 0.0, 0.0]), 0.01).tolist() == [1, 0, 0, 0, 0]
+    values = np.array([[500.0, -500.0, 490.0, 0.0, 0.0], [-500.0, -500.0, -500.0, -490.0, -500.0]])
+    assert boltzmann(values, np.full(2, 0.01)).tolist() == [[1, 0, 0, 0, 0], [0, 0, 0, 1, 0]]
 
 
 def test_exploration_follows_the_boltzmann_frequencies():
     agent = random_agent(3)
-    agent.temperature = 0.8
     _, q = forward(agent.arrays(), inputs(BEFORE))
-    expected = np.exp(q / 0.8) / np.exp(q / 0.8).sum()
-    generator = np.random.default_rng(0)
+    expected = np.exp(q / 0.8) / np.exp(q / 0.8).sum()  # 0.8 in the first episode
     draws = 20_000
-    counts = np.bincount([agent.explore(observed(), generator) for _ in range(draws)], minlength=5)
+    actions = explored(agent, observed(), np.random.default_rng(0).random(draws))
+    counts = np.bincount(actions, minlength=5)
     spread = np.sqrt(draws * expected * (1 - expected))
     assert np.all(np.abs(counts - draws * expected) < 4.5 * spread)
 
 
-def test_exploration_is_a_function_of_the_generator():
-    agent = random_agent(3)
-    one, other = ([agent.explore(observed(), rng) for _ in range(50)] for rng in map(np.random.default_rng, (7, 7)))
-    assert one == other
+@given(all_readings, st.integers(0, 50), st.integers(0, 1200), st.floats(0, 1, exclude_max=True))
+@settings(max_examples=200, deadline=None)
+def test_exploration_is_the_inverse_of_the_cumulated_probabilities(readings, seed, episode, uniform):
+    agent = random_agent(seed)
+    temperature = np.linspace(0.8, 0.01, 1000)[min(episode, 999)]
+    edges = np.cumsum([0.0, *softmax(forward(agent.arrays(), inputs(readings))[1] / temperature)])
+    (action,) = explored(agent, observed(readings), [uniform], episode)
+    assert edges[action] - 1e-9 <= uniform <= edges[action + 1] + 1e-9
+
+
+IMPOSSIBLE = -1e5  # exp(-1e5 / 0.8) is nothing, so the others' probabilities are exact
+
+
+@pytest.mark.parametrize(
+    ("outputs", "edges"),
+    [
+        ([0.0, 0.0, 0.0, 0.0, IMPOSSIBLE], {0: 0.25, 1: 0.5, 2: 0.75, 3: 1.0}),
+        ([IMPOSSIBLE, 0.0, IMPOSSIBLE, 0.0, IMPOSSIBLE], {1: 0.5, 3: 1.0}),
+        ([IMPOSSIBLE, IMPOSSIBLE, 2.0, IMPOSSIBLE, IMPOSSIBLE], {2: 1.0}),
+        ([7.0, IMPOSSIBLE, IMPOSSIBLE, IMPOSSIBLE, 7.0], {0: 0.5, 4: 1.0}),
+    ],
+)
+def test_exploration_is_exact_at_the_edges(outputs, edges):
+    agent = random_agent()
+    agent.load({**agent.arrays(), "2.weight": np.zeros((5, 6)), "2.bias": np.array(outputs)})
+    below = 0.0
+    for action, edge in edges.items():  # an action has the numbers from its lower edge to just below its upper one
+        assert explored(agent, observed(), [below, nextafter(edge, 0.0)]) == [action, action]
+        below = edge
+
+
+def test_the_largest_number_below_1_still_draws_one_of_the_turns():
+    last = nextafter(1.0, 0.0)
+    for seed in range(50):
+        for episode in (0, 500, 999):
+            assert set(explored(random_agent(seed), observed(), [0.0, last], episode)) <= set(range(5))
+
+
+def test_exploration_of_many_vehicles_is_that_of_each():
+    agent, generator = random_agent(1), np.random.default_rng(5)
+    seen = [observed(generator.uniform(0, 10, 8), Property(int(generator.integers(2)))) for _ in range(60)]
+    episodes, uniforms = generator.integers(0, 1200, 60), generator.random(60)
+    actions = agent.explore(together(*seen), episodes, uniforms).tolist()
+    assert actions == [
+        explored(agent, one, [uniform], episode)[0]
+        for one, episode, uniform in zip(seen, episodes, uniforms, strict=True)
+    ]
+    assert set(actions) == set(range(6))
 
 
 def test_cold_exploration_is_greedy():
-    agent = random_agent(3)
-    agent.temperature = 1e-4
-    generator = np.random.default_rng(0)
-    assert {agent.explore(observed(), generator) for _ in range(50)} == {agent.exploit(observed())}
+    agent = random_agent(3, temperature_max=1e-4, temperature_min=1e-4)
+    uniforms = np.random.default_rng(0).random(50)
+    assert set(explored(agent, observed(), uniforms)) == {exploited(agent)}
 
 
 @given(all_readings, st.integers(0, 50))
@@ -281,34 +455,47 @@ def test_cold_exploration_is_greedy():
 def test_exploitation_takes_the_largest_q_value(readings, seed):
     agent = random_agent(seed)
     _, q = forward(agent.arrays(), inputs(readings))
-    assert q[agent.exploit(observed(readings))] == pytest.approx(q.max(), abs=1e-12)
+    assert q[exploited(agent, observed(readings))] == pytest.approx(q.max(), abs=1e-12)
+
+
+def test_exploitation_of_many_vehicles_is_that_of_each():
+    agent, generator = random_agent(), np.random.default_rng(6)
+    seen = [observed(generator.uniform(0, 10, 8), Property(int(generator.integers(2)))) for _ in range(40)]
+    actions = agent.exploit(together(*seen)).tolist()
+    for one, action in zip(seen, actions, strict=True):
+        best = int(forward(agent.arrays(), inputs(one.readings[0]))[1].argmax())
+        assert action == (TOWARD if one.property[0] == Property.SAFE else best)
+    assert TOWARD in actions
+    assert len(set(actions)) > 2
 
 
 def test_safe_state_asks_no_network_and_turns_toward_the_target():
-    agent, generator = random_agent(), np.random.default_rng(0)
+    agent = random_agent()
     safe = observed(np.full(8, 10.0), Property.SAFE)
-    unused = generator.bit_generator.state
-    assert agent.exploit(safe) == TOWARD
-    assert agent.explore(safe, generator) == TOWARD
-    assert np.isnan(agent.action_values(safe)).tolist() == [True] * 5
-    assert generator.bit_generator.state == unused
+
+    def refuse(x):
+        if len(x):
+            raise AssertionError("the network was asked")
+        return torch.zeros((0, 5), dtype=torch.float64)
+
+    agent.network.forward = refuse
+    assert exploited(agent, safe) == TOWARD
+    assert explored(agent, safe, [0.0, 0.3, 0.999]) == [TOWARD] * 3
+    assert np.isnan(q_values(agent, safe)).tolist() == [True] * 5
+    for ask in (exploited, q_values):
+        with pytest.raises(AssertionError, match="was asked"):
+            ask(agent, observed())
 
 
 def test_temperature_falls_linearly_from_0_8_to_0_01_over_1000_episodes():
     agent = Nnql(NnqlOptions(), 0)
-    temperatures = []
-    for episode in range(1000):
-        agent.begin_episode(episode)
-        temperatures.append(agent.temperature)
-    assert temperatures == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
+    assert agent.temperature(np.arange(1000)) == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
 
 
-def test_temperature_stays_at_its_end_and_starts_high_before_the_first_episode():
+def test_temperature_stays_at_its_end():
     agent = Nnql(NnqlOptions(schedule_episodes=11), 0)
-    assert agent.temperature == 0.8
-    for episode, expected in ((0, 0.8), (5, 0.405), (10, 0.01), (11, 0.01), (5000, 0.01), (0, 0.8)):
-        agent.begin_episode(episode)
-        assert agent.temperature == pytest.approx(expected, abs=1e-12)
+    episodes = np.array([0, 5, 10, 11, 5000, 0])
+    assert agent.temperature(episodes) == pytest.approx(np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -337,15 +524,10 @@ def test_encoding_stays_between_0_and_1_and_leaves_the_readings_alone(readings, 
     assert np.array_equal(readings, before)
 
 
-def test_diagnostics_are_temperature_and_root_mean_square_error_of_the_episode():
-    agent = random_agent()
-    agent.begin_episode(0)
-    assert agent.diagnostics() == {"temperature": 0.8, "td_error": 0.0}
-    errors = [agent.learn(transition(action)) for action in (0, 1, 2)]
-    agent.learn(transition(TOWARD, before=observed(state=Property.SAFE)))
-    assert agent.diagnostics()["td_error"] == pytest.approx(np.sqrt(np.mean(np.square(errors))))
-    agent.begin_episode(1)
-    assert agent.diagnostics()["td_error"] == 0.0
+def test_diagnostics_are_the_temperature_of_the_episode():
+    agent = Nnql(NnqlOptions(schedule_episodes=11), 0)
+    for episode, expected in ((0, 0.8), (5, 0.405), (5000, 0.01)):
+        assert agent.diagnostics(episode) == {"temperature": pytest.approx(expected, abs=1e-12)}
 
 
 def test_arrays_and_load_are_a_round_trip():
@@ -353,8 +535,8 @@ def test_arrays_and_load_are_a_round_trip():
     trained.learn(transition())
     fresh.load(trained.arrays())
     assert same(fresh.arrays(), trained.arrays())
-    assert fresh.action_values(observed()).tolist() == trained.action_values(observed()).tolist()
-    assert fresh.learn(transition(2)) == trained.learn(transition(2))
+    assert q_values(fresh).tolist() == q_values(trained).tolist()
+    assert learned(fresh, transition(2)) == learned(trained, transition(2))
     assert same(fresh.arrays(), trained.arrays())
 
 
@@ -369,10 +551,10 @@ def test_arrays_are_copies_that_learning_does_not_change():
 
 def test_changing_what_arrays_gave_does_not_change_the_agent():
     agent = random_agent()
-    values = agent.action_values(observed())
+    values = q_values(agent)
     for array in agent.arrays().values():
         array[:] = 9.0
-    assert agent.action_values(observed()).tolist() == values.tolist()
+    assert q_values(agent).tolist() == values.tolist()
 
 
 def test_loaded_arrays_stay_the_callers():
@@ -412,10 +594,12 @@ def test_arrays_of_another_network_are_refused_and_change_nothing(change):
 def test_observations_are_not_changed():
     agent, step = random_agent(learn_in_safe_states=True), transition()
     agent.learn(step)
-    agent.explore(step.s_tm1, np.random.default_rng(0))
+    agent.explore(step.s_tm1, np.zeros(1, np.int64), np.full(1, 0.5))
     agent.exploit(step.s_t)
-    assert np.array_equal(step.s_tm1.readings, BEFORE)
-    assert np.array_equal(step.s_t.readings, AFTER)
+    agent.action_values(step.s_t)
+    assert np.array_equal(step.s_tm1.readings, [BEFORE])
+    assert np.array_equal(step.s_t.readings, [AFTER])
+    assert (step.a_tm1.tolist(), step.r_t.tolist(), step.active.tolist()) == ([1], [0.4], [True])
 
 
 def test_learning_is_reproducible():

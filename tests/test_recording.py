@@ -12,10 +12,11 @@ import matplotlib.image
 import numpy as np
 import pytest
 from numpy.lib import format as npy
+from numpy.typing import NDArray
 
 from nnql_bullet.agents import make_agent
 from nnql_bullet.agents.nnql import NnqlOptions
-from nnql_bullet.env import Navigation, Observation
+from nnql_bullet.env import Navigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
@@ -43,8 +44,8 @@ def record(vehicle: VehicleSpec) -> Record:
         recorder = Recorder(vehicle, make_agent(NnqlOptions(), 0))
         script = cycle(actions)
 
-        def policy(observation: Observation) -> int:
-            return next(script)
+        def policy(observations: Observations) -> NDArray[np.int64]:
+            return np.array([next(script)])
 
         navigation = Navigation(simulator, TaskOptions(max_steps=max_steps))
         summary = run_episode(navigation, world, policy, watcher=recorder)
@@ -315,7 +316,7 @@ def training(endings: str) -> list[TrainingEpisode]:
     for number, letter in enumerate(endings):
         summary = EpisodeSummary(
             world_seed=number,
-            ending=names[letter],  # type: ignore[arg-type]
+            ending=names[letter],
             steps=10,
             duration=5.0,
             path_length=10.0,

@@ -10,14 +10,22 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
+
+from nnql_bullet.runs import Run
+from nnql_bullet.sim.bullet import BulletSimulator
 
 Cli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
+
+UNDER_WAY = "under_way/"
+"""What begins like this in a checkpoint is not learned: it says where a training has come to."""
 
 FILES = {"checkpoint.safetensors", "config.toml", "episodes.csv", "learning_curve.png", "policy.safetensors"}
 
@@ -28,6 +36,24 @@ def weights(folder: Path, name: str = "checkpoint.safetensors") -> dict[str, NDA
 
 def same_weights(first: dict[str, NDArray[np.float64]], second: dict[str, NDArray[np.float64]]) -> bool:
     return first.keys() == second.keys() and all(np.array_equal(first[name], second[name]) for name in first)
+
+
+def learned(arrays: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """The arrays of a checkpoint that a policy has too."""
+    return {name: values for name, values in arrays.items() if not name.startswith(UNDER_WAY)}
+
+
+def metadata(path: Path) -> dict[str, str]:
+    with safe_open(path, framework="numpy") as file:
+        return dict(file.metadata())
+
+
+def change_arrays(
+    path: Path, change: Callable[[dict[str, NDArray[np.float64]]], dict[str, NDArray[np.float64]]]
+) -> None:
+    """Rewrites a safetensors file with other arrays and the same metadata."""
+    about = metadata(path)
+    save_file(change(load_file(path)), path, about)
 
 
 def episodes(folder: Path) -> int:
@@ -65,8 +91,11 @@ class TestFolder:
         assert {path.name for path in tiny_run.iterdir()} == FILES
         assert episodes(tiny_run) == 12
 
-    def test_policy_and_checkpoint_are_the_same_weights(self, tiny_run: Path) -> None:
-        assert same_weights(weights(tiny_run), weights(tiny_run, "policy.safetensors"))
+    def test_the_policy_is_what_of_the_checkpoint_is_learned(self, tiny_run: Path) -> None:
+        checkpoint, policy = weights(tiny_run), weights(tiny_run, "policy.safetensors")
+        assert policy.keys() == {"0.weight", "0.bias", "2.weight", "2.bias"}
+        assert same_weights(learned(checkpoint), policy)
+        assert checkpoint.keys() > policy.keys()  # the rest is what is under way
 
     def test_episodes_are_counted_and_their_terms_sum_to_the_return(self, tiny_run: Path) -> None:
         with (tiny_run / "episodes.csv").open(newline="") as file:
@@ -86,7 +115,7 @@ class TestFolder:
         first, same, other = ((tmp_path / folder / "episodes.csv").read_bytes() for folder in "abc")
         assert first == same != other
         assert same_weights(weights(tmp_path / "a"), weights(tmp_path / "b"))
-        assert not same_weights(weights(tmp_path / "a"), weights(tmp_path / "c"))
+        assert not same_weights(learned(weights(tmp_path / "a")), learned(weights(tmp_path / "c")))
 
 
 class TestResume:
@@ -126,10 +155,27 @@ class TestResume:
 
     @pytest.mark.parametrize(
         "option",
-        [["--seed", "3"], ["--config", "literal"], ["--world", "paper"], ["--physics", "fast"], ["--overwrite"]],
+        [
+            ["--seed", "3"],
+            ["--config", "literal"],
+            ["--world", "paper"],
+            ["--physics", "fast"],
+            ["--sim", "twin"],
+            ["--vehicles", "2"],
+            ["--out", "elsewhere"],
+            ["--overwrite"],
+        ],
     )
-    def test_what_the_run_was_configured_with_stays(self, run_cli: Cli, copy: Path, option: list[str]) -> None:
-        assert option[0] in refused(run_cli("train", "--resume", copy, *option))
+    def test_what_the_run_was_configured_with_stays(
+        self, run_cli: Cli, copy: Path, snapshot: Snapshot, option: list[str]
+    ) -> None:
+        before = snapshot(copy)
+        assert option[0] in refused(run_cli("train", "--resume", copy, "--episodes", 14, *option))
+        assert snapshot(copy) == before
+
+    def test_with_how_many_workers_it_goes_on_is_free(self, run_cli: Cli, copy: Path, tiny_run: Path) -> None:
+        assert run_cli("train", "--resume", copy, "--episodes", 13, "--workers", 2)[0] == 0
+        assert episodes(copy) == 13
 
     def test_a_folder_without_a_run_is_refused(self, run_cli: Cli, tmp_path: Path) -> None:
         assert "holds no run" in refused(run_cli("train", "--resume", tmp_path))
@@ -152,8 +198,9 @@ def stopped(tmp_path_factory: pytest.TempPathFactory, small_config: Path) -> tup
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 60.0
-        while not (folder / "policy.safetensors").exists() and time.monotonic() < deadline:
+        while not (folder / "config.toml").exists() and time.monotonic() < deadline:
             time.sleep(0.02)
+        time.sleep(2.0)  # some episodes; their checkpoint is the one that the interrupt asks for
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60.0)
     finally:
@@ -171,8 +218,10 @@ class TestInterrupt:
     def test_it_leaves_a_whole_run(self, stopped: tuple[Path, int, str, str]) -> None:
         folder, _, out, _ = stopped
         assert {path.name for path in folder.iterdir()} == FILES
-        assert 10 <= episodes(folder) < 2000
+        assert 1 <= episodes(folder) < 2000
         assert f"after episode {episodes(folder)} of 2000" in out
+        for name in ("checkpoint.safetensors", "policy.safetensors"):
+            assert metadata(folder / name)["episodes"] == str(episodes(folder))
 
     def test_going_on_is_bit_for_bit_as_if_it_had_never_stopped(
         self,
@@ -192,8 +241,6 @@ class TestInterrupt:
     def test_an_interrupt_within_an_episode_waits_for_its_end(
         self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        from nnql_bullet.sim.bullet import BulletSimulator
-
         real, calls = BulletSimulator.advance, []
 
         def advance(self: BulletSimulator, *args: object) -> object:
@@ -213,8 +260,6 @@ class TestInterrupt:
     def test_a_second_interrupt_ends_at_once(
         self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        from nnql_bullet.sim.bullet import BulletSimulator
-
         real, calls = BulletSimulator.advance, []
 
         def advance(self: BulletSimulator, *args: object) -> object:
@@ -265,25 +310,47 @@ class TestDamage:
         assert snapshot(copy) == before
 
     def test_weights_of_another_shape_are_refused(self, run_cli: Cli, copy: Path, snapshot: Snapshot) -> None:
-        from safetensors import safe_open
-
-        with safe_open(copy / "checkpoint.safetensors", framework="numpy") as file:
-            metadata = file.metadata()
-        arrays = {name: value[..., :2].copy() for name, value in weights(copy).items()}
-        save_file(arrays, copy / "checkpoint.safetensors", metadata)
+        change_arrays(
+            copy / "checkpoint.safetensors",
+            lambda arrays: {**arrays, **{name: value[..., :2].copy() for name, value in learned(arrays).items()}},
+        )
         before = snapshot(copy)
-        refused(run_cli("train", "--resume", copy, "--episodes", 20))
+        assert "8-6-5" in refused(run_cli("train", "--resume", copy, "--episodes", 20))
+        assert snapshot(copy) == before
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"actions": None},
+            {"next_episode": None},
+            {"episode": np.zeros(2, np.int64)},
+            {"next_episode": np.zeros(2, np.int64)},
+            {"actions": np.zeros((1, 1000), np.int8)},
+            {"actions": np.zeros((3, 1), np.int8)},
+            {"actions": np.zeros(1, np.int8)},
+        ],
+        ids=["no actions", "no number", "two vehicles", "two numbers", "too long", "three vehicles", "flat"],
+    )
+    def test_a_training_of_another_shape_is_refused(
+        self, run_cli: Cli, copy: Path, snapshot: Snapshot, change: dict[str, NDArray[np.int64] | None]
+    ) -> None:
+        changes = {UNDER_WAY + name: values for name, values in change.items()}
+        assert changes.keys() <= weights(copy).keys()
+        change_arrays(
+            copy / "checkpoint.safetensors",
+            lambda arrays: {name: values for name, values in {**arrays, **changes}.items() if values is not None},
+        )
+        before = snapshot(copy)
+        assert "state of a training" in refused(run_cli("train", "--resume", copy, "--episodes", 20))
         assert snapshot(copy) == before
 
     def test_weights_that_are_not_numbers_are_refused(self, run_cli: Cli, copy: Path, snapshot: Snapshot) -> None:
-        from safetensors import safe_open
-
-        with safe_open(copy / "policy.safetensors", framework="numpy") as file:
-            metadata = file.metadata()
-        arrays = {name: np.full_like(value, np.nan) for name, value in weights(copy).items()}
-        save_file(arrays, copy / "policy.safetensors", metadata)
+        change_arrays(
+            copy / "policy.safetensors",
+            lambda arrays: {name: np.full_like(value, np.nan) for name, value in arrays.items()},
+        )
         before = snapshot(copy)
-        refused(run_cli("navigate", copy))
+        assert "8-6-5" in refused(run_cli("navigate", copy))
         assert snapshot(copy) == before
 
     @pytest.mark.parametrize("damage", ["missing", "short", "words", "header"])
@@ -364,9 +431,44 @@ class TestOverwriting:
         assert snapshot(copy) == before
 
 
+class TestCheckpoints:
+    def test_there_is_one_every_five_seconds_and_at_the_end(
+        self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        clock, reset, save = [100.0], BulletSimulator.reset, Run.save
+        saved: list[int] = []
+
+        def slow_reset(self: BulletSimulator, *args: object) -> None:
+            clock[0] += 2.0  # so long does an episode take
+            reset(self, *args)  # type: ignore[arg-type]
+
+        def noted_save(self: Run, *args: object) -> None:
+            save(self, *args)  # type: ignore[arg-type]
+            saved.append(episodes(self.folder))
+
+        monkeypatch.setattr("nnql_bullet.cli.train.time", SimpleNamespace(monotonic=lambda: clock[0]))
+        monkeypatch.setattr(BulletSimulator, "reset", slow_reset)
+        monkeypatch.setattr(Run, "save", noted_save)
+        assert train(tmp_path / "run", 8)[0] == 0
+        assert saved == [3, 6, 8]
+
+    def test_how_often_they_are_written_changes_nothing(
+        self,
+        train: Callable[..., tuple[int, str, str]],
+        tiny_run: Path,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.setattr("nnql_bullet.cli.train.SAVE_EVERY", 0)
+        assert train(tmp_path / "run", 12)[0] == 0
+        for name in ("episodes.csv", "config.toml"):
+            assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
+        assert same_weights(weights(tmp_path / "run"), weights(tiny_run))
+
+
 class TestFullDisk:
-    # Writes: config 1; after episode 10: episodes 2, checkpoint 3, policy 4; after episode 14: 5, 6, 7; curve 8.
-    @pytest.mark.parametrize("write", [5, 6, 7])
+    # Writes: config 1; after episode 1: episodes 2, checkpoint 3, policy 4; after episode 2: 5, 6, 7; and so on.
+    @pytest.mark.parametrize(("write", "kept"), [(5, 1), (6, 1), (7, 2), (8, 2), (9, 2), (10, 3)])
     def test_the_checkpoint_before_stays_whole(
         self,
         train: Callable[..., tuple[int, str, str]],
@@ -374,6 +476,7 @@ class TestFullDisk:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
         write: int,
+        kept: int,
     ) -> None:
         real, calls = os.fsync, []
 
@@ -385,14 +488,16 @@ class TestFullDisk:
 
         folder = tmp_path / "full"
         with monkeypatch.context() as patch:
+            patch.setattr("nnql_bullet.cli.train.SAVE_EVERY", 0)
             patch.setattr("nnql_bullet.files.os.fsync", fsync)
-            code, _, err = train(folder, 14)
+            code, _, err = train(folder, 5)
         assert code == 2
         assert "No space left on device" in err.splitlines()[-1]
         assert "Traceback" not in err
         assert {path.name for path in folder.iterdir()} <= FILES  # nothing half written is left
+        assert metadata(folder / "checkpoint.safetensors")["episodes"] == str(kept)
         assert run_cli("train", "--resume", folder)[0] == 0
-        assert train(tmp_path / "whole", 14)[0] == 0
+        assert train(tmp_path / "whole", 5)[0] == 0
         assert (folder / "episodes.csv").read_bytes() == (tmp_path / "whole" / "episodes.csv").read_bytes()
         assert same_weights(weights(folder), weights(tmp_path / "whole"))
 

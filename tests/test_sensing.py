@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, scan_from
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, scan_from, sector_readings
 
 
 def wrapped(angles):
@@ -45,6 +45,13 @@ def test_a_sector_reads_the_smallest_of_its_rays(distances):
     scan = scan_from(np.array(distances))
     assert scan.readings.tolist() == [min(distances[9 * k : 9 * k + 9]) for k in range(8)]
     assert scan.distances.tolist() == distances
+
+
+@given(st.lists(st.lists(st.floats(0, 10), min_size=72, max_size=72), min_size=1, max_size=4))
+@settings(max_examples=50, deadline=None)
+def test_sectors_of_many_vehicles_are_those_of_each(rows):
+    expected = [[min(row[9 * k : 9 * k + 9]) for k in range(8)] for row in rows]
+    assert sector_readings(np.array(rows)).tolist() == expected
 
 
 @pytest.mark.parametrize("ray", range(72))

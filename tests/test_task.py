@@ -5,9 +5,17 @@ from hypothesis import strategies as st
 
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Pose
-from nnql_bullet.sim.base import Motion
-from nnql_bullet.task import REWARD_TERMS, Property, TaskOptions, ending, reward_terms, state_property
+from nnql_bullet.task import (
+    ENDINGS,
+    GOES_ON,
+    REWARD_TERMS,
+    Property,
+    TaskOptions,
+    ending,
+    is_safe,
+    reward_terms,
+    state_property,
+)
 
 SS, NS, WS, FS = Property.SAFE, Property.NON_SAFE, Property.WINNING, Property.FAILURE
 FREE = np.full(8, 10.0)
@@ -15,21 +23,13 @@ DEFAULT = TaskOptions()
 
 readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 distances = st.floats(0, 10)
+properties = st.sampled_from(list(Property))
+going_on = st.sampled_from([SS, NS])
 
 
-def motion(touching=False, at_target=False):
-    return Motion(
-        pose=Pose(0, 0, 0),
-        speed=2.0,
-        yaw_rate=0.0,
-        wheel_speeds=(16.0, 16.0),
-        duration=0.5,
-        path_length=1.0,
-        clearance=1.0,
-        heading_error=0.0,
-        touching=touching,
-        at_target=at_target,
-    )
+def rows_of(*parts):
+    """Several vehicles at once, each a tuple of these."""
+    return st.lists(st.tuples(*parts), min_size=1, max_size=6)
 
 
 def reading(sector, value):
@@ -38,13 +38,24 @@ def reading(sector, value):
     return values
 
 
+def sensed(values, task):
+    """The property that the readings alone give."""
+    return state_property(values, False, False, task)
+
+
+def named(terms):
+    """The terms of one step by name."""
+    assert terms.shape == (len(REWARD_TERMS),)
+    return dict(zip(REWARD_TERMS, terms.tolist(), strict=True))
+
+
 @pytest.mark.parametrize(
     ("sector", "threshold"), [(0, 5.0), (1, 3.5), (7, 3.5), (2, 0.0), (3, 0.0), (4, 0.0), (5, 0.0), (6, 0.0)]
 )
 def test_default_thresholds_watch_the_front_and_the_front_sides(sector, threshold):
-    assert state_property(reading(sector, threshold), None, DEFAULT) is SS
+    assert sensed(reading(sector, threshold), DEFAULT) == SS
     if threshold:
-        assert state_property(reading(sector, np.nextafter(threshold, 0)), None, DEFAULT) is NS
+        assert sensed(reading(sector, np.nextafter(threshold, 0)), DEFAULT) == NS
 
 
 @pytest.mark.parametrize(
@@ -52,8 +63,8 @@ def test_default_thresholds_watch_the_front_and_the_front_sides(sector, threshol
 )
 def test_each_threshold_holds_in_its_own_sectors(sector, threshold):
     task = TaskOptions(front_distance=6.0, front_side_distance=3.0, other_distance=1.0)
-    assert state_property(reading(sector, threshold), motion(), task) is SS
-    assert state_property(reading(sector, threshold - 0.001), motion(), task) is NS
+    assert sensed(reading(sector, threshold), task) == SS
+    assert sensed(reading(sector, threshold - 0.001), task) == NS
 
 
 @given(readings, distances, distances, distances)
@@ -61,19 +72,40 @@ def test_each_threshold_holds_in_its_own_sectors(sector, threshold):
 def test_state_is_non_safe_when_any_sector_is_below_its_threshold(values, front, side, other):
     task = TaskOptions(front_distance=front, front_side_distance=side, other_distance=other)
     below = values[0] < front or min(values[1], values[7]) < side or min(values[2:7]) < other
-    assert state_property(values, motion(), task) is (NS if below else SS)
+    assert is_safe(values, task) == (not below)
+    assert sensed(values, task) == (NS if below else SS)
 
 
 @pytest.mark.parametrize(
     ("touching", "at_target", "expected"), [(True, False, FS), (False, True, WS), (True, True, FS), (False, False, SS)]
 )
 def test_collision_and_target_decide_before_the_readings(touching, at_target, expected):
-    assert state_property(FREE, motion(touching, at_target), DEFAULT) is expected
+    assert state_property(FREE, touching, at_target, DEFAULT) == expected
+    if expected is not SS:
+        assert state_property(np.zeros(8), touching, at_target, DEFAULT) == expected
 
 
-def test_start_is_judged_by_its_readings():
-    assert state_property(FREE, None, DEFAULT) is SS
-    assert state_property(np.zeros(8), None, DEFAULT) is NS
+def test_without_events_as_at_the_start_the_readings_decide():
+    assert sensed(FREE, DEFAULT) == SS
+    assert sensed(np.zeros(8), DEFAULT) == NS
+
+
+@given(rows_of(readings, st.booleans(), st.booleans()), distances, distances)
+@settings(max_examples=100, deadline=None)
+def test_states_of_many_vehicles_are_those_of_each(rows, front, side):
+    task = TaskOptions(front_distance=front, front_side_distance=side)
+    values, touching, at_target = (np.array(column) for column in zip(*rows, strict=True))
+    expected = []
+    for one, touches, arrived in rows:
+        below = one[0] < front or min(one[1], one[7]) < side
+        expected.append(FS if touches else WS if arrived else NS if below else SS)
+    assert state_property(values, touching, at_target, task).tolist() == expected
+    assert [int(state_property(*row, task)) for row in rows] == expected
+    assert is_safe(values, task).tolist() == [bool(is_safe(one, task)) for one in values]
+
+
+def test_property_is_named_by_the_papers_two_letters():
+    assert {state: state.label for state in Property} == {SS: "SS", NS: "NS", WS: "WS", FS: "FS"}
 
 
 NEAR, FAR = reading(3, 2.0), reading(5, 4.0)
@@ -100,46 +132,89 @@ NEAR, FAR = reading(3, 2.0), reading(5, 4.0)
 )
 def test_rewards_are_the_papers(before, after, readings_before, readings_after, term, value):
     terms = reward_terms(before, after, readings_before, readings_after, DEFAULT)
-    assert tuple(terms) == REWARD_TERMS
-    assert terms == {name: value if name == term else 0.0 for name in REWARD_TERMS}
+    assert named(terms) == {name: value if name == term else 0.0 for name in REWARD_TERMS}
+
+
+def test_reward_terms_are_named_in_the_papers_order():
+    assert REWARD_TERMS == ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
 
 
 @pytest.mark.parametrize("reward", [0.2, 0.4, 1.0, -0.3])
 def test_reward_that_the_paper_leaves_illegible_is_an_option(reward):
     task = TaskOptions(reward_non_safe_to_safe=reward)
-    assert sum(reward_terms(NS, SS, NEAR, FAR, task).values()) == reward
+    assert reward_terms(NS, SS, NEAR, FAR, task).tolist() == [reward, 0, 0, 0, 0, 0]
 
 
-@given(st.sampled_from([SS, NS]), st.sampled_from(list(Property)), readings, readings)
+@given(going_on, properties, readings, readings)
 @settings(max_examples=100, deadline=None)
 def test_at_most_one_reward_term_is_not_zero(before, after, readings_before, readings_after):
     terms = reward_terms(before, after, readings_before, readings_after, DEFAULT)
-    given_terms = [value for value in terms.values() if value]
+    given_terms = [value for value in terms.tolist() if value]
     assert len(given_terms) == (0 if (before, after) == (SS, SS) else 1)
-    assert sum(terms.values()) in {-0.6, -0.4, -0.2, 0.0, 0.4, 1.0}
+    assert terms.sum() in {-0.6, -0.4, -0.2, 0.0, 0.4, 1.0}
 
 
-@pytest.mark.parametrize(
-    ("after", "steps", "expected"),
-    [
-        (SS, 1, None),
-        (NS, 499, None),
-        (SS, 500, "timeout"),
-        (NS, 500, "timeout"),
-        (SS, 501, "timeout"),
-        (WS, 1, "goal"),
-        (WS, 500, "goal"),
-        (FS, 1, "collision"),
-        (FS, 500, "collision"),
-    ],
-)
+def by_the_table(before, after, readings_before, readings_after):
+    """The name of the reward, read off II.C."""
+    if after in (WS, FS):
+        return "winning" if after == WS else "failure"
+    if before != after:
+        return "non_safe_to_safe" if after == SS else "safe_to_non_safe"
+    if after == SS:
+        return None
+    return "closer" if min(readings_after) < min(readings_before) else "away"
+
+
+@given(rows_of(going_on, properties, readings, readings))
+@settings(max_examples=100, deadline=None)
+def test_rewards_of_many_steps_are_those_of_each(rows):
+    terms = reward_terms(*(np.array(column) for column in zip(*rows, strict=True)), DEFAULT)
+    assert terms.shape == (len(rows), 6)
+    for row, got in zip(rows, terms, strict=True):
+        assert [name for name, value in named(got).items() if value] == list(filter(None, [by_the_table(*row)]))
+        assert got.tolist() == reward_terms(*row, DEFAULT).tolist()
+
+
+@pytest.mark.parametrize("before", [WS, FS])
+@pytest.mark.parametrize("after", list(Property))
+def test_there_is_no_reward_after_an_ending(before, after):
+    assert reward_terms(before, after, FAR, NEAR, DEFAULT).tolist() == [0] * 6
+
+
+def ended(after, steps, task=DEFAULT):
+    """The name of the ending of one episode, or None."""
+    index = int(ending(after, steps, task))
+    return None if index == GOES_ON else ENDINGS[index]
+
+
+CASES = [
+    (SS, 1, None),
+    (NS, 499, None),
+    (SS, 500, "timeout"),
+    (NS, 500, "timeout"),
+    (SS, 501, "timeout"),
+    (WS, 1, "goal"),
+    (WS, 500, "goal"),
+    (FS, 1, "collision"),
+    (FS, 500, "collision"),
+]
+
+
+@pytest.mark.parametrize(("after", "steps", "expected"), CASES)
 def test_episode_ends_at_goal_collision_or_after_500_steps(after, steps, expected):
-    assert ending(after, steps, DEFAULT) == expected
+    assert ended(after, steps) == expected
+
+
+def test_endings_of_many_episodes_are_those_of_each():
+    after, steps, expected = zip(*CASES, strict=True)
+    got = ending(np.array(after), np.array(steps), DEFAULT)
+    assert [None if index == GOES_ON else ENDINGS[index] for index in got.tolist()] == list(expected)
+    assert GOES_ON not in range(len(ENDINGS))
 
 
 def test_steps_of_an_episode_are_an_option():
     task = TaskOptions(max_steps=3)
-    assert [ending(SS, steps, task) for steps in (2, 3)] == [None, "timeout"]
+    assert [ended(SS, steps, task) for steps in (2, 3)] == [None, "timeout"]
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nnql_bullet.env import stacked
 from nnql_bullet.experiment import Experiment, RunConfig
-from nnql_bullet.geometry import OrientedBox, Pose, as_rows, ray_distances
+from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at, ray_distances
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.twin import TwinSimulator, _caster_rates, cast_rays
+from nnql_bullet.sim.twin import TwinFleet, TwinSimulator, _caster_rates, cast_rays
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -76,8 +77,29 @@ boxes = st.lists(
 @given(boxes=boxes, yaw=st.floats(-pi, pi))
 @settings(deadline=None, max_examples=60)
 def test_the_ray_kernel_is_the_slab_method(boxes, yaw):
-    rows, angles = as_rows(tuple(boxes)), ray_angles() + yaw
-    assert cast_rays(0.0, 0.0, angles, rows, 10.0) == pytest.approx(ray_distances((0.0, 0.0), angles, rows, 10.0))
+    rows, angles = as_rows(tuple(boxes)), ray_angles()
+    distances = np.empty(len(angles))
+    cast_rays(0.0, 0.0, yaw, np.stack([np.cos(angles), np.sin(angles)], axis=1), rows, 10.0, distances)
+    expected = ray_distances((0.0, 0.0), angles + yaw, rows, 10.0)
+    assert distances == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_clearance_between_two_commands_is_missed(vehicle, seed):
+    """The twin looks only where the clearance may have become the smallest; here it is taken after every command."""
+    world = load_world("cover_20").draw(seed, 0.8)
+    footprint, turns = as_rows((vehicle.footprint,))[0], np.random.default_rng(seed)
+    fleet = TwinFleet(vehicle, DriveOptions(), 1, threads=1)
+    fleet.reset({0: world})
+    for _ in range(60):
+        motions, _ = fleet.advance(turns.choice(np.radians([0, 30, 60, -30, -60]), 1), np.ones(1, np.bool_))
+        taken = [clearance_at(*pose, footprint, world.solids) for pose in fleet.path(0).tolist()]
+        assert motions.clearance[0] == pytest.approx(min(taken), abs=1e-9)
+        assert motions.touching[0] == (min(taken) == 0.0)
+        assert len(taken) == 61 or motions.touching[0] or motions.at_target[0]
+        if motions.touching[0] or motions.at_target[0]:
+            break
+    fleet.close()
 
 
 def test_it_stops_at_a_wall_within_the_stride_of_one_command(vehicle):
@@ -114,4 +136,5 @@ def test_a_run_can_be_trained_in_it():
     experiment = Experiment(RunConfig(simulator="twin"))
     observation, _ = experiment.navigation.reset(experiment.world(0))
     assert isinstance(experiment.simulator, TwinSimulator)
-    assert experiment.navigation.step(experiment.agent.exploit(observation)).motion.speed == 2.0
+    (action,) = experiment.agent.exploit(stacked([observation])).tolist()
+    assert experiment.navigation.step(action).motion.speed == 2.0

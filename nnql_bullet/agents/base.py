@@ -3,31 +3,39 @@
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nnql_bullet.env import Observation, Transition
+from nnql_bullet.env import Observations, Transitions
 from nnql_bullet.geometry import Array
 
 
 class Agent(Protocol):
-    """Chooses among the environment's six actions, and learns from what comes of it."""
+    """Chooses among the environment's six actions for each of n vehicles, and learns from what comes of it."""
 
-    def begin_episode(self, episode: int) -> None:
-        """Told before each training episode, counted from 0."""
+    def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
+        """Actions (n,) for learning.
 
-    def explore(self, observation: Observation, rng: np.random.Generator) -> int:
-        """An action for learning."""
+        Args:
+            observations: Of n vehicles.
+            episodes: Which training episode each is in (n,), counted from 0.
+            uniforms: All the chance there is: a number in [0, 1) for each (n,).
+        """
 
-    def exploit(self, observation: Observation) -> int:
-        """The action the agent holds best."""
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """The actions (n,) that the agent holds best."""
 
-    def action_values(self, observation: Observation) -> Array:
-        """What it expects of the paper's five turns (5,); NaN where it did not ask itself."""
+    def action_values(self, observations: Observations) -> Array:
+        """What it expects of the paper's five turns (n, 5); NaN where it did not ask itself."""
 
-    def learn(self, transition: Transition) -> float | None:
-        """Learns from one step; the temporal-difference error, or None where there was nothing to learn."""
+    def learn(self, transitions: Transitions) -> Array:
+        """Learns from one step of n vehicles, at once.
 
-    def diagnostics(self) -> dict[str, float]:
-        """Named numbers of the present episode for the log."""
+        Returns:
+            Temporal-difference errors (n,); NaN where there was nothing to learn.
+        """
+
+    def diagnostics(self, episode: int) -> dict[str, float]:
+        """Named numbers of a training episode for the log."""
 
     def arrays(self) -> dict[str, Array]:
         """Everything that learning changes, by name: what a checkpoint keeps."""

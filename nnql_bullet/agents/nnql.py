@@ -4,11 +4,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observation, Transition, heading_change
+from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
@@ -71,9 +72,6 @@ class Nnql:
                 torch.nn.Linear(paper.HIDDEN_UNITS, len(paper.TURNS), dtype=torch.float64),
             )
         self.network.to_empty(device="cpu")
-        self.temperature = options.temperature_max
-        self._optimizer = torch.optim.SGD(self.network.parameters(), lr=options.gradient_step)
-        self._errors: list[float] = []
         generator = rng(seed, Stream.WEIGHTS)
         ranges = {"0.weight": options.hidden_weights, "2.weight": options.output_weights}
         weights = {name: np.zeros(value.shape) for name, value in self.arrays().items()}
@@ -81,57 +79,66 @@ class Nnql:
             weights[name] = generator.uniform(-limit, limit, weights[name].shape)
         self.load(weights)
 
-    def begin_episode(self, episode: int) -> None:
-        """Sets the episode's temperature."""
+    def temperature(self, episodes: NDArray[np.int64]) -> Array:
+        """T of eq. (3) in training episodes (n,), counted from 0."""
         o = self.options
-        progress = min(episode / (o.schedule_episodes - 1), 1.0)
-        self.temperature = o.temperature_max + (o.temperature_min - o.temperature_max) * progress
-        self._errors = []
+        progress = np.minimum(episodes / (o.schedule_episodes - 1), 1.0)
+        return np.asarray(o.temperature_max + (o.temperature_min - o.temperature_max) * progress)
 
-    def explore(self, observation: Observation, rng: np.random.Generator) -> int:
+    def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
         """Toward the target in a safe state (III.C), else by the Boltzmann distribution."""
-        if observation.property is Property.SAFE:
-            return TOWARD_TARGET
-        probabilities = boltzmann(self.action_values(observation), self.temperature)
-        return int(rng.choice(len(probabilities), p=probabilities))
+        actions = np.full(len(uniforms), TOWARD_TARGET)
+        asked = observations.property != Property.SAFE
+        if asked.any():
+            probabilities = boltzmann(self._values(observations.readings[asked]), self.temperature(episodes[asked]))
+            cumulated = probabilities.cumsum(axis=-1)
+            actions[asked] = (cumulated / cumulated[:, -1:] <= uniforms[asked, None]).sum(axis=-1)
+        return actions
 
-    def exploit(self, observation: Observation) -> int:
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
         """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
-        if observation.property is Property.SAFE:
-            return TOWARD_TARGET
-        return int(np.argmax(self.action_values(observation)))
+        actions = np.full(len(observations.property), TOWARD_TARGET)
+        asked = observations.property != Property.SAFE
+        if asked.any():
+            actions[asked] = self._values(observations.readings[asked]).argmax(axis=-1)
+        return actions
 
-    def action_values(self, observation: Observation) -> Array:
-        """Q(s, a) of the five turns (5,); NaN in safe states, where the network is not asked."""
-        if observation.property is Property.SAFE:
-            return np.full(len(paper.TURNS), np.nan)
-        with torch.no_grad():
-            values: Array = self.network(self._encoded(observation)).numpy()
+    def action_values(self, observations: Observations) -> Array:
+        """Q(s, a) of the five turns (n, 5); NaN in safe states, where the network is not asked."""
+        values = np.full((len(observations.property), len(paper.TURNS)), np.nan)
+        asked = observations.property != Property.SAFE
+        values[asked] = self._values(observations.readings[asked])
         return values
 
-    def learn(self, transition: Transition) -> float | None:
-        """One update of eq. (2): its right-hand side is the target of the selected output (III.B)."""
-        t = transition
-        action = t.a_tm1
-        if t.s_tm1.property is Property.SAFE:
-            if not self.options.learn_in_safe_states:
-                return None
-            action = nearest_turn(heading_change(action, t.s_tm1.target_bearing))
-        with torch.no_grad():
-            q_t = self.network(self._encoded(t.s_t))
-        q_tm1 = self.network(self._encoded(t.s_tm1))[action]
-        td_error = t.r_t + t.discount_t * self.options.discount * q_t.max() - q_tm1.detach()
-        target = q_tm1.detach() + self.options.learning_rate * td_error
-        self._optimizer.zero_grad()
-        (0.5 * (target - q_tm1) ** 2).backward()
-        self._optimizer.step()
-        self._errors.append(float(td_error))
-        return float(td_error)
+    def learn(self, transitions: Transitions) -> Array:
+        """One update of eq. (2): its right-hand side is the target of the selected output (III.B).
 
-    def diagnostics(self) -> dict[str, float]:
-        """Temperature, and the root mean square of the episode's temporal-difference errors."""
-        td_error = float(np.sqrt(np.mean(np.square(self._errors)))) if self._errors else 0.0
-        return {"temperature": self.temperature, "td_error": td_error}
+        The steps of several vehicles are learned from at once: the gradients of their squared errors add up, as those
+        of steps one after another would if the network stood still meanwhile.
+        """
+        t, o = transitions, self.options
+        td_errors = np.full(len(t.r_t), np.nan)
+        taught = np.flatnonzero(t.active & (o.learn_in_safe_states | (t.s_tm1.property != Property.SAFE)))
+        if len(taught) == 0:
+            return td_errors
+        turns = nearest_turns(heading_change(t.a_tm1[taught], t.s_tm1.target_bearing[taught]))
+        inputs = np.concatenate([t.s_tm1.readings[taught], t.s_t.readings[taught]])
+        q_before, q_t = self.network(self._encoded(inputs)).split(len(taught))
+        q_tm1 = q_before.gather(1, torch.from_numpy(turns)[:, None])[:, 0]
+        r_t, discount_t = torch.from_numpy(t.r_t[taught]), torch.from_numpy(t.discount_t[taught])
+        td_error = r_t + discount_t * o.discount * q_t.detach().amax(dim=-1) - q_tm1.detach()
+        # d/dq of 1/2 (target - q)^2, where the target of eq. (2) is q + learning_rate * td_error.
+        parameters = list(self.network.parameters())
+        gradients = torch.autograd.grad(q_tm1, parameters, -o.learning_rate * td_error)
+        with torch.no_grad():
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.sub_(gradient, alpha=o.gradient_step)
+        td_errors[taught] = td_error.numpy()
+        return td_errors
+
+    def diagnostics(self, episode: int) -> dict[str, float]:
+        """The temperature."""
+        return {"temperature": float(self.temperature(np.array(episode)))}
 
     def arrays(self) -> dict[str, Array]:
         """Weights W1 and W2 and their biases."""
@@ -145,24 +152,30 @@ class Nnql:
             raise UserError("these are not the weights of an NNQL network of 8-6-5 units")
         self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
 
-    def _encoded(self, observation: Observation) -> torch.Tensor:
-        return torch.from_numpy(encode(observation.readings, self.options.encoding))
+    def _values(self, readings: Array) -> Array:
+        """Q(s, a) (n, 5) of readings (n, 8) [m]."""
+        with torch.no_grad():
+            values: Array = self.network(self._encoded(readings)).numpy()
+        return values
+
+    def _encoded(self, readings: Array) -> torch.Tensor:
+        return torch.from_numpy(encode(readings, self.options.encoding))
 
 
 def encode(readings: Array, encoding: str) -> Array:
-    """Network inputs (8,) of the readings (8,) [m]: see `NnqlOptions.encoding`."""
+    """Network inputs (..., 8) of readings (..., 8) [m]: see `NnqlOptions.encoding`."""
     nearness = 1.0 - readings / paper.SENSOR_RANGE
     if encoding == "proximity":
         return nearness
     return np.where(readings < paper.SENSOR_RANGE, 1.0 - nearness, 0.0)
 
 
-def boltzmann(values: Array, temperature: float) -> Array:
-    """Probabilities of eq. (3)."""
-    weights = np.exp((values - values.max()) / temperature)
-    return np.asarray(weights / weights.sum())
+def boltzmann(values: Array, temperature: Array) -> Array:
+    """Probabilities (n, 5) of eq. (3) for values (n, 5) and temperatures (n,)."""
+    weights = np.exp((values - values.max(axis=-1, keepdims=True)) / temperature[:, None])
+    return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
 
-def nearest_turn(heading_change: float) -> int:
-    """The paper's turn closest to a heading change [rad]."""
-    return int(np.argmin([abs(turn - heading_change) for turn in paper.TURNS]))
+def nearest_turns(heading_changes: Array) -> NDArray[np.int64]:
+    """The paper's turns closest to heading changes (n,) [rad], by number (n,)."""
+    return np.asarray(np.abs(np.array(paper.TURNS) - heading_changes[:, None]).argmin(axis=-1))

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     if UNSUPPORTED_PYTHON:
         return complain(UNSUPPORTED_PYTHON)
     try:
-        from nnql_bullet.cli.main import run  # after the check: its imports need what other Pythons cannot install
+        from nnql_bullet.cli.parser import run  # after the check: its imports need what other Pythons cannot install
 
         return run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:

@@ -16,6 +16,7 @@ from nnql_bullet.cli.doctor import doctor
 from nnql_bullet.cli.navigate import navigate
 from nnql_bullet.cli.train import train
 from nnql_bullet.errors import UserError
+from nnql_bullet.sim.base import WorkerDied
 
 VERBS: dict[str, Callable[..., int]] = {"train": train, "navigate": navigate, "doctor": doctor}
 
@@ -46,6 +47,9 @@ def run(arguments: list[str]) -> int:
         return _call(verb, rest)
     except UserError as error:
         return complain(str(error))
+    except WorkerDied as error:
+        complain(str(error))
+        return 1
     except OSError as error:
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
 

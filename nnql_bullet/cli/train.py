@@ -4,23 +4,26 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Literal
 
+import torch
 import tyro
 
 from nnql_bullet.agents import Agent
-from nnql_bullet.cli.console import err, progress, say
+from nnql_bullet.cli.console import complain, err, progress, say
+from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, load_config
 from nnql_bullet.reports.plots import draw_learning_curve
-from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, create_run, open_run
+from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, open_run
+from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.training import loop
 
-SAVE_EVERY = 10
-"""Episodes from one checkpoint to the next."""
+SAVE_EVERY = 5.0
+"""Seconds from one checkpoint to the next."""
 RECENT = 100
 """Episodes that the shown success is over."""
 
@@ -36,6 +39,8 @@ def train(
     physics: Annotated[
         Literal["fast", "reference"] | None, tyro.conf.arg(metavar="fast|reference", help_behavior_hint="")
     ] = None,
+    vehicles: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
@@ -49,71 +54,103 @@ def train(
 
         nnql-bullet train
         nnql-bullet train --config literal --seed 3 --out runs/mine
+        nnql-bullet train --vehicles 32 --out runs/quick
+        nnql-bullet train --vehicles 32 --sim twin --out runs/quicker
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
         config: Preset (paper, literal) or TOML file; default paper.
-        sim: Contact physics (bullet, the default) or the ideal vehicle (twin: no slip, some ten times faster).
+        sim: Contact physics (bullet, the default) or the ideal vehicle (twin: no slip, much faster).
         episodes: Training episodes in all; default 1000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper.
         physics: Solver settings of contact physics; default fast.
+        vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
+        workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
         out: Run folder; default runs/CONFIG-SEED.
         resume: Go on with the run in this folder, bit for bit as if it had never stopped.
         overwrite: Start anew in a folder that holds a run already.
     """
     if resume is not None:
         fixed = {"--config": config, "--sim": sim, "--seed": seed, "--world": world, "--physics": physics, "--out": out}
+        fixed["--vehicles"] = vehicles
         given = [flag for flag, value in fixed.items() if value is not None] + ["--overwrite"] * overwrite
         if given:
             raise UserError(f"{given[0]} cannot go with --resume: a run goes on as it was configured")
-        run, agent = open_run(resume, episodes, lambda c: Experiment(c).agent)
+        run, state = open_run(resume, episodes)
+        if len(run.episodes) == run.config.episodes:
+            say(f"{run.folder} has its {run.config.episodes} episodes already; give more with --episodes")
+            return 0
         experiment = Experiment(run.config)
     else:
         name = config or "paper"
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
-        resolved = load_config(name, changes)
-        experiment = Experiment(resolved)
-        # What is wrong with world, robot or drive shows before anything is written.
-        experiment.navigation.reset(experiment.training_world(0))
+        resolved = load_config(name, {**changes, "vehicles": vehicles})
+        experiment, state = Experiment(resolved), None
+        experiment.training_world(0)  # what is wrong with world or robot shows before anything is written
+        run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
+    c = run.config
+    torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
+    with closing(experiment.fleet(workers)) as fleet:
         agent = experiment.agent
-        folder = out or Path("runs") / f"{Path(name).stem}-{resolved.seed}"
-        run = create_run(folder, resolved, overwrite)
-    total = run.config.episodes
-    if len(run.episodes) == total:
-        say(f"{run.folder} has its {total} episodes already; give more with --episodes")
+        navigation = FleetNavigation(fleet, c.task)
+        training = loop.Training(agent, navigation, experiment.training_world, c.seed)
+        where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
+        several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
+        try:
+            if state:
+                agent.load(state.learned)
+                training.load(state.under_way)
+            if resume is None:
+                run.create(overwrite)
+            else:
+                run.save_config()
+            say(f"training {c.agent.kind} in {where}, world '{c.world}'{several}")
+            finished, died = _run(run, agent, training), None
+        except WorkerDied as error:
+            finished, died = False, error
+    if run.episodes:
+        draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
+        say(f"learning curve: {run.folder / LEARNING_CURVE}")
+    if finished:
+        say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet navigate {run.folder}")
         return 0
-    where = "the ideal twin" if run.config.simulator == "twin" else f"{run.config.physics} contact physics"
-    say(f"training {run.config.agent.kind} in {where}, world '{run.config.world}'")
-    finished = _run(run, experiment, agent)
-    draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
-    say(f"learning curve: {run.folder / LEARNING_CURVE}")
-    if not finished:
-        done = len(run.episodes)
-        say(f"stopped after episode {done} of {total}; go on with: nnql-bullet train --resume {run.folder}")
-        return 130
-    say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet navigate {run.folder}")
-    return 0
+    stopped = f"stopped after episode {len(run.episodes)} of {c.episodes}"
+    go_on = f"go on with: nnql-bullet train --resume {run.folder}"
+    if died:
+        complain(f"{died}; {stopped}; {go_on}")
+        return 1
+    say(f"{stopped}; {go_on}")
+    return 130
 
 
-def _run(run: Run, experiment: Experiment, agent: Agent) -> bool:
-    """Trains to the end or to an interrupt, with checkpoints; whether it came to the end."""
-    total, done = run.config.episodes, len(run.episodes)
-    episodes = loop.train(agent, experiment.navigation, experiment.training_world, run.config.seed, range(done, total))
+def _run(run: Run, agent: Agent, training: loop.Training) -> bool:
+    """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
+
+    Raises:
+        WorkerDied: If a worker process is gone; a checkpoint is written before.
+    """
+    total, begin = run.config.episodes, time.monotonic()
     recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
-    steps, begin = 0, time.monotonic()
-    with _interrupts() as interrupted, progress("training", total, done) as show:
-        for episode in episodes:
-            run.episodes.append(episode)
-            recent.append(episode.summary.ending == "goal")
-            steps += episode.summary.steps
-            rate = steps / (time.monotonic() - begin)
-            success = sum(recent) / len(recent)
-            show(len(run.episodes), f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s")
-            if interrupted() or len(run.episodes) % SAVE_EVERY == 0 or len(run.episodes) == total:
-                run.save(agent)
-            if interrupted():
-                break
+    steps, saved = 0, begin
+    with _interrupts() as interrupted, progress("training", total, len(run.episodes)) as show:
+        try:
+            for episode in training.episodes():
+                run.episodes.append(episode)
+                recent.append(episode.summary.ending == "goal")
+                steps += episode.summary.steps
+                done, now = len(run.episodes), time.monotonic()
+                success, rate = sum(recent) / len(recent), steps / (now - begin)
+                show(done, f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s")
+                if interrupted() or done == total or now - saved >= SAVE_EVERY:
+                    run.save(agent, training)
+                    saved = now
+                if interrupted() or done == total:
+                    break
+        except WorkerDied:
+            run.save(agent, training)
+            if not interrupted():  # else whatever interrupted this process reached that one too
+                raise
     return len(run.episodes) == total
 
 

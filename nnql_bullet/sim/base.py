@@ -1,14 +1,17 @@
 """The seam between the task and what moves the vehicle: what every simulator is."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Pose
+from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import Scan
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -88,6 +91,66 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Frees what it holds. It cannot be used after that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """What one control period did to each of n vehicles: see `Motion`."""
+
+    pose: Array
+    """x, y [m], yaw [rad] at its end (n, 3)."""
+    yaw_rate: Array
+    """(n,) [rad/s]"""
+    duration: Array
+    """(n,) [s]"""
+    path_length: Array
+    """(n,) [m]"""
+    clearance: Array
+    """(n,) [m]"""
+    heading_error: Array
+    """(n,) [rad]"""
+    touching: NDArray[np.bool_]
+    """(n,)"""
+    at_target: NDArray[np.bool_]
+    """(n,)"""
+
+
+class Fleet(Protocol):
+    """n vehicles in lockstep, each in a world of its own, none of which the others notice."""
+
+    @property
+    def size(self) -> int:
+        """How many vehicles: n."""
+
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
+        """Puts some vehicles on the start of a world each, as `Simulator.reset` does.
+
+        Returns:
+            Their poses (k, 3) and ray distances (k, 72) [m], in the order of `worlds`.
+        """
+
+    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+        """Drives one control period, as `Simulator.advance` does.
+
+        The arrays returned may be overwritten by the next call.
+
+        Args:
+            heading_changes: Wanted changes from the present yaws (n,) [rad].
+            active: Which vehicles drive (n,); the others stand by, and their rows in the result mean nothing.
+
+        Returns:
+            The motions, and the ray distances (n, 72) [m] at their end.
+
+        Raises:
+            WorkerDied: If a process that holds some of them is gone.
+        """
+
+    def close(self) -> None:
+        """Frees what it holds. It cannot be used after that."""
+
+
+class WorkerDied(Exception):
+    """A worker process is gone; the message names it."""
 
 
 @options

@@ -1,76 +1,235 @@
 """The ideal twin: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
 
-The vehicle follows the yaw-rate profile exactly, as a unicycle of constant speed (Siegwart and Nourbakhsh, Autonomous
-Robots, 3.2). The footprint collides as the oriented box it is, looked at after every wheel command.
+A vehicle follows the yaw-rate profile exactly, as a unicycle of constant speed (Siegwart and Nourbakhsh, Autonomous
+Robots, 3.2). Its footprint collides as the oriented box it is, looked at after every wheel command. The kernels step
+many vehicles in as many worlds on all cores, and allocate nothing.
 """
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache
+from math import hypot
+from threading import Timer
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
-from nnql_bullet.sensing import Scan, ray_angles, scan_from
-from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
+from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
+from nnql_bullet.sensing import RAYS, Scan, ray_angles, scan_from
+from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Motions, Sample, whole_steps
+from nnql_bullet.vehicle.drive import sample_profile, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
+SHARE = 16
+"""Vehicles that are worth a thread of their own."""
+
+_GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
+
+
+class _Constants(NamedTuple):
+    """What is the same for all vehicles at all times."""
+
+    stride: float
+    """Way of the axle from one wheel command to the next [m]."""
+    times: Array
+    """Of the commands of a control period, and of its start (k + 1,) [s]."""
+    most_rate: float
+    """[rad/s]"""
+    acceleration: float
+    """[rad/s2]"""
+    footprint: Array
+    """A row of `as_rows` (6,)."""
+    farthest: float
+    """Of the footprint's points from the axle [m]."""
+    sensor: Array
+    """x, y in the vehicle frame (2,) [m]."""
+    directions: Array
+    """Of the rays in the vehicle frame (72, 2)."""
+
+
+class _State(NamedTuple):
+    """Vehicles and their worlds."""
+
+    pose: Array
+    """(n, 3)"""
+    yaw_rate: Array
+    """(n,)"""
+    clearance: Array
+    """At `pose` (n,) [m]."""
+    solids: Array
+    """Rows of `as_rows`, of which each world fills the first (n, most, 6)."""
+    solid_count: NDArray[np.int64]
+    """(n,)"""
+    target: Array
+    """x, y, radius (n, 3) [m]."""
+
+
+class _Period(NamedTuple):
+    """What a control period leaves."""
+
+    rates: Array
+    """After each command (n, k + 1) [rad/s]."""
+    headings: Array
+    """Likewise, since the start (n, k + 1) [rad]."""
+    path: Array
+    """Poses after each command (n, k + 1, 3)."""
+    near: Array
+    """Room for the solids that may come close (n, most, 6)."""
+    commands: NDArray[np.int64]
+    """How many were carried out (n,)."""
+    clearance: Array
+    """Smallest (n,) [m]."""
+    heading_error: Array
+    """(n,) [rad]"""
+    event: NDArray[np.int64]
+    """What ended it (n,)."""
+    ray_distances: Array
+    """At its end (n, 72) [m]."""
+
+
+class TwinFleet:
+    """n ideal vehicles. See `sim.base.Fleet` for the contract.
+
+    The first one made on a machine waits while the kernels are compiled; they are then kept on disk.
+    """
+
+    def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, size: int, threads: int | None = None) -> None:
+        """Sets up the vehicles, in no world yet.
+
+        Args:
+            vehicle: What they are.
+            drive: How decisions reach the wheels.
+            size: How many.
+            threads: That the work is shared among, whatever the result; as many as there are cores if not given.
+        """
+        self.vehicle = vehicle
+        self.drive = drive
+        self.size = size
+        commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
+        footprint, angles = vehicle.footprint, ray_angles()
+        farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
+        self._constants = _Constants(
+            stride=drive.speed / COMMAND_RATE,
+            times=np.arange(commands + 1) / COMMAND_RATE,
+            most_rate=vehicle.limits.yaw_rate,
+            acceleration=vehicle.limits.yaw_acceleration,
+            footprint=as_rows((footprint,))[0],
+            farthest=farthest,
+            sensor=np.array(vehicle.sensor[:2]),
+            directions=np.stack([np.cos(angles), np.sin(angles)], axis=1),
+        )
+        self._state = _empty_state(size)
+        self._period = _empty_period(size, commands)
+        self._threads = threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads)
+        _compile()
+
+    def close(self) -> None:
+        """Ends its threads."""
+        self._pool.shutdown()
+
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
+        """Puts some vehicles on the start of a world each, at the drive's speed."""
+        self._make_room(max((len(world.solids) for world in worlds.values()), default=0))
+        state = self._state
+        for i, world in worlds.items():
+            start, count = world.start, len(world.solids)
+            state.pose[i] = start.x, start.y, start.yaw
+            state.yaw_rate[i] = 0.0
+            state.solids[i, :count] = world.solids
+            state.solid_count[i] = count
+            state.target[i] = *world.target, world.target_radius
+            state.clearance[i] = clearance_at(*state.pose[i].tolist(), self._constants.footprint, world.solids)
+        vehicles = np.array(list(worlds), dtype=np.int64)
+        self._share(_scan, vehicles, self._constants, state, self._period)
+        return state.pose[vehicles], self._period.ray_distances[vehicles]
+
+    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+        """Follows each turn's profile for one control period, or up to the first contact or the target."""
+        period = self._period
+        self._share(_advance, np.flatnonzero(active), heading_changes, self._constants, self._state, period)
+        motions = Motions(
+            pose=self._state.pose,
+            yaw_rate=self._state.yaw_rate,
+            duration=period.commands / COMMAND_RATE,
+            path_length=np.asarray(period.commands * self._constants.stride),
+            clearance=period.clearance,
+            heading_error=period.heading_error,
+            touching=period.event == _TOUCHING,
+            at_target=period.event == _AT_TARGET,
+        )
+        return motions, period.ray_distances
+
+    def path(self, vehicle: int) -> Array:
+        """Poses of the last control period (k + 1, 3), from its start, after each command carried out."""
+        return self._period.path[vehicle, : self._period.commands[vehicle] + 1]
+
+    def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
+        """Calls a kernel, which lets go of the interpreter, for a share of the vehicles in each thread."""
+        mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // SHARE)))
+        waiting = [self._pool.submit(kernel, share, *arguments) for share in others]
+        kernel(mine, *arguments)
+        for future in waiting:
+            future.result()
+
+    def _make_room(self, most: int) -> None:
+        """Lets each world have so many solids."""
+        room = self._state.solids.shape[1]
+        if most > room:
+            grown = np.zeros((self.size, most, 6))
+            grown[:, :room] = self._state.solids
+            self._state = self._state._replace(solids=grown)
+            self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
+
 
 class TwinSimulator:
-    """One ideal vehicle in one world. See `sim.base.Simulator` for the contract."""
+    """One ideal vehicle in one world: a fleet of one. See `sim.base.Simulator` for the contract."""
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self.vehicle = vehicle
         self.drive = drive
         self.control_period = drive.decision_period
-        commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
-        self._command_times = np.arange(commands + 1) / COMMAND_RATE
-        self._footprint = as_rows((vehicle.footprint,))[0]
-        self._ray_angles = ray_angles()
+        self._fleet = TwinFleet(vehicle, drive, 1, threads=1)
         self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
 
     def close(self) -> None:
-        """There is nothing to free."""
+        """Ends its fleet."""
+        self._fleet.close()
 
     def reset(self, world: WorldSpec) -> None:
         """Puts the vehicle on the world's start, at the drive's speed."""
-        self._world = world
+        _, (self._ray_distances,) = self._fleet.reset({0: world})
         self._pose = world.start
-        self._yaw_rate = 0.0
         self._time = 0.0
         self._joints = np.zeros(4)
 
     def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target."""
-        begin, speed, world = self._pose, self.drive.speed, self._world
-        turn = plan_turn(self._yaw_rate, heading_change, self.vehicle.limits)
-        rates, headings = sample_turn(turn, self._command_times)
-        poses, clearances, event = _follow(
-            np.array([begin.x, begin.y, begin.yaw]),
-            headings,
-            speed / COMMAND_RATE,
-            self._footprint,
-            world.solids,
-            np.array([*world.target, world.target_radius]),
-        )
-        commands = len(poses) - 1
+        m, rays = self._fleet.advance(np.array([heading_change]), np.ones(1, np.bool_))
+        self._ray_distances = rays[0].copy()
+        self._pose, yaw_rate, duration = Pose(*m.pose[0].tolist()), float(m.yaw_rate[0]), float(m.duration[0])
+        touching, at_target = bool(m.touching[0]), bool(m.at_target[0])
         if trace is not None:
-            self._extend(trace, poses, np.diff(headings[: commands + 1]) * COMMAND_RATE, over=event != 0)
-        x, y, yaw = poses[-1].tolist()
-        self._pose = Pose(x, y, wrap_angle(yaw))
-        self._yaw_rate = float(rates[commands])
-        self._time += commands / COMMAND_RATE
+            self._extend(trace, self._fleet.path(0), over=touching or at_target)
+        self._time += duration
         return Motion(
             pose=self._pose,
-            speed=speed,
-            yaw_rate=self._yaw_rate,
-            wheel_speeds=wheel_speeds(speed, self._yaw_rate, self.vehicle.track, self.vehicle.wheel_radius),
-            duration=commands / COMMAND_RATE,
-            path_length=speed * commands / COMMAND_RATE,
-            clearance=float(clearances.min()),
-            heading_error=wrap_angle(begin.yaw + heading_change - yaw),
-            touching=event == _TOUCHING,
-            at_target=event == _AT_TARGET,
+            speed=self.drive.speed,
+            yaw_rate=yaw_rate,
+            wheel_speeds=self._wheel_speeds(yaw_rate),
+            duration=duration,
+            path_length=float(m.path_length[0]),
+            clearance=float(m.clearance[0]),
+            heading_error=float(m.heading_error[0]),
+            touching=touching,
+            at_target=at_target,
         )
 
     def pose(self) -> Pose:
@@ -79,82 +238,219 @@ class TwinSimulator:
 
     def scan(self) -> Scan:
         """Rays from the sensor, by the slab method."""
-        ahead, left, _ = self.vehicle.sensor
-        x, y, yaw = self._pose.x, self._pose.y, self._pose.yaw
-        origin_x, origin_y = x + np.cos(yaw) * ahead - np.sin(yaw) * left, y + np.sin(yaw) * ahead + np.cos(yaw) * left
-        return scan_from(cast_rays(origin_x, origin_y, self._ray_angles + yaw, self._world.solids, paper.SENSOR_RANGE))
+        return scan_from(self._ray_distances)
 
-    def _extend(self, trace: list[Sample], poses: Array, yaw_rates: Array, over: bool) -> None:
+    def _wheel_speeds(self, yaw_rate: float) -> tuple[float, float]:
+        left, right = wheel_speeds(self.drive.speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
+        return left, right
+
+    def _extend(self, trace: list[Sample], path: Array, over: bool) -> None:
         """Samples between the decisions; the joints turn as the wheels roll."""
-        for command, yaw_rate in enumerate(yaw_rates.tolist(), 1):
-            left, right = wheel_speeds(self.drive.speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
+        yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
+        for command, yaw_rate in enumerate(yaw_rates, 1):
+            left, right = self._wheel_speeds(yaw_rate)
             swivel, roll = _caster_rates(self._joints[2], self.drive.speed, yaw_rate, *self._caster)
             self._joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
             if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
-                x, y, yaw = poses[command].tolist()
+                x, y, yaw = path[command].tolist()
                 a, b, c, d = self._joints.tolist()
                 time = self._time + command / COMMAND_RATE
                 trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
 
 
-_TOUCHING, _AT_TARGET = 1, 2
+def _empty_state(size: int) -> _State:
+    return _State(
+        pose=np.zeros((size, 3)),
+        yaw_rate=np.zeros(size),
+        clearance=np.zeros(size),
+        solids=np.zeros((size, 0, 6)),
+        solid_count=np.zeros(size, np.int64),
+        target=np.zeros((size, 3)),
+    )
+
+
+def _empty_period(size: int, commands: int) -> _Period:
+    return _Period(
+        rates=np.zeros((size, commands + 1)),
+        headings=np.zeros((size, commands + 1)),
+        path=np.zeros((size, commands + 1, 3)),
+        near=np.zeros((size, 0, 6)),
+        commands=np.zeros(size, np.int64),
+        clearance=np.zeros(size),
+        heading_error=np.zeros(size),
+        event=np.zeros(size, np.int64),
+        ray_distances=np.zeros((size, RAYS)),
+    )
+
+
+@cache
+def _compile() -> None:
+    """Compiles the kernels, or loads them from disk, by calling them for nobody."""
+    none, some = np.zeros(0, np.int64), np.zeros(1)
+    constants = _Constants(0.0, some, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
+    with _announced("compiling the ideal vehicle; it is kept on disk, so this happens once"):
+        _advance(none, some[:0], constants, _empty_state(0), _empty_period(0, 0))
+        _scan(none, constants, _empty_state(0), _empty_period(0, 0))
+
+
+@contextmanager
+def _announced(what: str, after: float = 1.0) -> Iterator[None]:
+    """Says what is waited for, if it takes longer than `after` [s]."""
+    timer = Timer(after, logging.getLogger(__name__).warning, [what])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@numba.njit(cache=True, nogil=True)
+def _advance(
+    vehicles: NDArray[np.int64], heading_changes: Array, constants: _Constants, state: _State, period: _Period
+) -> None:
+    """One control period of some vehicles, and their scans."""
+    for i in vehicles:
+        _advance_one(i, heading_changes[i], constants, state, period)
+        _scan_one(i, constants, state, period)
+
+
+@numba.njit(cache=True, nogil=True)
+def _scan(vehicles: NDArray[np.int64], constants: _Constants, state: _State, period: _Period) -> None:
+    """The scans of some vehicles."""
+    for i in vehicles:
+        _scan_one(i, constants, state, period)
+
+
+@numba.njit(cache=True)
+def _advance_one(i: int, heading_change: float, constants: _Constants, state: _State, period: _Period) -> None:
+    start_rate, yaw = state.yaw_rate[i], state.pose[i, 2]
+    rates, headings, path = period.rates[i], period.headings[i], period.path[i]
+    peak, rise, hold, fall = turn_profile(start_rate, heading_change, constants.most_rate, constants.acceleration)
+    sample_profile(start_rate, peak, rise, hold, fall, constants.times, rates, headings)
+    path[0, 0], path[0, 1], path[0, 2] = state.pose[i]
+    for k in range(1, len(headings)):
+        # The chord of an arc points along its middle heading.
+        middle = yaw + (headings[k - 1] + headings[k]) / 2
+        path[k, 0] = path[k - 1, 0] + constants.stride * np.cos(middle)
+        path[k, 1] = path[k - 1, 1] + constants.stride * np.sin(middle)
+        path[k, 2] = yaw + headings[k]
+    # No point of the footprint goes farther than this from one command to the next.
+    quickest = max(abs(start_rate), abs(peak))
+    hop = constants.stride + quickest / COMMAND_RATE * constants.farthest
+    near = _near(i, hop * (len(path) - 1), constants, state, period)
+    last, event, smallest, left = _follow(path, state.target[i], state.clearance[i], hop, constants.footprint, near)
+    state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
+    state.yaw_rate[i] = rates[last]
+    state.clearance[i] = left
+    period.commands[i] = last
+    period.clearance[i] = smallest
+    period.heading_error[i] = wrap_angle(heading_change - headings[last])
+    period.event[i] = event
+
+
+@numba.njit(cache=True)
+def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> Array:
+    """Solids that may be nearest at some time of the control period, in which nothing moves farther than `travel` [m].
+
+    Meanwhile the nearest may get farther off by that much, and another as much nearer.
+    """
+    footprint, (x, y, yaw) = constants.footprint, state.pose[i]
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    reach = state.clearance[i] + 2 * travel + np.hypot(footprint[2], footprint[3])
+    near: Array = period.near[i]
+    count = 0
+    for j in range(state.solid_count[i]):
+        if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
+            for column in range(6):  # a whole row at once takes seconds to compile
+                near[count, column] = state.solids[i, j, column]
+            count += 1
+    return near[:count]
 
 
 @numba.njit(cache=True)
 def _follow(
-    pose: Array, headings: Array, stride: float, footprint: Array, solids: Array, target: Array
-) -> tuple[Array, Array, int]:
-    """Moves along `headings` (k + 1,) [rad] by `stride` [m] each, up to the first contact or the target.
+    path: Array, target: Array, clearance: float, hop: float, footprint: Array, solids: Array
+) -> tuple[int, int, float, float]:
+    """Follows a path (k + 1, 3) up to the first contact or the target.
+
+    Clearances are taken only where they can matter: from one command to the next none changes by more than `hop` [m].
+
+    Args:
+        path: Poses.
+        target: x, y, radius [m].
+        clearance: At the path's start [m].
+        hop: Farthest that any point of the footprint goes from one pose to the next [m].
+        footprint: A row (6,) in the vehicle's frame.
+        solids: Rows (n, 6) of `as_rows`.
 
     Returns:
-        Poses (j + 1, 3) from the start to the last reached, clearances (j + 1,) [m] there, and what ended it.
+        Index of the last pose reached, what ended it, the smallest clearance on the way and that at the end [m].
     """
-    poses, clearances = np.empty((len(headings), 3)), np.empty(len(headings))
-    poses[0] = pose
-    clearances[0] = clearance_at(pose[0], pose[1], pose[2], footprint, solids)
-    for k in range(1, len(headings)):
-        # The chord of an arc points along its middle heading.
-        middle = pose[2] + (headings[k - 1] + headings[k]) / 2
-        poses[k, 0] = poses[k - 1, 0] + stride * np.cos(middle)
-        poses[k, 1] = poses[k - 1, 1] + stride * np.sin(middle)
-        poses[k, 2] = pose[2] + headings[k]
-        clearances[k] = clearance_at(poses[k, 0], poses[k, 1], poses[k, 2], footprint, solids)
-        if clearances[k] <= 0.0:
-            return poses[: k + 1], clearances[: k + 1], _TOUCHING
-        if np.hypot(poses[k, 0] - target[0], poses[k, 1] - target[1]) <= target[2]:
-            return poses[: k + 1], clearances[: k + 1], _AT_TARGET
-    return poses, clearances, 0
+    last, event = len(path) - 1, _GOES_ON
+    for k in range(1, len(path)):
+        if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
+            last, event = k, _AT_TARGET
+            break
+    smallest = now = clearance
+    if clearance <= hop * last:
+        for k in range(1, last + 1):
+            now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
+            smallest = min(smallest, now)
+            if now <= 0.0:
+                return k, _TOUCHING, 0.0, 0.0
+        return last, event, smallest, now
+    end = clearance_at(path[last, 0], path[last, 1], path[last, 2], footprint, solids)
+    smallest = min(clearance, end)
+    k = 1 + int((now - smallest) / hop)
+    while k < last:
+        now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
+        smallest = min(smallest, now)
+        k += 1 + int((now - smallest) / hop)
+    return last, event, smallest, end
 
 
 @numba.njit(cache=True)
-def cast_rays(x: float, y: float, angles: Array, boxes: Array, sensor_range: float) -> Array:
+def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> None:
+    (x, y, yaw), (ahead, left) = state.pose[i], constants.sensor
+    c, s = np.cos(yaw), np.sin(yaw)
+    solids = state.solids[i, : state.solid_count[i]]
+    x, y = x + c * ahead - s * left, y + s * ahead + c * left
+    cast_rays(x, y, yaw, constants.directions, solids, paper.SENSOR_RANGE, period.ray_distances[i])
+
+
+@numba.njit(cache=True)
+def cast_rays(
+    x: float, y: float, yaw: float, directions: Array, boxes: Array, sensor_range: float, distances: Array
+) -> None:
     """Where rays first meet a box: `geometry.ray_distances` as a kernel, one box at a time.
 
     Args:
         x: Where the rays start [m].
         y: Where the rays start [m].
-        angles: Their directions in the world (m,) [rad].
+        yaw: Of the frame that the directions are given in [rad].
+        directions: Unit vectors (m, 2).
         boxes: Rows (n, 6) of `geometry.as_rows`.
         sensor_range: What a ray that meets nothing reads [m].
-
-    Returns:
-        Distances (m,) [m].
+        distances: Filled with the distances (m,) [m].
     """
-    distances = np.full(len(angles), sensor_range)
+    distances[:] = sensor_range
+    c, s = np.cos(yaw), np.sin(yaw)
     for box in boxes:
+        if squared_distance(x, y, box) >= sensor_range * sensor_range:
+            continue
         dx, dy = x - box[0], y - box[1]
         start_x, start_y = box[4] * dx + box[5] * dy, box[4] * dy - box[5] * dx
-        gap_x, gap_y = max(abs(start_x) - box[2], 0.0), max(abs(start_y) - box[3], 0.0)
-        if np.hypot(gap_x, gap_y) >= sensor_range:
-            continue
-        for i, angle in enumerate(angles):
-            c, s = np.cos(angle), np.sin(angle)
-            enter_x, leave_x = _slab(start_x, box[4] * c + box[5] * s, box[2])
-            enter_y, leave_y = _slab(start_y, box[4] * s - box[5] * c, box[3])
+        # The vehicle's frame turned into the box's.
+        cos_turn, sin_turn = box[4] * c + box[5] * s, box[4] * s - box[5] * c
+        for i in range(len(directions)):
+            ux, uy = directions[i, 0], directions[i, 1]
+            enter_x, leave_x = _slab(start_x, cos_turn * ux - sin_turn * uy, box[2])
+            enter_y, leave_y = _slab(start_y, sin_turn * ux + cos_turn * uy, box[3])
             enter = max(enter_x, enter_y, 0.0)
             if enter <= min(leave_x, leave_y) and enter < distances[i]:
                 distances[i] = enter
-    return distances
 
 
 @numba.njit(cache=True)

@@ -1,13 +1,26 @@
-"""Training (III.C): episode after episode in a new world each, learning at every step."""
+"""Training (III.C): episode after episode in a new world each, learning at every step.
+
+One policy learns from n vehicles in lockstep. A vehicle whose episode is over takes the next one that nobody has begun,
+so all of them drive all the time, and what comes out depends on the seed and on n alone. With one vehicle this is the
+paper's online learning.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.agents import Agent
-from nnql_bullet.env import Navigation
-from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.env import FleetNavigation
+from nnql_bullet.errors import UserError
+from nnql_bullet.rollout import EpisodeSummary, Tally
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.worlds.spec import WorldSpec
+
+_NONE = -1
+"""In place of the number of an episode or of an action: there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,27 +28,116 @@ class TrainingEpisode:
     """One finished training episode."""
 
     episode: int
-    """Counted from 0."""
+    """Counted from 0, in the order in which they began."""
     summary: EpisodeSummary
     diagnostics: dict[str, float]
-    """Of the agent."""
+    """Of the agent, and the root mean square of the episode's temporal-difference errors."""
 
 
-def train(
-    agent: Agent, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int, episodes: range
-) -> Iterator[TrainingEpisode]:
-    """Runs `episodes` one by one, and yields after each; between two, the agent is all the state there is.
+class Training:
+    """A training as far as it has come.
 
-    Every episode draws from generators of its own, so one that starts at episode 50 goes on exactly as one that came
-    there.
+    When a vehicle finishes an episode, others are under way. What is kept of those are their actions: a simulator that
+    is given the same actions again does the same again, bit for bit.
     """
-    for episode in episodes:
-        generator = rng(seed, Stream.POLICY, episode)
-        agent.begin_episode(episode)
-        summary = run_episode(
-            navigation,
-            world_of(episode),
-            policy=lambda observation, generator=generator: agent.explore(observation, generator),  # type: ignore[misc]
-            learn=agent.learn,
-        )
-        yield TrainingEpisode(episode, summary, agent.diagnostics())
+
+    def __init__(
+        self, agent: Agent, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
+    ) -> None:
+        self._agent = agent
+        self._navigation = navigation
+        self._world_of = world_of
+        self._seed = seed
+        n, most = navigation.fleet.size, navigation.task.max_steps
+        self._vehicles = np.arange(n)
+        self._next_episode = 0
+        self._episode = np.full(n, _NONE)
+        self._actions = np.full((n, most), _NONE, np.int8)
+        self._uniforms = np.zeros((n, most))
+        self._squared_errors, self._updates = np.zeros(n), np.zeros(n, np.int64)
+        self._tally = Tally(n)
+        self._worlds: dict[int, WorldSpec] = {}
+
+    def episodes(self) -> Iterator[TrainingEpisode]:
+        """Trains without end, and yields each episode as it finishes; `arrays` may be asked for in between.
+
+        Raises:
+            WorkerDied: If a process that holds vehicles is gone; `arrays` then gives the state before this step.
+        """
+        while True:
+            for vehicle in self._vehicles.tolist():
+                if self._episode[vehicle] != _NONE and self._tally.over[vehicle]:
+                    yield self._finish(vehicle)
+                if self._episode[vehicle] == _NONE:
+                    self._episode[vehicle] = self._next_episode
+                    self._next_episode += 1
+                    self._begin(vehicle)
+            self._step()
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What to go on from, beside what the agent has learned."""
+        longest = int((self._actions != _NONE).sum(axis=1).max())
+        return {
+            "next_episode": np.array([self._next_episode]),
+            "episode": self._episode.copy(),
+            "actions": self._actions[:, :longest].copy(),
+            "squared_errors": self._squared_errors.copy(),
+            "updates": self._updates.copy(),
+        }
+
+    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `arrays` gave, and drives the episodes that were under way up to where they were.
+
+        Raises:
+            UserError: If these are not the arrays of a training with as many vehicles.
+        """
+        try:
+            if arrays["episode"].shape != self._episode.shape:
+                raise ValueError
+            (self._next_episode,) = arrays["next_episode"].tolist()
+            self._episode[:] = arrays["episode"]
+            self._squared_errors[:], self._updates[:] = arrays["squared_errors"], arrays["updates"]
+            self._actions[:, : arrays["actions"].shape[1]] = arrays["actions"]
+        except (KeyError, ValueError, IndexError, TypeError):
+            raise UserError(f"this is not the state of a training with --vehicles {len(self._vehicles)}") from None
+        for vehicle in np.flatnonzero(self._episode != _NONE).tolist():
+            self._begin(vehicle)
+        self._put_into_worlds()
+        for actions in self._actions.T:
+            active = actions != _NONE
+            if not active.any():
+                break
+            self._tally.add(self._navigation.step(np.where(active, actions, 0), active))
+
+    def _begin(self, vehicle: int) -> None:
+        """Draws the world of the vehicle's episode, and all the chance that there is in it."""
+        episode = int(self._episode[vehicle])
+        world = self._world_of(episode)
+        self._worlds[vehicle] = world
+        self._tally.begin(vehicle, world.seed)
+        self._uniforms[vehicle] = rng(self._seed, Stream.POLICY, episode).random(self._uniforms.shape[1])
+
+    def _put_into_worlds(self) -> None:
+        self._navigation.reset(self._worlds)
+        self._worlds = {}
+
+    def _step(self) -> None:
+        """One decision of every vehicle, and one update."""
+        self._put_into_worlds()
+        now = self._vehicles, self._tally.steps
+        actions = self._agent.explore(self._navigation.observations, self._episode, self._uniforms[now])
+        transitions = self._navigation.step(actions)
+        td_errors = self._agent.learn(transitions)
+        self._actions[now] = actions
+        self._tally.add(transitions)
+        self._squared_errors += np.nan_to_num(td_errors) ** 2
+        self._updates += ~np.isnan(td_errors)
+
+    def _finish(self, vehicle: int) -> TrainingEpisode:
+        episode = int(self._episode[vehicle])
+        td_error = float(np.sqrt(self._squared_errors[vehicle] / max(self._updates[vehicle], 1)))
+        diagnostics = {**self._agent.diagnostics(episode), "td_error": td_error}
+        self._episode[vehicle] = _NONE
+        self._actions[vehicle] = _NONE
+        self._squared_errors[vehicle] = self._updates[vehicle] = 0
+        return TrainingEpisode(episode, self._tally.summary(vehicle), diagnostics)

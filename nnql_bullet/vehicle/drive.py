@@ -33,29 +33,41 @@ class Turn:
 
 
 def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
-    """The quickest turn by `heading_change` that starts at `yaw_rate` and ends running straight.
+    """The quickest turn by `heading_change` that starts at `yaw_rate` and ends running straight."""
+    return Turn(yaw_rate, *turn_profile(yaw_rate, heading_change, limits.yaw_rate, limits.yaw_acceleration))
+
+
+@numba.njit(cache=True)
+def turn_profile(
+    yaw_rate: float, heading_change: float, most_rate: float, acceleration: float
+) -> tuple[float, float, float, float]:
+    """Peak, rise, hold and fall of `plan_turn`, as a kernel.
 
     At acceleration `a`, the ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a; the hold covers the rest.
     """
-    a = limits.yaw_acceleration
+    a = acceleration
     # The heading that ending this turn at once still covers tells on which side the peak has to be.
     side = copysign(1.0, heading_change - yaw_rate * abs(yaw_rate) / (2 * a))
     start, change = side * yaw_rate, side * heading_change
-    peak = min(sqrt(max(a * change + start * start / 2, 0.0)), limits.yaw_rate)
+    peak = min(sqrt(max(a * change + start * start / 2, 0.0)), most_rate)
     hold = 0.0
     if peak > 0:
         hold = max((change - (2 * peak * peak - start * start) / (2 * a)) / peak, 0.0)
-    return Turn(yaw_rate, side * peak, abs(peak - start) / a, hold, peak / a)
+    return side * peak, abs(peak - start) / a, hold, peak / a
 
 
 def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
     """Yaw rate [rad/s] and heading since the start of the turn [rad] at `times` (n,) [s]."""
-    return _sample(turn.start, turn.peak, turn.rise, turn.hold, turn.fall, times)  # type: ignore[no-any-return]
+    rates, headings = np.empty(len(times)), np.empty(len(times))
+    sample_profile(turn.start, turn.peak, turn.rise, turn.hold, turn.fall, times, rates, headings)
+    return rates, headings
 
 
 @numba.njit(cache=True)
-def _sample(start: float, peak: float, rise: float, hold: float, fall: float, times: Array) -> tuple[Array, Array]:
-    rates, headings = np.empty(len(times)), np.empty(len(times))
+def sample_profile(
+    start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array
+) -> None:
+    """Fills `rates` and `headings` (n,) as `sample_turn` does, as a kernel."""
     for i, time in enumerate(times):
         t = min(time, rise)
         rate = start + (peak - start) * t / rise if rise > 0 else peak
@@ -66,9 +78,9 @@ def _sample(start: float, peak: float, rise: float, hold: float, fall: float, ti
             rate = peak * (1 - t / fall)
             heading += (peak + rate) / 2 * t
         rates[i], headings[i] = rate, heading
-    return rates, headings
 
 
+@numba.njit(cache=True)
 def wheel_speeds(speed: float, yaw_rate: float, track: float, wheel_radius: float) -> tuple[float, float]:
     """Left and right wheel speed [rad/s] of a differential drive (Siegwart and Nourbakhsh, Autonomous Robots, 3.2)."""
     half = yaw_rate * track / 2

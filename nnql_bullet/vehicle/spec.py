@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from xml.etree import ElementTree
 
 import numpy as np
-import yourdfpy
 from pydantic import Field
 
 from nnql_bullet import assets
@@ -141,6 +140,8 @@ class _Unfit(Exception):
 def _load_urdf(path: Path) -> Any:
     if not path.is_file():
         raise UserError(f"{path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
+    import yourdfpy  # 70 MB, which a worker that is sent a VehicleSpec can do without
+
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
     try:
         ElementTree.parse(path)  # yourdfpy mends broken XML without a word

@@ -1,0 +1,409 @@
+"""Fleets: every vehicle does, bit for bit, what it does alone, whatever the others do and wherever it is computed."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from math import cos, hypot, pi, sin
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import example, given, reject, settings
+from hypothesis import strategies as st
+
+from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
+from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Fleet, Motions, Simulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator, bullet_fleet
+from nnql_bullet.sim.local import LocalFleet
+from nnql_bullet.sim.twin import TwinFleet, TwinSimulator, _announced
+from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.vehicle.drive import plan_turn, sample_turn
+from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.worlds.source import load_world
+from nnql_bullet.worlds.spec import WorldSpec
+
+DRIVE = DriveOptions()
+FAST = PHYSICS["fast"]
+SIZE = 6
+KINDS = ("twin", "local bullet", "local twin", "workers")
+LIMIT = 60.0
+"""Seconds after which a wait is given up."""
+
+
+def make_fleet(kind: str, vehicle: VehicleSpec, size: int) -> Fleet:
+    if kind == "twin":
+        return TwinFleet(vehicle, DRIVE, size)
+    if kind == "local bullet":
+        return bullet_fleet(vehicle, DRIVE, FAST, size)
+    if kind == "local twin":
+        return LocalFleet([TwinSimulator(vehicle, DRIVE) for _ in range(size)])
+    return WorkerFleet(partial(bullet_fleet, vehicle, DRIVE, FAST), size, min(size, 2))
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def fleet(kind: str, vehicle: VehicleSpec) -> Iterator[Fleet]:
+    """Six vehicles; every test resets those it looks at."""
+    with closing(make_fleet(kind, vehicle, SIZE)) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def alone(kind: str, vehicle: VehicleSpec) -> Iterator[Simulator]:
+    """What a vehicle of the fleet is compared with: a single simulator."""
+    twin = kind in ("twin", "local twin")
+    with closing(TwinSimulator(vehicle, DRIVE) if twin else BulletSimulator(vehicle, DRIVE, FAST)) as simulator:
+        yield simulator
+
+
+@pytest.fixture(scope="module")
+def worlds(world_of: Callable[..., WorldSpec]) -> list[WorldSpec]:
+    """From none to hundreds of boxes, other starts, a contact and a target in the second control period."""
+    start = Pose(40.0, 60.0, 2.5)
+    ahead = moved(OrientedBox(3.0, 0.1, 0.3, 1.0, 0.4), start)
+    return [
+        load_world("cover_20").draw(3, 0.8),
+        world_of(),
+        load_world("cover_10").draw(1, 0.8),
+        world_of(ahead, start=start),
+        world_of(start=start, target=(start.x + 3.5 * cos(start.yaw), start.y + 3.5 * sin(start.yaw))),
+        replace(load_world("paper").draw(2, 0.8), start=Pose(10.0, 12.0, -0.3)),
+        load_world("cover_20").draw(4, 0.8),
+    ]
+
+
+def row(motions: Motions, vehicle: int) -> dict[str, object]:
+    return {field.name: getattr(motions, field.name)[vehicle].tolist() for field in fields(Motions)}
+
+
+@dataclass
+class Diary:
+    """What happened to one vehicle: its calls, and what came back."""
+
+    calls: list[WorldSpec | float]
+    answers: list[dict[str, object]]
+
+
+def driven(fleet: Fleet, calls: list[dict[int, WorldSpec] | tuple[Array, Array]]) -> list[Diary]:
+    """Plays resets and (turns, active) to a fleet."""
+    diaries = [Diary([], []) for _ in range(fleet.size)]
+    for call in calls:
+        if isinstance(call, dict):
+            poses, rays = fleet.reset(call)
+            for k, (vehicle, world) in enumerate(call.items()):
+                diaries[vehicle].calls.append(world)
+                diaries[vehicle].answers.append({"pose": poses[k].tolist(), "rays": rays[k].tolist()})
+        else:
+            turns, active = call
+            motions, rays = fleet.advance(turns, active)
+            for vehicle in np.flatnonzero(active).tolist():
+                diaries[vehicle].calls.append(float(turns[vehicle]))
+                diaries[vehicle].answers.append({**row(motions, vehicle), "rays": rays[vehicle].tolist()})
+    return diaries
+
+
+def answers_alone(simulator: Simulator, calls: list[WorldSpec | float]) -> list[dict[str, object]]:
+    """What a single simulator answers to the calls that one vehicle of a fleet got."""
+    answers: list[dict[str, object]] = []
+    for call in calls:
+        if isinstance(call, WorldSpec):
+            simulator.reset(call)
+            pose, names = simulator.pose(), {}
+        else:
+            motion = simulator.advance(call)
+            pose = motion.pose
+            names = {f.name: getattr(motion, f.name) for f in fields(Motions) if f.name != "pose"}
+        rays = simulator.scan().distances.tolist()
+        answers.append({"pose": [pose.x, pose.y, pose.yaw], **names, "rays": rays})
+    return answers
+
+
+def restless(worlds: list[WorldSpec], size: int, seed: int) -> list[dict[int, WorldSpec] | tuple[Array, Array]]:
+    """Turns of all kinds; now and then somebody stands by, and some are put into other worlds in between."""
+    generator = np.random.default_rng(seed)
+    calls: list[dict[int, WorldSpec] | tuple[Array, Array]] = [{i: worlds[i % len(worlds)] for i in range(size)}]
+    for period in range(10):
+        if period in (4, 7):
+            again = generator.choice(size, 2 if size > 1 else 1, replace=False).tolist()
+            calls.append({i: worlds[(i + period) % len(worlds)] for i in again})
+        calls.append((generator.uniform(-1.1, 1.1, size), generator.random(size) < (1.0 if period < 3 else 0.75)))
+    return calls
+
+
+class TestEveryFleet:
+    def test_each_vehicle_does_what_a_simulator_does_alone(
+        self, fleet: Fleet, alone: Simulator, worlds: list[WorldSpec]
+    ) -> None:
+        diaries = driven(fleet, restless(worlds, SIZE, seed=1))
+        for diary in diaries:
+            assert diary.answers == answers_alone(alone, diary.calls)
+        for event in ("touching", "at_target"):
+            assert any(answer.get(event) for diary in diaries for answer in diary.answers), event
+
+    @pytest.mark.parametrize("kind", KINDS[:3], indirect=True)  # the rest is in test_workers.py
+    @pytest.mark.parametrize("size", [1, 3])
+    def test_the_size_of_the_fleet_makes_no_difference(
+        self, kind: str, vehicle: VehicleSpec, alone: Simulator, worlds: list[WorldSpec], size: int
+    ) -> None:
+        with closing(make_fleet(kind, vehicle, size)) as fleet:
+            assert fleet.size == size
+            for diary in driven(fleet, restless(worlds, size, seed=size)):
+                assert diary.answers == answers_alone(alone, diary.calls)
+
+    def test_who_stands_by_is_where_it_was_and_its_neighbours_do_not_notice(
+        self, fleet: Fleet, worlds: list[WorldSpec]
+    ) -> None:
+        turns, everybody = np.linspace(-0.9, 0.9, SIZE), np.ones(SIZE, np.bool_)
+        begin = {i: worlds[1 + i % 2] for i in range(SIZE)}
+        somebody = everybody.copy()
+        somebody[[1, 4]] = False
+        nobody = ~everybody
+        straight = driven(fleet, [begin, (turns, everybody), (-turns, everybody), (turns, somebody)])
+        halting = driven(
+            fleet,
+            [begin, (turns, everybody), (turns, nobody), (-turns, somebody), (-turns, ~somebody), (turns, somebody)],
+        )
+        assert halting == straight
+        assert [len(diary.answers) for diary in straight] == [4, 3, 4, 4, 3, 4]
+
+    def test_rows_of_a_reset_come_in_the_order_asked_for(
+        self, fleet: Fleet, alone: Simulator, worlds: list[WorldSpec]
+    ) -> None:
+        turns, everybody = np.full(SIZE, 0.4), np.ones(SIZE, np.bool_)
+        some = {4: worlds[0], 1: worlds[5], 5: worlds[3], 0: worlds[2]}
+        before, after = {i: worlds[2] for i in range(SIZE)}, (turns, everybody)
+        diaries = driven(fleet, [before, after, some, after])
+        poses, rays = fleet.reset(some)
+        assert poses.shape == (4, 3)
+        assert rays.shape == (4, 72)
+        expected = [answers_alone(alone, [world])[0] for world in some.values()]
+        assert poses.tolist() == [answer["pose"] for answer in expected]
+        assert rays.tolist() == [answer["rays"] for answer in expected]
+        for diary in diaries:
+            assert diary.answers == answers_alone(alone, diary.calls)
+
+    def test_nobody_has_to_be_reset_or_to_drive(self, fleet: Fleet, worlds: list[WorldSpec]) -> None:
+        fleet.reset({i: worlds[1] for i in range(SIZE)})
+        poses, rays = fleet.reset({})
+        assert poses.shape == (0, 3)
+        assert rays.shape == (0, 72)
+        motions, rays = fleet.advance(np.zeros(SIZE), np.zeros(SIZE, np.bool_))
+        assert motions.pose.shape == (SIZE, 3)
+        assert rays.shape == (SIZE, 72)
+
+    def test_shapes_and_kinds_of_what_is_returned(self, fleet: Fleet, worlds: list[WorldSpec]) -> None:
+        fleet.reset({i: worlds[2] for i in range(SIZE)})
+        motions, _ = fleet.advance(np.zeros(SIZE), np.ones(SIZE, np.bool_))
+        for field in fields(Motions):
+            values = getattr(motions, field.name)
+            assert values.shape == ((SIZE, 3) if field.name == "pose" else (SIZE,)), field.name
+            assert values.dtype == (np.bool_ if field.name in ("touching", "at_target") else np.float64), field.name
+
+
+class TestTwinFleet:
+    def test_the_number_of_threads_makes_no_difference(self, vehicle: VehicleSpec) -> None:
+        size = 100
+        sources = [load_world(name) for name in ("paper", "cover_20")]
+        worlds = [source.draw(seed, 0.8) for source in sources for seed in range(5)]
+        calls = restless(worlds, size, seed=3)
+        found = []
+        for threads in (1, 2, 3):
+            with closing(TwinFleet(vehicle, DRIVE, size, threads)) as fleet:
+                found.append(driven(fleet, calls))
+        assert found[0] == found[1] == found[2]
+
+    def test_room_for_more_boxes_grows_while_others_are_under_way(
+        self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], worlds: list[WorldSpec]
+    ) -> None:
+        full, sparse = worlds[0], world_of(OrientedBox(103.0, 100.2, 0.2, 0.2))
+        assert len(full.solids) > 20 > len(sparse.solids)
+        drive = np.array([0.3, -0.3]), np.ones(2, np.bool_)
+        calls = [{0: sparse, 1: world_of()}, drive, {1: full}, drive, {0: full, 1: sparse}, drive, drive]
+        with closing(TwinFleet(vehicle, DRIVE, 2)) as fleet, closing(TwinSimulator(vehicle, DRIVE)) as alone:
+            for diary in driven(fleet, calls):
+                assert diary.answers == answers_alone(alone, diary.calls)
+
+    def test_its_path_leads_from_the_start_of_the_period_to_where_the_vehicle_is(
+        self, vehicle: VehicleSpec, worlds: list[WorldSpec]
+    ) -> None:
+        with closing(TwinFleet(vehicle, DRIVE, 2)) as fleet:
+            begin, _ = fleet.reset({0: worlds[3], 1: worlds[1]})
+            for _ in range(3):
+                motions, _ = fleet.advance(np.array([0.0, 0.5]), np.ones(2, np.bool_))
+                for i in range(2):
+                    path = fleet.path(i)
+                    assert path[0].tolist() == begin[i].tolist()
+                    assert path[-1] == pytest.approx(motions.pose[i])
+                    assert len(path) - 1 == round(motions.duration[i] * COMMAND_RATE)
+                begin = motions.pose.copy()
+            assert motions.touching.tolist() == [True, False]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A vehicle at the origin of a plane, what stands around it, and what it is told to do."""
+
+    boxes: tuple[OrientedBox, ...]
+    target: tuple[float, float]
+    radius: float
+    speed: float
+    turns: tuple[float, ...]
+
+
+VEHICLE = load_vehicle("tricycle")
+MIDDLE = 100.0
+near = st.floats(-5.0, 5.0)
+some_boxes = st.lists(
+    st.builds(OrientedBox, near, near, st.floats(0.05, 1.5), st.floats(0.05, 1.5), st.floats(-pi, pi)), max_size=6
+)
+scenes = st.builds(
+    Scene,
+    some_boxes.map(tuple),
+    st.tuples(near, near),
+    st.floats(0.1, 2.0),
+    st.floats(0.2, 4.0),
+    st.lists(st.floats(-1.3, 1.3), min_size=1, max_size=4).map(tuple),
+)
+FAR = (60.0, 60.0)
+
+
+class Doubtful(Exception):
+    """The vehicle begins inside a box, or rounding decides whether it touches something."""
+
+
+def footprints(poses: Array) -> list[shapely.Polygon]:
+    """Of the vehicle at poses (n, 3), as exact polygons."""
+    return list(shapely.polygons([moved(VEHICLE.footprint, Pose(*pose)).corners() for pose in poses.tolist()]))
+
+
+def distances(poses: Array, solids: list[shapely.Polygon]) -> Array:
+    """From the footprint at each pose (n, 3) to the nearest solid (n,)."""
+    return np.asarray(shapely.distance(np.array(footprints(poses))[:, None], np.array(solids)[None]).min(axis=1))
+
+
+def unicycle(pose: Array, turn: Array, stride: float) -> Array:
+    """Poses (k + 1, 3) after each command, if the heading since `pose` goes like `turn` (k + 1,)."""
+    middles = pose[2] + (turn[1:] + turn[:-1]) / 2
+    steps = stride * np.column_stack([np.cos(middles), np.sin(middles)])
+    places = pose[:2] + np.concatenate([np.zeros((1, 2)), steps.cumsum(axis=0)])
+    return np.column_stack([places, pose[2] + turn])
+
+
+def follows(scene: Scene, world: WorldSpec) -> Iterator[tuple[Array, int, bool, bool, float, float]]:
+    """Brute force: every control period's path, commands, contact, target, smallest clearance and heading error.
+
+    All distances are taken, after every command, by shapely.
+    """
+    solids = [shapely.Polygon(box.corners()) for box in world.obstacles + world.walls]
+    pose, rate = np.array([MIDDLE, MIDDLE, 0.0]), 0.0
+    times = np.arange(61) / COMMAND_RATE
+    for change in scene.turns:
+        rates, headings = sample_turn(plan_turn(rate, change, VEHICLE.limits), times)
+        path = unicycle(pose, headings, scene.speed / COMMAND_RATE)
+        clear = distances(path, solids)
+        off = np.hypot(path[:, 0] - world.target[0], path[:, 1] - world.target[1]) - scene.radius
+        if clear[0] == 0 or ((clear > 0) & (clear < 1e-9)).any() or (np.abs(off) < 1e-9).any():
+            raise Doubtful
+        last = next((k for k in range(1, 61) if clear[k] == 0 or off[k] <= 0), 60)
+        touching = bool(clear[last] == 0)
+        smallest = float(clear[: last + 1].min())
+        yield path[: last + 1], last, touching, bool(off[last] <= 0) and not touching, smallest, change - headings[last]
+        if touching or off[last] <= 0:
+            return
+        pose, rate = path[last], float(rates[last])
+
+
+def check(scene: Scene) -> list[str]:
+    """Compares the fleet with brute force; gives what ended the scene."""
+    boxes = tuple(moved(box, Pose(MIDDLE, MIDDLE, 0.0)) for box in scene.boxes)
+    target = (MIDDLE + scene.target[0], MIDDLE + scene.target[1])
+    world = WorldSpec("scene", 0, 200.0, 200.0, boxes, Pose(MIDDLE, MIDDLE, 0.0), target, scene.radius, 1.5)
+    with closing(TwinFleet(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
+        fleet.reset({0: world})
+        for change, expected in zip(scene.turns, follows(scene, world), strict=False):
+            path, last, touching, at_target, smallest, error = expected
+            motions, _ = fleet.advance(np.array([change]), np.ones(1, np.bool_))
+            found = row(motions, 0)
+            assert (found["touching"], found["at_target"]) == (touching, at_target)
+            assert found["duration"] == pytest.approx(last / COMMAND_RATE)
+            assert found["path_length"] == pytest.approx(last * scene.speed / COMMAND_RATE)
+            assert found["clearance"] == pytest.approx(smallest, abs=1e-9)
+            assert fleet.path(0)[:, :2] == pytest.approx(path[:, :2], abs=1e-9)
+            assert hypot(*np.subtract(found["pose"][:2], path[-1, :2])) < 1e-9  # type: ignore[index]
+            assert cos(found["pose"][2] - path[-1, 2]) == pytest.approx(1.0)  # type: ignore[index]
+            assert found["heading_error"] == pytest.approx(error, abs=1e-9)
+    return ["contact"] * touching + ["target"] * at_target
+
+
+class TestAgainstBruteForce:
+    """The twin looks at few poses and few boxes; brute force looks at all of them."""
+
+    @given(scene=scenes)
+    @settings(deadline=None, max_examples=150)
+    # A target before a contact, a contact before the target, and both at the same command.
+    @example(scene=Scene((OrientedBox(3.0, 0.0, 0.5, 0.5),), (1.5, 0.0), 0.7, 2.0, (0.0, 0.0)))
+    @example(scene=Scene((OrientedBox(2.0, 0.0, 0.5, 0.5),), (3.0, 0.0), 0.7, 2.0, (0.0, 0.0, 0.0)))
+    @example(scene=Scene((OrientedBox(1.9 + 1.0, 0.0, 1.0, 0.5),), (3.0, 0.0), 1.99, 2.0, (0.0, 0.0, 0.0)))
+    def test_random_boxes_turns_and_speeds(self, scene: Scene) -> None:
+        try:
+            check(scene)
+        except Doubtful:
+            reject()
+
+    def test_many_scenes_that_end_in_every_way(self) -> None:
+        generator = np.random.default_rng(0)
+        ends: list[str] = []
+        for _ in range(150):
+            places = generator.uniform(-4, 4, (5, 2)).tolist()
+            sides = generator.uniform(0.05, 0.6, (5, 2)).tolist()
+            yaws = generator.uniform(-pi, pi, 5).tolist()
+            boxes = (OrientedBox(*p, *s, y) for p, s, y in zip(places, sides, yaws, strict=True))
+            clear = [b for b in boxes if hypot(b.x - 0.3, b.y) > 0.7 + hypot(b.half_length, b.half_width)]
+            turns = tuple(generator.uniform(-1.3, 1.3, 5).tolist())
+            target = tuple(generator.uniform(-4, 4, 2).tolist())
+            if hypot(*target) > 0.8:
+                ends += check(Scene(tuple(clear), target, 0.7, float(generator.uniform(0.5, 3.0)), turns)) or ["none"]
+        assert min(ends.count(end) for end in ("contact", "target", "none")) >= 5
+
+    @pytest.mark.parametrize("gap", [1.21, 1.51, 1.91])
+    def test_from_a_box_close_behind_to_one_ahead(self, gap: float) -> None:
+        """At first the box behind is nearer. It stays back as the vehicle comes to the other one."""
+        front = VEHICLE.footprint.x + VEHICLE.footprint.half_length
+        rear = VEHICLE.footprint.x - VEHICLE.footprint.half_length
+        behind, ahead = OrientedBox(rear - 0.6, 0.0, 0.5, 0.5), OrientedBox(front + gap + 0.1, 0.0, 0.1, 3.0)
+        assert check(Scene((behind, ahead), FAR, 1.0, 2.0, (0.0, 0.0, 0.0))) == ["contact"]
+
+
+class TestAnnouncement:
+    def test_a_long_wait_is_announced_while_it_lasts(self, caplog: pytest.LogCaptureFixture) -> None:
+        deadline = time.monotonic() + LIMIT
+        with caplog.at_level(logging.WARNING), _announced("grinding coffee", after=0.01):
+            while not caplog.messages and time.monotonic() < deadline:
+                time.sleep(0.01)
+        assert caplog.messages == ["grinding coffee"]
+        assert caplog.records[0].name == "nnql_bullet.sim.twin"
+
+    def test_nothing_is_said_when_it_is_quick(self, caplog: pytest.LogCaptureFixture) -> None:
+        before = set(threading.enumerate())
+        with caplog.at_level(logging.WARNING), _announced("grinding coffee", after=LIMIT):
+            (timer,) = set(threading.enumerate()) - before
+        timer.join(LIMIT / 2)
+        assert not timer.is_alive()
+        assert caplog.messages == []
+
+    def test_nor_when_it_fails(self, caplog: pytest.LogCaptureFixture) -> None:
+        before = set(threading.enumerate())
+        with pytest.raises(ValueError, match="no beans"), _announced("grinding coffee", after=LIMIT):
+            (timer,) = set(threading.enumerate()) - before
+            raise ValueError("no beans")
+        timer.join(LIMIT / 2)
+        assert not timer.is_alive()
+        assert caplog.messages == []
