@@ -9,19 +9,69 @@ is chosen on. Each policy drives the same worlds. Runs and drives that are finis
 
 import argparse
 import csv
-import subprocess
+import io
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from rich.progress import track
 from scipy.stats import binomtest
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.executors import ExecutorKind, make_executor
 
 PRESETS = ("paper", "literal")
 ENDINGS = ("goal", "collision", "timeout")
 
 
-def evaluate(run: Path, worlds: int, world: str, physics: str) -> None:
+@dataclass(frozen=True)
+class Trial:
+    """One run to train, and what it is tested in."""
+
+    preset: str
+    seed: int
+    out: Path
+    worlds: int
+    world: str
+    physics: str
+
+    @property
+    def run(self) -> Path:
+        """The run folder."""
+        return self.out / f"{self.preset}-{self.seed}"
+
+    @property
+    def result(self) -> Path:
+        """Where `evaluate` leaves its result."""
+        return self.run / f"test-{self.world}-{self.physics}-{self.worlds}.csv"
+
+
+def work(trial: Trial) -> None:
+    """Trains the run, or goes on with it, and drives its policy."""
+    if (trial.run / "checkpoint.safetensors").exists():
+        train("--resume", str(trial.run))
+    else:
+        train("--config", trial.preset, "--seed", str(trial.seed), "--out", str(trial.run))
+    if not trial.result.exists():
+        evaluate(trial)
+
+
+def train(*arguments: str) -> None:
+    """Runs `nnql-bullet train` unseen, and raises what it complains about."""
+    from nnql_bullet.cli.parser import run
+
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        code = run(["train", *arguments])
+    if code == 130:
+        raise KeyboardInterrupt
+    if code:
+        raise RuntimeError(said.getvalue().strip().rpartition("\n")[2])
+
+
+def evaluate(trial: Trial) -> None:
     """Drives the first test worlds and writes one line each to a CSV beside the policy, whole or not at all."""
     from nnql_bullet.config import parse
     from nnql_bullet.experiment import Experiment, RunConfig, changed
@@ -31,34 +81,15 @@ def evaluate(run: Path, worlds: int, world: str, physics: str) -> None:
     from nnql_bullet.seeding import TEST_WORLDS
     from nnql_bullet.training.checkpoint import load_weights
 
-    weights = load_weights(run / POLICY)
-    config = changed(parse(RunConfig, weights.config, str(run)), world=world, physics=physics)
+    weights = load_weights(trial.run / POLICY)
+    config = changed(parse(RunConfig, weights.config, str(trial.run)), world=trial.world, physics=trial.physics)
     experiment = Experiment(config)
     experiment.agent.load(weights.arrays)
     lines = ["world_seed,ending,duration,path_length,clearance"]
-    for seed in TEST_WORLDS[:worlds]:
+    for seed in TEST_WORLDS[: trial.worlds]:
         s = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit)
         lines.append(f"{seed},{s.ending},{s.duration!r},{s.path_length!r},{s.clearance!r}")
-    write_text(result_path(run, worlds, world, physics), "\n".join(lines) + "\n")
-
-
-def result_path(run: Path, worlds: int, world: str, physics: str) -> Path:
-    """Where `evaluate` leaves its result."""
-    return run / f"test-{world}-{physics}-{worlds}.csv"
-
-
-def work(out: Path, preset: str, seed: int, worlds: int, world: str, physics: str) -> None:
-    """Trains and evaluates one run in processes of its own."""
-    run = out / f"{preset}-{seed}"
-    command = [sys.executable, "-m", "nnql_bullet", "train"]
-    if (run / "checkpoint.safetensors").exists():
-        command += ["--resume", str(run)]
-    else:
-        command += ["--config", preset, "--seed", str(seed), "--out", str(run)]
-    subprocess.run(command, check=True, capture_output=True)
-    if not result_path(run, worlds, world, physics).exists():
-        again = [sys.executable, __file__, "--one", str(run), "--worlds", str(worlds)]
-        subprocess.run([*again, "--world", world, "--physics", physics], check=True)
+    write_text(trial.result, "\n".join(lines) + "\n")
 
 
 def wilson(count: int, total: int) -> str:
@@ -67,7 +98,7 @@ def wilson(count: int, total: int) -> str:
     return f"{100 * count / total:.1f} ({100 * interval.low:.1f}-{100 * interval.high:.1f})"
 
 
-def table(out: Path, seeds: int, worlds: int, world: str, physics: str) -> str:
+def table(trials: list[Trial]) -> str:
     """The Markdown table: all seeds of a preset together, then each seed's successes."""
     lines = [
         "| preset | goal | collision | timeout | goals by training seed |",
@@ -75,14 +106,14 @@ def table(out: Path, seeds: int, worlds: int, world: str, physics: str) -> str:
     ]
     for preset in PRESETS:
         by_seed = []
-        for seed in range(seeds):
-            path = result_path(out / f"{preset}-{seed}", worlds, world, physics)
-            with path.open(encoding="utf-8", newline="") as file:
-                by_seed.append([row["ending"] for row in csv.DictReader(file)])
+        for trial in trials:
+            if trial.preset == preset:
+                with trial.result.open(encoding="utf-8", newline="") as file:
+                    by_seed.append([row["ending"] for row in csv.DictReader(file)])
         endings = [ending for one in by_seed for ending in one]
         shares = [wilson(endings.count(ending), len(endings)) for ending in ENDINGS]
         each = ", ".join(str(one.count("goal")) for one in by_seed)
-        lines.append(f"| `{preset}` | {' | '.join(shares)} | {each} of {worlds} |")
+        lines.append(f"| `{preset}` | {' | '.join(shares)} | {each} of {trials[0].worlds} |")
     return "\n".join(lines)
 
 
@@ -93,20 +124,24 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=100, help="test worlds")
     parser.add_argument("--world", default="paper", help="world file to test in")
     parser.add_argument("--physics", default="reference", help="of the test")
-    parser.add_argument("--workers", type=int, default=2, help="processes at a time")
+    parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")
+    parser.add_argument("--workers", type=int, default=2, help="runs at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/unseen_worlds"), help="where the runs go")
-    parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     a = parser.parse_args()
-    if a.one:
-        evaluate(a.one, a.worlds, a.world, a.physics)
-        return
-    a.out.mkdir(parents=True, exist_ok=True)
-    jobs = [(preset, seed) for seed in range(a.seeds) for preset in PRESETS]
-    with ThreadPoolExecutor(a.workers) as pool:
-        futures = [pool.submit(work, a.out, preset, seed, a.worlds, a.world, a.physics) for preset, seed in jobs]
-        for future in track(futures, "training and testing"):
-            future.result()
-    print(table(a.out, a.seeds, a.worlds, a.world, a.physics))
+    try:
+        executor = make_executor(a.executor, a.workers)
+    except UserError as error:
+        parser.error(str(error))
+    out = a.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    trials = [Trial(preset, seed, out, a.worlds, a.world, a.physics) for seed in range(a.seeds) for preset in PRESETS]
+    ended = track(executor.map(work, trials), "training and testing", total=len(trials))
+    failed = [(outcome.task, outcome.error) for outcome in ended if outcome.error]
+    for trial, error in failed:
+        print(f"{error.traceback}{trial.preset}, seed {trial.seed}: {error.message}", file=sys.stderr)
+    if failed:
+        sys.exit(1)
+    print(table(trials))
 
 
 if __name__ == "__main__":

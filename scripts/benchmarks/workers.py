@@ -1,0 +1,66 @@
+"""Two worker processes against one, and what one weighs: the same vehicles, the same drives, contact physics."""
+
+import multiprocessing
+import time
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+
+from nnql_bullet.env import FleetNavigation
+from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.sim.bullet import PHYSICS, bullet_fleet
+from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.task import GOES_ON
+
+from .drives import hand_rule
+
+VEHICLES, WORLD = 32, "paper"
+
+
+def two_workers_over_one(slices: int, steps: int) -> float:
+    """How much sooner two workers are done: slices of lockstep driving, one and two taking turns.
+
+    Both do the very same, world by world; of each slice both times count.
+    """
+    experiment = Experiment(RunConfig(world=WORLD))
+    config = experiment.config
+    make = partial(bullet_fleet, experiment.vehicle, config.drive, PHYSICS[config.physics])
+    with ExitStack() as stack:
+        fleets = [stack.enter_context(closing(WorkerFleet(make, VEHICLES, workers))) for workers in (1, 2)]
+        navigations = [FleetNavigation(fleet, config.task) for fleet in fleets]
+        seeds = [0, 0]
+        spent = [0.0, 0.0]
+
+        def worlds(side: int, vehicles: range | list[int]) -> dict:
+            first = seeds[side]
+            seeds[side] += len(vehicles)
+            return {i: experiment.world(first + k) for k, i in enumerate(vehicles)}
+
+        for side, navigation in enumerate(navigations):
+            navigation.reset(worlds(side, range(VEHICLES)))
+        for _ in range(slices):
+            for side, navigation in enumerate(navigations):
+                begin = time.perf_counter()
+                for _ in range(steps):
+                    ending = navigation.step(hand_rule(navigation.observations.readings)).ending
+                    navigation.reset(worlds(side, (ending != GOES_ON).nonzero()[0].tolist()))
+                spent[side] += time.perf_counter() - begin
+        if (navigations[0].observations.readings != navigations[1].observations.readings).any():
+            raise RuntimeError("one worker and two did not do the same")
+    return spent[0] / spent[1]
+
+
+def simulator_mb() -> float:
+    """Resident memory of a worker process with one vehicle in a world [MB = 10^6 bytes]."""
+    experiment = Experiment(RunConfig(world="cover_10"))
+    config = experiment.config
+    make = partial(bullet_fleet, experiment.vehicle, config.drive, PHYSICS[config.physics])
+    before = set(multiprocessing.active_children())
+    with closing(WorkerFleet(make, 1, 1)) as fleet:
+        navigation = FleetNavigation(fleet, config.task)
+        navigation.reset({0: experiment.world(0)})
+        for _ in range(20):
+            navigation.step(hand_rule(navigation.observations.readings))
+        (worker,) = set(multiprocessing.active_children()) - before
+        status = Path(f"/proc/{worker.pid}/status").read_text(encoding="ascii")
+    return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
