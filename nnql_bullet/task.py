@@ -4,7 +4,7 @@ They take one vehicle or many: `(...)` in a shape is () or (n,).
 """
 
 from enum import IntEnum
-from functools import cache
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -41,6 +41,11 @@ GOES_ON = -1
 """In place of an index into `ENDINGS`: it has not."""
 
 
+REWARD_TERMS = ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
+"""The paper's six rewards (II.C), in its order."""
+_NON_SAFE_TO_SAFE, _SAFE_TO_NON_SAFE, _CLOSER, _AWAY, _WINNING, _FAILURE, _NONE = range(7)
+
+
 @options
 class TaskOptions:
     """What the paper leaves open about states, rewards and endings."""
@@ -61,19 +66,30 @@ class TaskOptions:
     max_steps: Annotated[int, Field(ge=1)] = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
 
+    @cached_property
+    def thresholds(self) -> Array:
+        """Of the eight sectors (8,) [m]: a state is non-safe with a reading below."""
+        thresholds = np.full(paper.SECTORS, self.other_distance)
+        thresholds[FRONT] = self.front_distance
+        thresholds[[FRONT_LEFT, FRONT_RIGHT]] = self.front_side_distance
+        return thresholds
 
-@cache
-def _thresholds(task: TaskOptions) -> Array:
-    """Of the eight sectors (8,) [m]."""
-    thresholds = np.full(paper.SECTORS, task.other_distance)
-    thresholds[FRONT] = task.front_distance
-    thresholds[[FRONT_LEFT, FRONT_RIGHT]] = task.front_side_distance
-    return thresholds
+    @cached_property
+    def rewards(self) -> Array:
+        """For each of `REWARD_TERMS`, and for none, its reward in its own place (7, 6)."""
+        rewards = np.zeros((len(REWARD_TERMS) + 1, len(REWARD_TERMS)))
+        rewards[_NON_SAFE_TO_SAFE, _NON_SAFE_TO_SAFE] = self.reward_non_safe_to_safe
+        rewards[_SAFE_TO_NON_SAFE, _SAFE_TO_NON_SAFE] = paper.REWARD_SAFE_TO_NON_SAFE
+        rewards[_CLOSER, _CLOSER] = paper.REWARD_CLOSER
+        rewards[_AWAY, _AWAY] = paper.REWARD_AWAY
+        rewards[_WINNING, _WINNING] = paper.REWARD_WINNING
+        rewards[_FAILURE, _FAILURE] = paper.REWARD_FAILURE
+        return rewards
 
 
 def is_safe(readings: Array, task: TaskOptions) -> NDArray[np.bool_]:
     """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...)."""
-    return np.asarray((readings >= _thresholds(task)).all(axis=-1))
+    return np.asarray((readings >= task.thresholds).all(axis=-1))
 
 
 _PROPERTY = np.array([[Property.NON_SAFE, Property.SAFE], [Property.WINNING] * 2, [Property.FAILURE] * 2])
@@ -85,9 +101,6 @@ def state_property(readings: Array, touching: Events, at_target: Events, task: T
     return np.asarray(_PROPERTY[event, is_safe(readings, task).astype(np.int64)])
 
 
-REWARD_TERMS = ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
-"""The paper's six rewards (II.C), in its order."""
-_NON_SAFE_TO_SAFE, _SAFE_TO_NON_SAFE, _CLOSER, _AWAY, _WINNING, _FAILURE, _NONE = range(7)
 _TERM = np.array(
     [  # to SAFE, NON_SAFE, WINNING, FAILURE
         [_NONE, _SAFE_TO_NON_SAFE, _WINNING, _FAILURE],  # from SAFE
@@ -99,19 +112,6 @@ _TERM = np.array(
 _TERM = np.stack([_TERM, np.where(_TERM == _AWAY, _CLOSER, _TERM)], axis=-1)  # by whether it got closer
 
 
-@cache
-def _rewards(task: TaskOptions) -> Array:
-    """By the number of a term, `_NONE` too, the reward in that term's place (7, 6)."""
-    rewards = np.zeros((len(REWARD_TERMS) + 1, len(REWARD_TERMS)))
-    rewards[_NON_SAFE_TO_SAFE, _NON_SAFE_TO_SAFE] = task.reward_non_safe_to_safe
-    rewards[_SAFE_TO_NON_SAFE, _SAFE_TO_NON_SAFE] = paper.REWARD_SAFE_TO_NON_SAFE
-    rewards[_CLOSER, _CLOSER] = paper.REWARD_CLOSER
-    rewards[_AWAY, _AWAY] = paper.REWARD_AWAY
-    rewards[_WINNING, _WINNING] = paper.REWARD_WINNING
-    rewards[_FAILURE, _FAILURE] = paper.REWARD_FAILURE
-    return rewards
-
-
 def reward_terms(
     before: Properties, after: Properties, readings_before: Array, readings_after: Array, task: TaskOptions
 ) -> Array:
@@ -120,7 +120,7 @@ def reward_terms(
     "Getting closer to the obstacles" is read as: the smallest of the eight readings fell.
     """
     closer = np.less(readings_after.min(axis=-1), readings_before.min(axis=-1)).astype(np.int64)
-    return np.asarray(_rewards(task)[_TERM[before, after, closer]])
+    return np.asarray(task.rewards[_TERM[before, after, closer]])
 
 
 _ENDING = np.array(

@@ -40,6 +40,7 @@ MOST_YAW_RATE = 10.0
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `GOES_ON` is its last
 _LABELS = np.array([*(state.label for state in Property), None], dtype=object)
 _NOBODY = -1
+_REWARDS = tuple(f"reward/{name}" for name in REWARD_TERMS)
 
 
 def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
@@ -106,7 +107,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             "ending": t.ending,
             "property": t.s_t.property.label,
             "heading_error": t.motion.heading_error,
-            **{f"reward/{name}": value for name, value in t.terms.items()},
+            **dict(zip(_REWARDS, t.terms.values(), strict=True)),
         }
         over = t.ending in ("goal", "collision")
         return _vectors(t.s_t, self.observation_space), t.r_t, over, t.ending == "timeout", info
@@ -194,7 +195,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             "ending": _ENDINGS[np.where(active, t.ending, GOES_ON)],
             "property": _LABELS[np.where(active, t.s_t.property, _NOBODY)],
             "heading_error": np.where(active, t.motions.heading_error, 0.0),
-            **{f"reward/{name}": np.where(active, t.terms[:, i], 0.0) for i, name in enumerate(REWARD_TERMS)},
+            **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),
         }
         infos = named | {f"_{name}": active for name in named} if active.any() else {}
         if begun.any():

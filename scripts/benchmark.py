@@ -12,48 +12,51 @@ import platform
 from collections.abc import Callable
 from importlib.metadata import version
 
-from benchmarks.contact import contact_over_bare
-from benchmarks.floor import fast_over_floor
-from benchmarks.training import nnql_over_sb3, paper_training_s
-from benchmarks.twin import twin_steps_per_second
-from benchmarks.workers import simulator_mb, two_workers_over_one
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
 CORES = os.cpu_count() or 1
+WIDTH = 140
+"""Of the table, wherever it is printed."""
 
 
 def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     """What there is to measure: key, what it is, and how."""
-    few, rounds = (range(2), 2) if quick else (range(8), 5)
-    steps = 30 if quick else 60
+    # Not at the top: worker processes import this file again, and would carry along all that these need.
+    from benchmarks.contact import contact_over_bare
+    from benchmarks.floor import fast_over_floor
+    from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
+    from benchmarks.twin import twin_steps_per_second
+    from benchmarks.workers import simulator_mb, two_workers_over_one
+
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
-            "contact environment's speed over that of a bare loop with the same settings, the lower of both settings",
-            lambda: min(contact_over_bare(few, rounds, steps).values()),
+            "speed of the contact environment over a bare loop with the same settings; the lower of both settings",
+            lambda: min(contact_over_bare(*(range(3), 4, 12) if quick else (range(10), 12, 20)).values()),
         ),
         "fast_over_floor": (
             "simulated over wall seconds, `fast` physics over the plain floor",
-            lambda: fast_over_floor(few, rounds, steps),
+            lambda: fast_over_floor(*(range(2), 2, 20) if quick else (range(8), 5, 40)),
         ),
         "two_workers_over_one": (
-            "two worker processes' speed over one's, 32 vehicles",
-            lambda: two_workers_over_one(*(2, 5) if quick else (6, 25)),
+            "speed of two worker processes over one's",
+            lambda: two_workers_over_one(*(2, 5) if quick else (6, 20)),
         ),
         "twin_steps_per_second": (
-            f"control steps a second, twin, {CORES} cores, 72 rays, about 40 boxes",
+            f"twin, control steps a second on {CORES} cores, 72 rays, about 40 boxes",
             lambda: twin_steps_per_second(CORES, 2.0 if quick else 10.0),
         ),
         "paper_training_twin_s": (
-            "`train --sim twin --vehicles 64`, 1000 episodes, the whole command [s]",
+            f"1000 paper episodes in the twin, {VEHICLES} vehicles [s]",
             lambda: paper_training_s("twin", CORES),
         ),
         "paper_training_contact_s": (
-            "`train --vehicles 32`, 1000 episodes in contact physics, the whole command [s]",
+            f"1000 paper episodes in contact physics, {VEHICLES} vehicles [s]",
             lambda: paper_training_s("bullet", CORES),
         ),
         "nnql_over_sb3": (
-            "training steps a second, NNQL with one vehicle over stable-baselines3's DQN (train_freq 1)",
+            "training steps a second, NNQL with one vehicle over stable-baselines3 DQN (train_freq 1)",
             lambda: nnql_over_sb3(*(2, 200) if quick else (6, 500)),
         ),
         "simulator_mb": ("memory of one contact simulator process [MB]", simulator_mb),
@@ -69,7 +72,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--quick", action="store_true", help="under a minute")
     arguments = parser.parse_args()
-    table = Table("key", "what", "measured")
+    table = Table("key", "what", "measured", box=MARKDOWN)
     results = {}
     progress = Console(stderr=True)
     with progress.status("") as status:
@@ -80,7 +83,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps(results))
         return
-    console = Console()
+    console = Console(width=WIDTH)
     console.print(table)
     names = ("pybullet", "numpy", "numba", "torch", "stable-baselines3")
     versions = ", ".join(f"{name} {version(name)}" for name in names)

@@ -65,13 +65,12 @@ class Nnql:
 
     def __init__(self, options: NnqlOptions, seed: int) -> None:
         self.options = options
-        with torch.device("meta"):  # without weights yet: torch would draw its own from the global generator
+        with torch.random.fork_rng(devices=[]):  # torch draws weights of its own, from the global generator
             self.network = torch.nn.Sequential(
                 torch.nn.Linear(paper.SECTORS, paper.HIDDEN_UNITS, dtype=torch.float64),
                 torch.nn.Sigmoid(),
                 torch.nn.Linear(paper.HIDDEN_UNITS, len(paper.TURNS), dtype=torch.float64),
             )
-        self.network.to_empty(device="cpu")
         generator = rng(seed, Stream.WEIGHTS)
         ranges = {"0.weight": options.hidden_weights, "2.weight": options.output_weights}
         weights = {name: np.zeros(value.shape) for name, value in self.arrays().items()}

@@ -110,6 +110,7 @@ class BulletSimulator:
         self._finalizer = weakref.finalize(self, _disconnect, self.client)
         angles = ray_angles()
         self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
+        self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
         self._turn_rate = 0.0
         self._clearance = 0.0
         self._steps = 0
@@ -144,30 +145,28 @@ class BulletSimulator:
         wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
         way = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
         speeds = np.empty((SAMPLE_EVERY, 2))
-        command, last = 0, len(feed_forward)
-        touching = over = False
+        constants, footprint, solids = self._constants, self._footprint, self._world.solids
+        command, last, touching = 0, len(feed_forward), False
         while True:
             com, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
-            near, close, at_target = _track(com, orientation, way, self._constants, self._footprint, self._world.solids)
+            near, at_target, until_look = _follow(
+                com, orientation, way, wanted, feed_forward, command, speeds, constants, footprint, solids
+            )
             over = command > 0 and (touching or at_target)
             if trace is not None and (over or command % SAMPLE_EVERY == 0 < command):
                 trace.append(self.sample())
             if over or command == last:
                 break
-            _steer(way, wanted[command], feed_forward[command:], speeds, self._constants)
-            for left, right in speeds[: 1 if close else last - command].tolist():
-                self.command_wheels(left, right)
-                touching = self._run(self._steps_per_command, watched=near)
-                command += 1
-                if touching:
-                    break
+            carried_out, touching = self._run(speeds[:until_look].tolist(), self._steps_per_command, near)
+            command += carried_out
         x, y, yaw, path_length, smallest, _ = way.tolist()
-        self._clearance = self._look()[3]
+        (velocity_x, velocity_y, _), (_, _, yaw_rate) = bullet.getBaseVelocity(self.body, self.client)
+        self._clearance = clearance_at(x, y, yaw, footprint, solids)
         self._turn_rate = float(rates[command])
         return Motion(
             pose=Pose(x, y, yaw),
-            speed=self.speed(),
-            yaw_rate=self.yaw_rate(),
+            speed=velocity_x * cos(yaw) + velocity_y * sin(yaw),
+            yaw_rate=yaw_rate,
             wheel_speeds=self.wheel_speeds(),
             duration=(self._steps - first_step) * self.physics.time_step,
             path_length=path_length,
@@ -180,8 +179,8 @@ class BulletSimulator:
     def scan(self) -> Scan:
         """One batch of rays from the sensor, which pitches and rolls with the chassis."""
         position, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
-        begins, ends = _moved_rays(*position, *orientation, self._sensor, self._rays)
-        hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
+        _move_rays(position, orientation, self._sensor, self._rays, self._begins, self._ends)
+        hits = bullet.rayTestBatch(self._begins, self._ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
         return scan_from(np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE)
 
     def pose(self) -> Pose:
@@ -234,17 +233,7 @@ class BulletSimulator:
 
     def command_wheels(self, left: float, right: float) -> None:
         """Has the wheel-speed controllers track these speeds [rad/s] within the torque limit, until told otherwise."""
-        if self._resisted and not self.physics.resists_driven:
-            self._resist(0.0)
-        torque = self.vehicle.wheel_torque
-        bullet.setJointMotorControlArray(
-            self.body,
-            (self.left, self.right),
-            bullet.VELOCITY_CONTROL,
-            targetVelocities=(left, right),
-            forces=(torque, torque),
-            physicsClientId=self.client,
-        )
+        self._run([[left, right]], 0, False)
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
@@ -343,6 +332,7 @@ class BulletSimulator:
             joints[bullet.getJointInfo(self.body, joint, self.client)[1].decode()] = joint
             self._release(joint)  # every joint starts with a motor that holds it
         self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
+        self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
         self._com = self._dynamics_info(-1)[3]
         self._sensor = np.subtract(vehicle.sensor, self._com)
@@ -377,18 +367,27 @@ class BulletSimulator:
             self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0, physicsClientId=self.client
         )
 
-    def _run(self, steps: int, watched: bool) -> bool:
-        """Physics steps; where contact is possible each is checked, and the first one ends them."""
-        if not watched:
-            for _ in range(steps):
-                bullet.stepSimulation(self.client)
-            self._steps += steps
-            return False
-        for _ in range(steps):
-            self.step()
-            if self.touching():
-                return True
-        return False
+    def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
+        """Carries out wheel commands, with some physics steps after each.
+
+        Where contact is possible each step is checked, and the first contact ends it.
+
+        Returns:
+            How many commands were carried out, and whether there was contact.
+        """
+        if self._resisted and not self.physics.resists_driven:
+            self._resist(0.0)
+        motors, mode, step = bullet.setJointMotorControlArray, bullet.VELOCITY_CONTROL, bullet.stepSimulation
+        body, client, wheels, torques = self.body, self.client, self._wheels, self._torques
+        for number, pair in enumerate(speeds, 1):
+            motors(body, wheels, mode, targetVelocities=pair, forces=torques, physicsClientId=client)
+            for taken in range(1, steps + 1):
+                step(client)
+                if watched and self.touching():
+                    self._steps += (number - 1) * steps + taken
+                    return number, True
+        self._steps += len(speeds) * steps
+        return len(speeds), False
 
     def _look(self) -> tuple[float, float, float, float]:
         """x, y [m] and yaw [rad] of the rear-axle centre, and the clearance there [m]."""
@@ -427,15 +426,19 @@ def _rear_axle(
 
 
 @numba.njit(cache=True)
-def _track(
+def _follow(
     com: tuple[float, float, float],
     orientation: tuple[float, float, float, float],
     way: Array,
+    wanted: Array,
+    feed_forward: Array,
+    command: int,
+    speeds: Array,
     constants: Array,
     footprint: Array,
     solids: Array,
-) -> tuple[bool, bool, bool]:
-    """Looks where the vehicle is.
+) -> tuple[bool, bool, int]:
+    """Looks where the vehicle is, and steers until the next look.
 
     From one look to the next no point of the vehicle moves farther than the reach, so the clearance is worked out only
     where it may have fallen to the reach, or below the smallest.
@@ -445,14 +448,19 @@ def _track(
         orientation: The engine's quaternion.
         way: Brought up to date: x, y, yaw of the rear-axle centre, path length, smallest clearance so far, and what the
             clearance is now at least.
+        wanted: Headings at each command and at the end (m + 1,) [rad].
+        feed_forward: Yaw rates after each command (m,) [rad/s].
+        command: The next one.
+        speeds: Filled with left and right wheel speeds (k, 2) [rad/s] of the commands until the next look.
         constants: Of the simulator, see `BulletSimulator.place`.
         footprint: A row (6,) of `as_rows`.
         solids: Rows (n, 6) of `as_rows`.
 
     Returns:
-        Whether contact, and whether the target, is possible before the next look; whether the target is reached.
+        Whether contact is possible before the next look, whether the target is reached, and how many commands there are
+        until the next look: one where it might reach the target.
     """
-    ahead, up, reach, _, _, _, _, target_x, target_y, target_radius = constants
+    ahead, up, reach, speed, gain, track, radius, target_x, target_y, target_radius = constants
     x, y, yaw = _rear_axle(com[0], com[1], *orientation, ahead, up)
     way[3] += np.hypot(x - way[0], y - way[1])
     way[0], way[1], way[2] = x, y, yaw
@@ -461,37 +469,38 @@ def _track(
         way[5] = clearance_at(x, y, yaw, footprint, solids)
         way[4] = min(way[4], way[5])
     to_target = np.hypot(x - target_x, y - target_y) - target_radius
-    return way[5] <= reach, to_target <= reach, to_target <= 0.0
+    until_look = min(len(speeds) if to_target > reach else 1, len(feed_forward) - command)
+    correction = gain * wrap_angle(wanted[command] - yaw)
+    for k in range(until_look):
+        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, feed_forward[command + k] + correction, track, radius)
+    return way[5] <= reach, to_target <= 0.0, until_look
 
 
 @numba.njit(cache=True)
-def _steer(way: Array, wanted: float, feed_forward: Array, speeds: Array, constants: Array) -> None:
-    """Fills in wheel speeds (k, 2) [rad/s] up to the next look.
+def _move_rays(
+    com: tuple[float, float, float],
+    orientation: tuple[float, float, float, float],
+    sensor: Array,
+    rays: Array,
+    begins: Array,
+    ends: Array,
+) -> None:
+    """Fills in where rays (n, 3) begin and end in the world (n, 3) [m].
 
     Args:
-        way: As in `_track`.
-        wanted: Heading by now [rad].
-        feed_forward: Yaw rates from now on (m,) [rad/s]; what is beyond them is left as it is.
-        speeds: Left and right, to be filled.
-        constants: As in `_track`.
+        com: The engine's centre of mass [m].
+        orientation: The engine's quaternion.
+        sensor: Seen from the centre of mass (3,) [m].
+        rays: In the chassis frame (n, 3) [m].
+        begins: To be filled.
+        ends: To be filled.
     """
-    _, _, _, speed, gain, track, radius, _, _, _ = constants
-    correction = gain * wrap_angle(wanted - way[2])
-    for k in range(min(len(speeds), len(feed_forward))):
-        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, feed_forward[k] + correction, track, radius)
-
-
-@numba.njit(cache=True)
-def _moved_rays(
-    x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float, sensor: Array, rays: Array
-) -> tuple[Array, Array]:
-    """Where rays (n, 3) begin and end in the world (n, 3) [m], with the sensor (3,) seen from the centre of mass."""
-    ahead, left, up = _rotated(sensor[0], sensor[1], sensor[2], qx, qy, qz, qw)
-    begins, ends = np.empty(rays.shape), np.empty(rays.shape)
-    begins[:, 0], begins[:, 1], begins[:, 2] = x + ahead, y + left, z + up
-    for i, ray in enumerate(rays):
-        ends[i] = _rotated(ray[0], ray[1], ray[2], qx, qy, qz, qw)
-    return begins, ends + begins
+    ahead, left, up = _rotated(sensor[0], sensor[1], sensor[2], *orientation)
+    x, y, z = com[0] + ahead, com[1] + left, com[2] + up
+    for i in range(len(rays)):
+        dx, dy, dz = _rotated(rays[i, 0], rays[i, 1], rays[i, 2], *orientation)
+        begins[i, 0], begins[i, 1], begins[i, 2] = x, y, z
+        ends[i, 0], ends[i, 1], ends[i, 2] = x + dx, y + dy, z + dz
 
 
 @numba.njit(cache=True)

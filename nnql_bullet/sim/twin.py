@@ -329,11 +329,13 @@ def _advance_one(i: int, heading_change: float, constants: _Constants, state: _S
     peak, rise, hold, fall = turn_profile(start_rate, heading_change, constants.most_rate, constants.acceleration)
     sample_profile(start_rate, peak, rise, hold, fall, constants.times, rates, headings)
     path[0, 0], path[0, 1], path[0, 2] = state.pose[i]
+    chord, c, s = np.nan, 0.0, 0.0
     for k in range(1, len(headings)):
-        # The chord of an arc points along its middle heading.
         middle = yaw + (headings[k - 1] + headings[k]) / 2
-        path[k, 0] = path[k - 1, 0] + constants.stride * np.cos(middle)
-        path[k, 1] = path[k - 1, 1] + constants.stride * np.sin(middle)
+        if middle != chord:  # the chord of an arc points along its middle heading; once straight, it stays
+            chord, c, s = middle, np.cos(middle), np.sin(middle)
+        path[k, 0] = path[k - 1, 0] + constants.stride * c
+        path[k, 1] = path[k - 1, 1] + constants.stride * s
         path[k, 2] = yaw + headings[k]
     # No point of the footprint goes farther than this from one command to the next.
     quickest = max(abs(start_rate), abs(peak))
@@ -389,7 +391,8 @@ def _follow(
         Index of the last pose reached, what ended it, the smallest clearance on the way and that at the end [m].
     """
     last, event = len(path) - 1, _GOES_ON
-    for k in range(1, len(path)):
+    to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
+    for k in range(1, len(path) if to_target <= hop * last else 0):
         if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
             last, event = k, _AT_TARGET
             break

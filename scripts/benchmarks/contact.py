@@ -26,7 +26,7 @@ class Record:
     """What was done in one drive: enough to do it again, through the environment and without it."""
 
     actions: list[int] = field(default_factory=list)
-    commands: list[tuple[float, float]] = field(default_factory=list)
+    commands: list[list[float]] = field(default_factory=list)
     """Wheel speeds [rad/s]."""
     rays: list[tuple[Array, Array]] = field(default_factory=list)
     """Begins and ends [m], the first from the start."""
@@ -44,7 +44,7 @@ def _ratio(physics: str, seeds: range, rounds: int, steps: int) -> float:
     simulator = inner.simulator
     spent = {"environment": 0.0, "bare": 0.0}
     for seed in seeds:
-        record, world = _recorded(environment, simulator, seed, steps), inner.world(seed)
+        record, world = _recorded(environment, seed, steps), inner.world(seed)
         end = simulator.pose()
         sides = {
             "environment": lambda seed=seed, record=record: _drive(environment, seed, record),
@@ -58,20 +58,21 @@ def _ratio(physics: str, seeds: range, rounds: int, steps: int) -> float:
     return spent["bare"] / spent["environment"]
 
 
-def _recorded(environment: gymnasium.Env, simulator: BulletSimulator, seed: int, most: int) -> Record:
+def _recorded(environment: gymnasium.Env, seed: int, most: int) -> Record:
     """Drives one world by the hand rule and takes down what is done."""
     record = Record()
-    command_wheels, ray_test_batch = simulator.command_wheels, pybullet.rayTestBatch
+    motors, ray_test_batch = pybullet.setJointMotorControlArray, pybullet.rayTestBatch
 
-    def command(left: float, right: float) -> None:
-        record.commands.append((left, right))
-        command_wheels(left, right)
+    def command(*arguments: object, targetVelocities: list[float], **options: object) -> None:
+        record.commands.append(targetVelocities)
+        motors(*arguments, targetVelocities=targetVelocities, **options)
 
     def cast(begins: Array, ends: Array, **options: int) -> object:
-        record.rays.append((begins, ends))
+        record.rays.append((begins.copy(), ends.copy()))
         return ray_test_batch(begins, ends, **options)
 
-    with patch.object(simulator, "command_wheels", command), patch.object(pybullet, "rayTestBatch", cast):
+    patched = {"setJointMotorControlArray": command, "rayTestBatch": cast}
+    with patch.multiple(pybullet, **patched):
         observation, _ = environment.reset(options={"world_seed": seed})
         for _ in range(most):
             record.actions.append(int(hand_rule(observation)))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 from xml.etree import ElementTree
 
 from nnql_bullet.experiment import Experiment, RunConfig
@@ -36,7 +37,7 @@ class Drive:
     """One episode under the hand rule with the physics `fast`: what both sides do again."""
 
     world: WorldSpec
-    commands: list[tuple[float, float]]
+    commands: list[list[float]]
     """Wheel speeds [rad/s] of `fast`, 120 a second."""
     yaws: list[float]
     """[rad], every `PERIOD`."""
@@ -50,7 +51,7 @@ def fast_over_floor(seeds: range, rounds: int, steps: int) -> float:
     spent = {"floor": 0.0, "fast": 0.0}
     simulated = {"floor": 0.0, "fast": 0.0}
     for seed in seeds:
-        drive = _recorded(experiment, simulator, seed, steps)
+        drive = _recorded(experiment, seed, steps)
         sides = {
             "floor": lambda drive=drive: floor.follow(drive),
             "fast": lambda drive=drive: _replay(simulator, drive),
@@ -63,24 +64,23 @@ def fast_over_floor(seeds: range, rounds: int, steps: int) -> float:
     return (simulated["fast"] / spent["fast"]) / (simulated["floor"] / spent["floor"])
 
 
-def _recorded(experiment: Experiment, simulator: BulletSimulator, seed: int, most: int) -> Drive:
+def _recorded(experiment: Experiment, seed: int, most: int) -> Drive:
     world, navigation = experiment.world(seed), experiment.navigation
     observation, _ = navigation.reset(world)
     trace: list[Sample] = []
-    commands: list[tuple[float, float]] = []
-    send = simulator.command_wheels
+    commands: list[list[float]] = []
+    motors = pybullet.setJointMotorControlArray
 
-    def command(left: float, right: float) -> None:
-        commands.append((left, right))
-        send(left, right)
+    def command(*arguments: object, targetVelocities: list[float], **options: object) -> None:
+        commands.append(targetVelocities)
+        motors(*arguments, targetVelocities=targetVelocities, **options)
 
-    simulator.command_wheels = command  # type: ignore[method-assign]
-    for _ in range(most):
-        transition = navigation.step(int(hand_rule(observation.readings)), trace)
-        observation = transition.s_t
-        if transition.ending:
-            break
-    del simulator.command_wheels  # type: ignore[method-assign]
+    with patch.object(pybullet, "setJointMotorControlArray", command):
+        for _ in range(most):
+            transition = navigation.step(int(hand_rule(observation.readings)), trace)
+            observation = transition.s_t
+            if transition.ending:
+                break
     per_period = round(30 * PERIOD)
     return Drive(world, commands, [sample.pose.yaw for sample in trace][per_period - 1 :: per_period])
 

@@ -1,11 +1,11 @@
-"""Trainings: the paper's 1000 episodes from the command line, and NNQL against the DQN of stable-baselines3."""
+"""Trainings: the paper's 1000 episodes with many vehicles, and NNQL against the DQN of stable-baselines3."""
 
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from contextlib import closing
+from itertools import islice
+from typing import Literal
 
 import gymnasium
 
@@ -13,19 +13,22 @@ from nnql_bullet.env import FleetNavigation
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.training.loop import Training
 
-VEHICLES = {"twin": 64, "bullet": 32}
+VEHICLES = 64
 WARM_UP = 300
 """Steps before the clock starts: DQN learns from its 101st on."""
 
 
-def paper_training_s(simulator: str, cores: int) -> float:
-    """Wall time of the whole command, from typing it to its learning curve [s]."""
-    with TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "nnql_bullet", "train", "--sim", simulator, "--out", str(Path(folder, "run"))]
-        command += ["--vehicles", str(VEHICLES[simulator]), "--workers", str(cores)]
-        begin = time.perf_counter()
-        subprocess.run(command, check=True, capture_output=True)
-        return time.perf_counter() - begin
+def paper_training_s(simulator: Literal["twin", "bullet"], cores: int) -> float:
+    """Wall time of a whole training, worker processes and the drawing of its worlds included [s]."""
+    config = RunConfig(simulator=simulator, vehicles=VEHICLES)
+    begin = time.perf_counter()
+    experiment = Experiment(config)
+    with closing(experiment.fleet(cores)) as fleet:
+        navigation = FleetNavigation(fleet, config.task)
+        training = Training(experiment.agent, navigation, experiment.training_world, config.seed)
+        for _ in islice(training.episodes(), config.episodes):
+            pass
+    return time.perf_counter() - begin
 
 
 def nnql_over_sb3(slices: int, steps: int) -> float:

@@ -14,7 +14,7 @@ from nnql_bullet.task import GOES_ON
 
 from .drives import hand_rule
 
-VEHICLES, WORLD = 32, "paper"
+VEHICLES, WORLD = 64, "paper"
 
 
 def two_workers_over_one(slices: int, steps: int) -> float:
