@@ -41,7 +41,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
         ),
         "two_workers_over_one": (
             "speed of two worker processes over one's",
-            lambda: two_workers_over_one(*(2, 5) if quick else (6, 20)),
+            lambda: two_workers_over_one(*(4, 3) if quick else (30, 4)),
         ),
         "twin_steps_per_second": (
             f"twin, control steps a second on {CORES} cores, 72 rays, about 40 boxes",
