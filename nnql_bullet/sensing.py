@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from nnql_bullet import paper
@@ -36,4 +37,16 @@ def scan_from(distances: Array) -> Scan:
 
 def sector_readings(distances: Array) -> Array:
     """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the smallest of its rays."""
-    return np.asarray(distances.reshape(*distances.shape[:-1], paper.SECTORS, RAYS_PER_SECTOR).min(axis=-1))
+    nearest: Array = _nearest(distances.reshape(-1, RAYS_PER_SECTOR))
+    return nearest.reshape(*distances.shape[:-1], paper.SECTORS)
+
+
+@numba.njit(cache=True)
+def _nearest(distances: Array) -> Array:
+    """The smallest of each row (m,); NumPy takes ten times as long over short rows."""
+    nearest = np.empty(len(distances))
+    for i in range(len(distances)):
+        nearest[i] = distances[i, 0]
+        for j in range(1, distances.shape[1]):
+            nearest[i] = min(nearest[i], distances[i, j])
+    return nearest

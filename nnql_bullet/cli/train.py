@@ -54,8 +54,8 @@ def train(
 
         nnql-bullet train
         nnql-bullet train --config literal --seed 3 --out runs/mine
-        nnql-bullet train --vehicles 32 --out runs/quick
-        nnql-bullet train --vehicles 32 --sim twin --out runs/quicker
+        nnql-bullet train --vehicles 64 --out runs/quick
+        nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:

@@ -54,10 +54,13 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
 
 
 def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
-    """How episodes ended, what they returned and how long they lasted, as means over a trailing window."""
+    """How episodes ended, what they returned and how long they lasted, as means over a trailing window.
+
+    With several vehicles episodes stand where they finished, and the temperature where they began.
+    """
     figure = Figure(figsize=(8.0, 7.2), layout="constrained")
     ends, returns, length = figure.subplots(3, 1, sharex=True, height_ratios=(2.2, 1.2, 1.2))
-    number = np.array([e.episode + 1 for e in episodes])
+    number = np.arange(1, len(episodes) + 1)
     window = max(1, min(window, len(episodes) // 4))
     for name, colour in (("goal", GOAL), ("collision", COLLISION), ("timeout", TIMEOUT)):
         share = np.array([100.0 * (e.summary.ending == name) for e in episodes])
@@ -68,7 +71,8 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
     temperature = np.array([e.diagnostics.get("temperature", np.nan) for e in episodes])
     if np.isfinite(temperature).any():
         right = ends.twinx()
-        right.plot(number, temperature, color="#7048e8", lw=1.2, ls="--")
+        began = np.argsort([e.episode for e in episodes])
+        right.plot(number, temperature[began], color="#7048e8", lw=1.2, ls="--")
         right.set_ylabel("temperature T", color="#7048e8")
         right.set_ylim(-0.02 * paper.TEMPERATURE_MAX, 1.02 * paper.TEMPERATURE_MAX)
     total = np.array([e.summary.episode_return for e in episodes])
