@@ -24,7 +24,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 demo: $(INSTALLED)
 	$(BIN)/nnql-bullet train --out $(DEMO) --overwrite
-	$(BIN)/nnql-bullet navigate $(DEMO) --world cover_10 --seed 7
+	$(BIN)/nnql-bullet navigate $(DEMO) --world cover_10 --seed 4
 	@echo 'Look at $(DEMO)/learning_curve.png and the picture named above.'
 
 test: $(INSTALLED)

@@ -36,7 +36,7 @@ def navigate(
     For example:
 
         nnql-bullet navigate runs/paper-0
-        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 7 --json
+        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --json
 
     Args:
         run: Run folder, or a policy.safetensors.
