@@ -52,7 +52,7 @@ class Motion:
     path_length: float
     """Of the rear-axle centre [m]."""
     clearance: float
-    """Smallest distance from the footprint to an obstacle or wall, after any wheel command [m]."""
+    """Smallest distance from the footprint to an obstacle or wall, looked at 30 times a second or more [m]."""
     heading_error: float
     """Commanded heading change less the one reached, at its end [rad]."""
     touching: bool

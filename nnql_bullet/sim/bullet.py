@@ -135,8 +135,8 @@ class BulletSimulator:
     def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target.
 
-        The wheels are commanded 120 times a second and the heading is fed back at every look, 30 times a second: its
-        error dies out a hundred times more slowly. Contact is seen at the physics step that it happens in, the target
+        The wheels are commanded 120 times a second. The heading, whose error takes a quarter of a second to die out, is
+        fed back at every look, 30 times a second. Contact is seen at the physics step that it happens in, the target
         after the wheel command that reaches it.
         """
         begin, first_step = self.pose(), self._steps
