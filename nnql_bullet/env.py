@@ -125,10 +125,6 @@ class Observations:
     property: NDArray[np.int64]
     """`Property` (n,)."""
 
-    def of(self, vehicles: NDArray[np.int64] | NDArray[np.bool_]) -> "Observations":
-        """Those of some vehicles only."""
-        return Observations(*(getattr(self, field.name)[vehicles] for field in fields(self)))
-
 
 def stacked(observations: Sequence[Observation]) -> Observations:
     """Observations of single vehicles as one record."""

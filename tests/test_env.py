@@ -249,16 +249,6 @@ class TestObservations:
         assert many.yaw_rate.tolist() == [-0.1, 0.2, 0.0]
         assert many.property.tolist() == [Property.SAFE, Property.NON_SAFE, Property.WINNING]
 
-    @pytest.mark.parametrize("chosen", [np.array([2, 0]), np.array([True, False, True]), np.array([], np.int64)])
-    def test_some_of_them_are_chosen_by_number_or_by_mask(self, chosen: Any) -> None:
-        some = stacked(self.SEEN).of(chosen)
-        wanted = [self.SEEN[i] for i in (np.flatnonzero(chosen) if chosen.dtype == bool else chosen)]
-        assert some.readings.tolist() == [one.readings.tolist() for one in wanted]
-        assert some.target_distance.tolist() == [one.target_distance for one in wanted]
-        assert some.target_bearing.tolist() == [one.target_bearing for one in wanted]
-        assert some.yaw_rate.tolist() == [one.yaw_rate for one in wanted]
-        assert some.property.tolist() == [one.property for one in wanted]
-
 
 class TestTransition:
     def test_the_first_observation_is_of_the_start(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:

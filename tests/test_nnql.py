@@ -10,7 +10,7 @@ from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions, make_agent
 from nnql_bullet.agents.nnql import Nnql, boltzmann, encode, nearest_turns
-from nnql_bullet.env import Observation, Transitions, stacked
+from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.sim.base import Motions
 from nnql_bullet.task import GOES_ON, REWARD_TERMS, Property
@@ -65,7 +65,8 @@ def learned(agent, step):
 
 def explored(agent, observations, uniforms, episode=0):
     """The actions of one vehicle for each of several uniforms."""
-    many = observations.of(np.zeros(len(uniforms), np.int64))
+    rows = (np.repeat(getattr(observations, field.name), len(uniforms), axis=0) for field in fields(Observations))
+    many = Observations(*rows)
     return agent.explore(many, np.full(len(uniforms), episode), np.array(uniforms)).tolist()
 
 
