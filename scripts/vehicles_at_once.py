@@ -2,8 +2,8 @@
 
 Every policy then drives the same validation worlds, in the twin too.
 
-    python scripts/vehicles_at_once.py                      # as in the README: some four minutes on 2 cores
-    python scripts/vehicles_at_once.py --vehicles 1 64 --seeds 2 --worlds 50
+    python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the README
+    python scripts/vehicles_at_once.py                                  # more of it
 """
 
 import argparse
