@@ -3,7 +3,7 @@
 Training runs in contact physics (`fast`), the test in contact physics (`reference`) on the test split, which nothing
 is chosen on. Each policy drives the same worlds. Runs and drives that are finished are kept and not repeated.
 
-    python scripts/unseen_worlds.py                        # as in the README: 36 minutes on 2 cores
+    python scripts/unseen_worlds.py                        # as in the README: 41 minutes on 2 busy cores
     python scripts/unseen_worlds.py --seeds 1 --worlds 20 --out /tmp/small
 """
 
