@@ -212,19 +212,25 @@ class TestOutside:
 class TestProcesses:
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
     def test_workers_end_with_their_parent(self, tmp_path: Path, number: signal.Signals) -> None:
+        # A shell starts what it puts into the background with Ctrl-C ignored, and children take that over.
         program = f"""
+import signal
 from pathlib import Path
 from test_executors import Job, draw_or_sleep, make_executor
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
 list(make_executor("processes", 2).map(draw_or_sleep, [Job(seed, Path({str(tmp_path)!r})) for seed in (1, 2, 3)]))
 """
         environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
         with subprocess.Popen(
             [sys.executable, "-c", program], env=environment, stderr=subprocess.PIPE, start_new_session=True, text=True
         ) as parent:
-            wait_for(lambda: len(sleepers(tmp_path)) == 2)
-            (os.killpg if number == signal.SIGINT else os.kill)(parent.pid, number)
-            _, stderr = parent.communicate(timeout=LIMIT)
+            try:
+                wait_for(lambda: len(sleepers(tmp_path)) == 2)
+                (os.killpg if number == signal.SIGINT else os.kill)(parent.pid, number)
+                _, stderr = parent.communicate(timeout=LIMIT)
+            finally:
+                parent.kill()
         assert stderr.count("Traceback") == (1 if number == signal.SIGINT else 0)
         wait_for(lambda: not any(map(runs, sleepers(tmp_path))))
         assert len(sleepers(tmp_path)) == 2
