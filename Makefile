@@ -8,7 +8,7 @@ DEMO := runs/demo
 .PHONY: help demo test lint format benchmark clean
 
 help:
-	@echo 'make demo       train 1000 episodes in contact physics, then drive an unseen world (about 7 minutes)'
+	@echo 'make demo       train 1000 episodes in contact physics, then drive an unseen world (about 8 minutes)'
 	@echo 'make test       the whole test suite'
 	@echo 'make lint       ruff and mypy'
 	@echo 'make format     let ruff rewrite the sources'
