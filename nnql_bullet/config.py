@@ -62,8 +62,8 @@ def write_toml(values: Mapping[str, Any]) -> str:
 
 
 def to_values(instance: Any) -> dict[str, Any]:
-    """Options as the plain values that `parse` takes."""
-    values: dict[str, Any] = TypeAdapter(type(instance)).dump_python(instance, mode="json")
+    """Options as the plain values that `parse` takes; what is not set (None, which TOML has not) is left out."""
+    values: dict[str, Any] = TypeAdapter(type(instance)).dump_python(instance, mode="json", exclude_none=True)
     return values
 
 

@@ -1,6 +1,7 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from os import cpu_count
 from pathlib import Path
@@ -17,13 +18,18 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sim.base import DriveOptions, Fleet, Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator, bullet_fleet
+from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
+from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults
+from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.payload import loaded
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
+
+SimulatorName = Literal[EngineName, "twin"]
 
 PATH_MARGIN = 0.15
 """What a world's path is wider on either side than the circle around the vehicle [m]."""
@@ -50,6 +56,25 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 @options
+class Conditions:
+    """How things depart from what the vehicle was made for. The defaults are what its files say."""
+
+    wheel_friction: Annotated[float, Field(gt=0)] | None = None
+    """Of every wheel against the ground."""
+    payload: Annotated[float, Field(ge=0)] = 0.0
+    """On the middle of the deck [kg]."""
+    payload_height: Annotated[float, Field(gt=0)] = 0.55
+    """Of its centre, above the ground [m]."""
+    sensors: SensorFaults = SensorFaults()
+
+    def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
+        """The vehicle under these conditions."""
+        if self.wheel_friction is not None:
+            vehicle = replace(vehicle, contact=replace(vehicle.contact, wheel_friction=self.wheel_friction))
+        return loaded(vehicle, Payload(self.payload, vehicle.footprint.x, self.payload_height))
+
+
+@options
 class RunConfig:
     """A training run. The defaults are the preset `paper`."""
 
@@ -59,12 +84,13 @@ class RunConfig:
     """A shipped world or a path to a TOML file."""
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
-    simulator: Literal["bullet", "twin"] = "bullet"
-    """Contact physics, or the ideal vehicle."""
-    physics: Literal["fast", "reference"] = "fast"
-    """Of the simulator `bullet`."""
+    simulator: SimulatorName = "bullet"
+    """Contact physics in one of two engines, or the ideal vehicle."""
+    physics: PhysicsName = "fast"
+    """Of contact physics."""
     vehicles: Annotated[int, Field(ge=1)] = 1
     """That one policy learns from in lockstep; 1 is the paper's online learning."""
+    conditions: Conditions = Conditions()
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
@@ -104,7 +130,7 @@ class Experiment:
 
     def __init__(self, config: RunConfig) -> None:
         self.config = config
-        self.vehicle = load_vehicle(config.robot)
+        self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = load_world(config.world)
         sensor_height, obstacle_height = self.vehicle.sensor_height, self.worlds.file.obstacle_height
         if obstacle_height <= sensor_height:
@@ -134,9 +160,12 @@ class Experiment:
     @cached_property
     def simulator(self) -> Simulator:
         """The simulator."""
-        if self.config.simulator == "twin":
-            return TwinSimulator(self.vehicle, self.config.drive)
-        return BulletSimulator(self.vehicle, self.config.drive, PHYSICS[self.config.physics])
+        c = self.config
+        if c.simulator == "twin":
+            simulator: Simulator = TwinSimulator(self.vehicle, c.drive)
+        else:
+            simulator = contact_simulator(c.simulator, c.physics, self.vehicle, c.drive)
+        return FaultySimulator(simulator, c.conditions.sensors) if c.conditions.sensors.any else simulator
 
     def fleet(self, workers: int | None = None) -> Fleet:
         """As many vehicles as the configuration says.
@@ -151,10 +180,15 @@ class Experiment:
         workers = cpu_count() or 1 if workers is None else workers
         if workers < 1:
             raise UserError(f"workers must be at least 1, not {workers}")
+        fleet = self._sound_fleet(workers)
+        faults = self.config.conditions.sensors
+        return FaultyFleet(fleet, faults) if faults.any else fleet
+
+    def _sound_fleet(self, workers: int) -> Fleet:
         c, size = self.config, self.config.vehicles
         if c.simulator == "twin":
             return TwinFleet(self.vehicle, c.drive, size, workers)
-        make = partial(bullet_fleet, self.vehicle, c.drive, PHYSICS[c.physics])
+        make = partial(local_fleet, partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive))
         return make(size) if min(workers, size) == 1 else WorkerFleet(make, size, min(workers, size))
 
     @cached_property

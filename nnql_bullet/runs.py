@@ -9,7 +9,7 @@
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +105,8 @@ def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
-        same = weights.config | {"episodes": 0} == to_values(config) | {"episodes": 0}
+        trained = parse(RunConfig, weights.config, str(folder / CHECKPOINT))
+        same = replace(trained, episodes=config.episodes) == config
         if not same or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
         parts = weights.arrays.items()

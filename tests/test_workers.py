@@ -24,7 +24,7 @@ from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
 from nnql_bullet.sim.base import DriveOptions, Motions, WorkerDied
-from nnql_bullet.sim.local import as_motions
+from nnql_bullet.sim.local import as_motions, local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -205,9 +205,9 @@ class TestSharing:
     def test_a_worker_with_a_vehicle_in_contact_physics_is_small(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
     ) -> None:
-        from nnql_bullet.sim.bullet import PHYSICS, bullet_fleet
+        from nnql_bullet.sim.engines import contact_simulator
 
-        make = partial(bullet_fleet, vehicle, DriveOptions(), PHYSICS["fast"])
+        make = partial(local_fleet, partial(contact_simulator, "bullet", "fast", vehicle, DriveOptions()))
         with closing(WorkerFleet(make, 1, 1)) as fleet:
             fleet.reset({0: world_of()})
             fleet.advance(np.zeros(1), np.ones(1, np.bool_))

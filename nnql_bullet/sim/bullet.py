@@ -1,4 +1,4 @@
-"""Contact physics: the vehicle in PyBullet. The only module that imports pybullet.
+"""Contact physics in PyBullet. The only module that imports pybullet.
 
 Collision groups keep apart what must not meet: the wheels, which are spheres with one true contact point each, touch
 only the ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays see only these.
@@ -11,18 +11,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, hypot, sin
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-import numba
 import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, wrap_angle
-from nnql_bullet.sensing import Scan, ray_angles, scan_from
-from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
-from nnql_bullet.sim.local import LocalFleet
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
+from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.sim.base import DriveOptions, Sample
+from nnql_bullet.sim.contact import (
+    CONTACT_MARGIN,
+    GRAVITY,
+    ContactForce,
+    ContactSimulator,
+    LinkDynamics,
+    Quaternion,
+    Vector,
+)
+from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -47,13 +55,11 @@ with _silenced_stderr():  # it prints its build time
 CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
 """Collision groups, one bit each."""
 
-GRAVITY = 9.81
 SHAPES_PER_COMPOUND = 16
 """`createCollisionShapeArray` takes no more."""
 
-CONTACT_BREAKING_THRESHOLD = 0.0005
-"""Keeps one contact a wheel: with the default of 0.02 m a rolling wheel drags old contacts along, at the solver's cost.
-The engine holds this one number for the whole process, so every simulator sets the same."""
+LOCK = 1e4
+"""What holds a locked joint [N m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,205 +83,87 @@ PHYSICS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LinkDynamics:
-    """What the engine holds of a link."""
+class BulletSimulator(ContactSimulator):
+    """One vehicle in one world, in a DIRECT client of its own.
 
-    mass: float
-    inertia: tuple[float, float, float]
-    friction: float
-    rolling_friction: float
-    spinning_friction: float
-
-
-class BulletSimulator:
-    """One vehicle in one world, in a DIRECT client of its own. See `sim.base.Simulator` for the contract.
-
-    Below that contract it offers the parts that physics is probed with: `place`, `step`, `command_wheels`,
-    `release_wheels`, quantities named for what they are, and the engine's own numbers of its `client`, of the vehicle's
-    `body` and of the drive joints `left` and `right`.
+    It also names the engine's own numbers: of its `client`, of the vehicle's `body`, and of the drive joints `left` and
+    `right`.
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
-        self.vehicle = vehicle
+        super().__init__(vehicle, drive, physics.time_step)
         self.physics = physics
-        self.drive = drive
-        self.control_period = drive.decision_period
-        self._steps_per_command = whole_steps(1 / COMMAND_RATE, physics.time_step)
-        commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
-        self._command_times = np.arange(commands + 1) / COMMAND_RATE
         self.client = bullet.connect(bullet.DIRECT)
         if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
-        self._finalizer = weakref.finalize(self, _disconnect, self.client)
-        angles = ray_angles()
-        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
-        self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
-        self._turn_rate = 0.0
-        self._clearance = 0.0
-        self._steps = 0
-        footprint = vehicle.footprint
-        farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
-        fastest = drive.speed + vehicle.limits.yaw_rate * farthest
-        # No point of the vehicle gets farther than this from one look to the next, slip included [m]: what is farther
-        # off cannot be touched in between.
-        self._reach = 1.1 * fastest * SAMPLE_EVERY / COMMAND_RATE + CONTACT_BREAKING_THRESHOLD
-        self._footprint = as_rows((footprint,))[0]
+        self._folder = TemporaryDirectory(prefix="nnql-bullet-") if vehicle.payload else None
+        self._urdf = vehicle.urdf
+        if self._folder:
+            self._urdf = Path(self._folder.name) / "loaded.urdf"
+            self._urdf.write_text(urdf_text(vehicle), encoding="utf-8")
+        self._finalizer = weakref.finalize(self, _release, self.client, self._folder)
 
     def close(self) -> None:
         """Disconnects the client."""
         self._finalizer()
 
-    # The contract of a simulator
-
-    def reset(self, world: WorldSpec) -> None:
-        """Builds the world anew and puts the vehicle on its start, at the drive's speed."""
-        self.place(world, world.start, self.drive.speed)
-
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
-        """Follows the turn's profile for one control period, or up to the first contact or the target.
-
-        The wheels are commanded 120 times a second. The heading, whose error takes a quarter of a second to die out, is
-        fed back at every look, 30 times a second. Contact is seen at the physics step that it happens in, the target
-        after the wheel command that reaches it.
-        """
-        begin, first_step = self.pose(), self._steps
-        turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
-        rates, headings = sample_turn(turn, self._command_times)
-        wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
-        way = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
-        speeds = np.empty((SAMPLE_EVERY, 2))
-        constants, footprint, solids = self._constants, self._footprint, self._world.solids
-        command, last, touching = 0, len(feed_forward), False
-        while True:
-            com, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
-            near, at_target, until_look = _follow(
-                com, orientation, way, wanted, feed_forward, command, speeds, constants, footprint, solids
-            )
-            over = command > 0 and (touching or at_target)
-            if trace is not None and (over or command % SAMPLE_EVERY == 0 < command):
-                trace.append(self.sample())
-            if over or command == last:
-                break
-            carried_out, touching = self._run(speeds[:until_look].tolist(), self._steps_per_command, near)
-            command += carried_out
-        x, y, yaw, path_length, smallest, _ = way.tolist()
-        (velocity_x, velocity_y, _), (_, _, yaw_rate) = bullet.getBaseVelocity(self.body, self.client)
-        self._clearance = clearance_at(x, y, yaw, footprint, solids)
-        self._turn_rate = float(rates[command])
-        return Motion(
-            pose=Pose(x, y, yaw),
-            speed=velocity_x * cos(yaw) + velocity_y * sin(yaw),
-            yaw_rate=yaw_rate,
-            wheel_speeds=self.wheel_speeds(),
-            duration=(self._steps - first_step) * self.physics.time_step,
-            path_length=path_length,
-            clearance=0.0 if touching else smallest,
-            heading_error=wrap_angle(begin.yaw + heading_change - yaw),
-            touching=touching,
-            at_target=at_target and not touching,
-        )
-
-    def scan(self) -> Scan:
-        """One batch of rays from the sensor, which pitches and rolls with the chassis."""
-        position, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
-        _move_rays(position, orientation, self._sensor, self._rays, self._begins, self._ends)
-        hits = bullet.rayTestBatch(self._begins, self._ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
-        return scan_from(np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE)
-
-    def pose(self) -> Pose:
-        """Of the rear-axle centre, seen from above."""
-        x, y, yaw, _ = self._look()
-        return Pose(x, y, yaw)
-
-    # What physics is probed with
-
-    def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
-        """Builds a world from nothing, so that a reset is a fresh start, and puts the vehicle into it.
-
-        Args:
-            world: What stands there.
-            pose: Of the rear-axle centre.
-            speed: Straight ahead, all wheels rolling [m/s].
-            height: Of the wheels above the ground [m].
-            ground: Whether there is any.
-        """
-        self._world = world
-        self._turn_rate = 0.0
-        self._steps = 0
-        bullet.resetSimulation(physicsClientId=self.client)
-        bullet.setPhysicsEngineParameter(
-            fixedTimeStep=self.physics.time_step,
-            numSubSteps=0,
-            numSolverIterations=self.physics.iterations,
-            solverResidualThreshold=self.physics.residual,
-            contactBreakingThreshold=CONTACT_BREAKING_THRESHOLD,
-            deterministicOverlappingPairs=1,
-            physicsClientId=self.client,
-        )
-        bullet.setGravity(0.0, 0.0, -GRAVITY, self.client)
-        if ground:
-            self._add_ground()
-        solids = world.obstacles + world.walls
-        for first in range(0, len(solids), SHAPES_PER_COMPOUND):
-            self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
-        self._add_vehicle(pose, speed, height)
-        self._clearance = self._look()[3]
-        ahead, _, up = self._com
-        drive, (target_x, target_y) = self.drive, world.target
-        control = drive.speed, drive.heading_gain, self.vehicle.track, self.vehicle.wheel_radius
-        self._constants = np.array((ahead, up, self._reach, *control, target_x, target_y, world.target_radius))
+    # What it is probed with
 
     def step(self) -> None:
         """One physics step."""
         bullet.stepSimulation(self.client)
         self._steps += 1
 
-    def command_wheels(self, left: float, right: float) -> None:
-        """Has the wheel-speed controllers track these speeds [rad/s] within the torque limit, until told otherwise."""
-        self._run([[left, right]], 0, False)
-
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
         self._resist(self.vehicle.contact.rolling_friction)
         for joint in (self.left, self.right):
-            self._release(joint)
+            self._hold(joint, 0.0)
+
+    def lock_joints(self) -> None:
+        """Stops every joint and holds it where it is."""
+        for joint in self._joints:
+            angle = bullet.getJointState(self.body, joint, self.client)[0]
+            bullet.resetJointState(self.body, joint, angle, 0.0, self.client)
+            self._hold(joint, LOCK)
+
+    def set_gravity(self, gravity: Vector) -> None:
+        """[m/s2]; a placed vehicle has it pointing down."""
+        bullet.setGravity(*gravity, self.client)
+
+    def set_velocity(self, x: float, y: float) -> None:
+        """Sends the chassis along [m/s], without turning it; the joints go on as they were."""
+        bullet.resetBaseVelocity(self.body, [x, y, 0.0], [0.0, 0.0, 0.0], self.client)
+
+    def set_swivel(self, angle: float) -> None:
+        """Turns the caster from trailing [rad], at rest."""
+        bullet.resetJointState(self.body, self._swivel, angle, 0.0, self.client)
+
+    def twist(self, torque: float) -> None:
+        """Turns the chassis about the vertical during the next physics step [N m]."""
+        bullet.applyExternalTorque(self.body, -1, [0.0, 0.0, torque], bullet.WORLD_FRAME, self.client)
 
     def touching(self) -> bool:
         """Whether the chassis touches anything now. The wheels touch nothing but the ground."""
         return bool(bullet.getContactPoints(bodyA=self.body, linkIndexA=-1, physicsClientId=self.client))
 
-    def time(self) -> float:
-        """Since the vehicle was placed [s]."""
-        return self._steps * self.physics.time_step
+    def obstacle_force(self) -> float:
+        """Normal force of obstacles and walls on the chassis, as a sum over all contacts [N]."""
+        return self._contact_force(-1).normal
 
-    def speed(self) -> float:
-        """Of the rear-axle centre along the vehicle [m/s]."""
-        (vx, vy, _), _ = bullet.getBaseVelocity(self.body, self.client)
-        yaw = self.pose().yaw
-        return float(vx * cos(yaw) + vy * sin(yaw))
-
-    def yaw_rate(self) -> float:
-        """[rad/s]."""
-        return float(bullet.getBaseVelocity(self.body, self.client)[1][2])
-
-    def vertical_velocity(self) -> float:
-        """Of the chassis, upwards [m/s]."""
-        return float(bullet.getBaseVelocity(self.body, self.client)[0][2])
+    def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
+        """Of the ground on the left, right and caster wheel."""
+        left, right, front = (self._contact_force(joint) for joint in (self.left, self.right, self._caster))
+        return left, right, front
 
     def wheel_speeds(self) -> tuple[float, float]:
         """Left and right drive wheel [rad/s]."""
         left, right = bullet.getJointStates(self.body, [self.left, self.right], self.client)
         return left[1], right[1]
 
-    def wheel_heights(self) -> tuple[float, float, float]:
+    def wheel_heights(self) -> Vector:
         """Of the left, right and caster wheel centre above the ground [m]."""
         left, right, front = (self._link_height(joint) for joint in (self.left, self.right, self._caster))
-        return left, right, front
-
-    def wheel_loads(self) -> tuple[float, float, float]:
-        """Normal force of the ground on the left, right and caster wheel [N]."""
-        left, right, front = (self._normal_force(joint) for joint in (self.left, self.right, self._caster))
         return left, right, front
 
     def sample(self) -> Sample:
@@ -294,6 +182,30 @@ class BulletSimulator:
         return {name: self._dynamics(index) for name, index in names.items()}
 
     # How it is built
+
+    def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
+        bullet.resetSimulation(physicsClientId=self.client)
+        self._set_solver()
+        bullet.setGravity(0.0, 0.0, -GRAVITY, self.client)
+        if ground:
+            self._add_ground()
+        solids = world.obstacles + world.walls
+        for first in range(0, len(solids), SHAPES_PER_COMPOUND):
+            self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
+        self._add_vehicle(pose, speed, height)
+
+    def _set_solver(self) -> None:
+        bullet.setPhysicsEngineParameter(
+            fixedTimeStep=self.physics.time_step,
+            numSubSteps=0,
+            numSolverIterations=self.physics.iterations,
+            solverResidualThreshold=self.physics.residual,
+            # Keeps one contact a wheel: with the default of 0.02 m a rolling wheel drags old contacts along, at the
+            # solver's cost. The engine holds this one number for the whole process; every simulator sets the same.
+            contactBreakingThreshold=CONTACT_MARGIN,
+            deterministicOverlappingPairs=1,
+            physicsClientId=self.client,
+        )
 
     def _add_ground(self) -> None:
         shape = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=self.client)
@@ -319,7 +231,7 @@ class BulletSimulator:
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         vehicle = self.vehicle
         self.body = bullet.loadURDF(
-            str(vehicle.urdf),
+            str(self._urdf),
             [pose.x, pose.y, vehicle.wheel_radius + height],
             [0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
             flags=bullet.URDF_USE_INERTIA_FROM_FILE
@@ -328,16 +240,18 @@ class BulletSimulator:
             physicsClientId=self.client,
         )
         joints = {}
-        for joint in range(bullet.getNumJoints(self.body, self.client)):
-            joints[bullet.getJointInfo(self.body, joint, self.client)[1].decode()] = joint
-            self._release(joint)  # every joint starts with a motor that holds it
+        for link in range(bullet.getNumJoints(self.body, self.client)):
+            info = bullet.getJointInfo(self.body, link, self.client)
+            if info[2] != bullet.JOINT_FIXED:
+                joints[info[1].decode()] = link
+                self._hold(link, 0.0)  # every joint starts with a motor that holds it
         self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
         self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
+        self._joints = tuple(joints.values())
         self._com = self._dynamics_info(-1)[3]
-        self._sensor = np.subtract(vehicle.sensor, self._com)
         wheels = (self.left, self.right, self._caster)
-        for link in (-1, *joints.values()):
+        for link in range(-1, bullet.getNumJoints(self.body, self.client)):
             # Damping goes to the whole body and must stand in a call of its own; so must friction.
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
             group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
@@ -362,19 +276,13 @@ class BulletSimulator:
             bullet.changeDynamics(self.body, wheel, rollingFriction=rolling_friction, physicsClientId=self.client)
         self._resisted = rolling_friction > 0
 
-    def _release(self, joint: int) -> None:
+    def _hold(self, joint: int, torque: float) -> None:
+        """Has the joint's motor stand still within a torque limit [N m]; with none, the joint is free."""
         bullet.setJointMotorControl2(
-            self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0, physicsClientId=self.client
+            self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=self.client
         )
 
     def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
-        """Carries out wheel commands, with some physics steps after each.
-
-        Where contact is possible each step is checked, and the first contact ends it.
-
-        Returns:
-            How many commands were carried out, and whether there was contact.
-        """
         if self._resisted and not self.physics.resists_driven:
             self._resist(0.0)
         motors, mode, step = bullet.setJointMotorControlArray, bullet.VELOCITY_CONTROL, bullet.stepSimulation
@@ -389,19 +297,27 @@ class BulletSimulator:
         self._steps += len(speeds) * steps
         return len(speeds), False
 
-    def _look(self) -> tuple[float, float, float, float]:
-        """x, y [m] and yaw [rad] of the rear-axle centre, and the clearance there [m]."""
-        (x, y, _), (qx, qy, qz, qw) = bullet.getBasePositionAndOrientation(self.body, self.client)
-        ahead, _, up = self._com
-        x, y, yaw = _rear_axle(x, y, qx, qy, qz, qw, ahead, up)
-        return x, y, yaw, clearance_at(x, y, yaw, self._footprint, self._world.solids)
+    def _frame(self) -> tuple[Vector, Quaternion]:
+        frame: tuple[Vector, Quaternion] = bullet.getBasePositionAndOrientation(self.body, self.client)
+        return frame
+
+    def _velocities(self) -> tuple[Vector, Vector]:
+        velocities: tuple[Vector, Vector] = bullet.getBaseVelocity(self.body, self.client)
+        return velocities
+
+    def _cast(self, begins: Array, ends: Array) -> Array:
+        hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
+        return np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE
 
     def _link_height(self, joint: int) -> float:
         return float(bullet.getLinkState(self.body, joint, physicsClientId=self.client)[4][2])
 
-    def _normal_force(self, joint: int) -> float:
-        contacts = bullet.getContactPoints(bodyA=self.body, linkIndexA=joint, physicsClientId=self.client)
-        return float(sum(contact[9] for contact in contacts))
+    def _contact_force(self, link: int) -> ContactForce:
+        contacts = bullet.getContactPoints(bodyA=self.body, linkIndexA=link, physicsClientId=self.client)
+        return ContactForce(
+            normal=float(sum(contact[9] for contact in contacts)),
+            friction=float(sum(hypot(contact[10], contact[12]) for contact in contacts)),
+        )
 
     def _dynamics_info(self, link: int) -> Any:
         return bullet.getDynamicsInfo(self.body, link, self.client)
@@ -411,113 +327,11 @@ class BulletSimulator:
         return LinkDynamics(info[0], info[2], info[1], info[6], info[7])
 
 
-@numba.njit(cache=True)
-def _rear_axle(
-    com_x: float, com_y: float, qx: float, qy: float, qz: float, qw: float, ahead: float, up: float
-) -> tuple[float, float, float]:
-    """x, y [m] and yaw [rad] of the rear-axle centre, from the engine's centre of mass and quaternion.
-
-    The centre of mass lies `ahead` of the axle and `up` from it [m] in the chassis frame.
-    """
-    forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
-    x = com_x - (ahead * forward_x + up * 2 * (qx * qz + qw * qy))
-    y = com_y - (ahead * forward_y + up * 2 * (qy * qz - qw * qx))
-    return x, y, np.arctan2(forward_y, forward_x)
-
-
-@numba.njit(cache=True)
-def _follow(
-    com: tuple[float, float, float],
-    orientation: tuple[float, float, float, float],
-    way: Array,
-    wanted: Array,
-    feed_forward: Array,
-    command: int,
-    speeds: Array,
-    constants: Array,
-    footprint: Array,
-    solids: Array,
-) -> tuple[bool, bool, int]:
-    """Looks where the vehicle is, and steers until the next look.
-
-    From one look to the next no point of the vehicle moves farther than the reach, so the clearance is worked out only
-    where it may have fallen to the reach, or below the smallest.
-
-    Args:
-        com: The engine's centre of mass [m].
-        orientation: The engine's quaternion.
-        way: Brought up to date: x, y, yaw of the rear-axle centre, path length, smallest clearance so far, and what the
-            clearance is now at least.
-        wanted: Headings at each command and at the end (m + 1,) [rad].
-        feed_forward: Yaw rates after each command (m,) [rad/s].
-        command: The next one.
-        speeds: Filled with left and right wheel speeds (k, 2) [rad/s] of the commands until the next look.
-        constants: Of the simulator, see `BulletSimulator.place`.
-        footprint: A row (6,) of `as_rows`.
-        solids: Rows (n, 6) of `as_rows`.
-
-    Returns:
-        Whether contact is possible before the next look, whether the target is reached, and how many commands there are
-        until the next look: one where it might reach the target.
-    """
-    ahead, up, reach, speed, gain, track, radius, target_x, target_y, target_radius = constants
-    x, y, yaw = _rear_axle(com[0], com[1], *orientation, ahead, up)
-    way[3] += np.hypot(x - way[0], y - way[1])
-    way[0], way[1], way[2] = x, y, yaw
-    way[5] -= reach
-    if way[5] <= max(way[4], reach):
-        way[5] = clearance_at(x, y, yaw, footprint, solids)
-        way[4] = min(way[4], way[5])
-    to_target = np.hypot(x - target_x, y - target_y) - target_radius
-    until_look = min(len(speeds) if to_target > reach else 1, len(feed_forward) - command)
-    correction = gain * wrap_angle(wanted[command] - yaw)
-    for k in range(until_look):
-        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, feed_forward[command + k] + correction, track, radius)
-    return way[5] <= reach, to_target <= 0.0, until_look
-
-
-@numba.njit(cache=True)
-def _move_rays(
-    com: tuple[float, float, float],
-    orientation: tuple[float, float, float, float],
-    sensor: Array,
-    rays: Array,
-    begins: Array,
-    ends: Array,
-) -> None:
-    """Fills in where rays (n, 3) begin and end in the world (n, 3) [m].
-
-    Args:
-        com: The engine's centre of mass [m].
-        orientation: The engine's quaternion.
-        sensor: Seen from the centre of mass (3,) [m].
-        rays: In the chassis frame (n, 3) [m].
-        begins: To be filled.
-        ends: To be filled.
-    """
-    ahead, left, up = _rotated(sensor[0], sensor[1], sensor[2], *orientation)
-    x, y, z = com[0] + ahead, com[1] + left, com[2] + up
-    for i in range(len(rays)):
-        dx, dy, dz = _rotated(rays[i, 0], rays[i, 1], rays[i, 2], *orientation)
-        begins[i, 0], begins[i, 1], begins[i, 2] = x, y, z
-        ends[i, 0], ends[i, 1], ends[i, 2] = x + dx, y + dy, z + dz
-
-
-@numba.njit(cache=True)
-def _rotated(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> tuple[float, float, float]:
-    """A vector turned by a unit quaternion: v + 2 w (q x v) + 2 q x (q x v)."""
-    tx, ty, tz = 2 * (qy * z - qz * y), 2 * (qz * x - qx * z), 2 * (qx * y - qy * x)
-    return x + qw * tx + qy * tz - qz * ty, y + qw * ty + qz * tx - qx * tz, z + qw * tz + qx * ty - qy * tx
-
-
-def _disconnect(client: int) -> None:
+def _release(client: int, folder: TemporaryDirectory[str] | None) -> None:
     if bullet.isConnected(client):
         bullet.disconnect(client)
-
-
-def bullet_fleet(vehicle: VehicleSpec, drive: DriveOptions, physics: Physics, size: int) -> LocalFleet:
-    """Vehicles in contact physics, in this process."""
-    return LocalFleet([BulletSimulator(vehicle, drive, physics) for _ in range(size)])
+    if folder:
+        folder.cleanup()
 
 
 def has_numpy() -> bool:

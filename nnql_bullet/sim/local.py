@@ -1,6 +1,6 @@
 """A fleet of single simulators in this process."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,11 @@ class LocalFleet:
         """Closes the simulators."""
         for simulator in self._simulators:
             simulator.close()
+
+
+def local_fleet(make: Callable[[], Simulator], size: int) -> LocalFleet:
+    """So many new simulators, in this process."""
+    return LocalFleet([make() for _ in range(size)])
 
 
 def as_motions(motions: Mapping[int, Motion], size: int) -> Motions:

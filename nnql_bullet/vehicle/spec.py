@@ -59,6 +59,25 @@ class SensorMount:
     """In the chassis frame [m]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """A load fixed to the vehicle: a solid cube."""
+
+    mass: float
+    """[kg]"""
+    ahead: float
+    """Of its centre, from the rear axle [m]."""
+    height: float
+    """Of its centre, above the ground [m]."""
+    side: float = 0.4
+    """[m]"""
+
+    @property
+    def inertia(self) -> float:
+        """About any axis through its centre [kg m2]."""
+        return self.mass * self.side**2 / 6
+
+
 @options
 class RobotFile:
     """A robot's TOML."""
@@ -100,13 +119,28 @@ class VehicleSpec:
     caster_trail: float
     wheel_spin_inertia: float
     """One drive wheel about its axle [kg m2]."""
+    caster_spin_inertia: float
+    """The caster wheel about its axle [kg m2]."""
     wheel_torque: float
     """Limit of each drive [N m]."""
+    payload: Payload | None = None
+    """What it carries; counted in `mass`, the centre of mass and `yaw_inertia`."""
 
     @property
     def sensor_height(self) -> float:
         """Of the rays above the ground [m]."""
         return self.sensor[2] + self.wheel_radius
+
+    @property
+    def rolling_mass(self) -> float:
+        """What resists acceleration straight ahead: the mass, and the wheels that spin up with it [kg]."""
+        drive, caster = self.wheel_spin_inertia / self.wheel_radius**2, self.caster_spin_inertia / self.caster_radius**2
+        return self.mass + 2 * drive + caster
+
+    @property
+    def rear_share(self) -> float:
+        """Of the weight, on both drive wheels together at rest."""
+        return 1 - self.com_ahead / self.wheelbase
 
     @property
     def clear_radius(self) -> float:
@@ -193,6 +227,7 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Any) -> VehicleSpec:
         caster_radius=radius["caster_roll"],
         caster_trail=float(at["swivel"][0] - at["caster_roll"][0]),
         wheel_spin_inertia=float(urdf.link_map[links["left_drive"]].inertial.inertia[1, 1]),
+        caster_spin_inertia=float(urdf.link_map[links["caster_roll"]].inertial.inertia[1, 1]),
         wheel_torque=min(efforts),
     )
 

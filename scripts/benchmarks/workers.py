@@ -9,7 +9,8 @@ from statistics import median
 
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.experiment import Experiment, RunConfig
-from nnql_bullet.sim.bullet import PHYSICS, bullet_fleet
+from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import GOES_ON
 
@@ -25,7 +26,7 @@ def two_workers_over_one(slices: int, steps: int) -> float:
     """
     experiment = Experiment(RunConfig(world=WORLD))
     config = experiment.config
-    make = partial(bullet_fleet, experiment.vehicle, config.drive, PHYSICS[config.physics])
+    make = partial(local_fleet, partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive))
     with ExitStack() as stack:
         fleets = [stack.enter_context(closing(WorkerFleet(make, VEHICLES, workers))) for workers in (1, 2)]
         navigations = [FleetNavigation(fleet, config.task) for fleet in fleets]
@@ -57,7 +58,7 @@ def simulator_mb() -> float:
     """Resident memory of a worker process with one vehicle in a world [MB = 10^6 bytes]."""
     experiment = Experiment(RunConfig(world="cover_10"))
     config = experiment.config
-    make = partial(bullet_fleet, experiment.vehicle, config.drive, PHYSICS[config.physics])
+    make = partial(local_fleet, partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive))
     before = set(multiprocessing.active_children())
     with closing(WorkerFleet(make, 1, 1)) as fleet:
         navigation = FleetNavigation(fleet, config.task)

@@ -21,9 +21,11 @@ LAYERS = (
     ("env",),
     ("agents",),
     ("rollout",),
-    ("training", "recording"),
-    ("experiment", "reports"),
+    ("training", "recording", "fidelity"),
+    ("experiment",),
     ("runs", "tricycle_env", "diagnosis"),
+    ("evaluation",),
+    ("reports",),
     ("cli",),
     ("__main__",),
 )

@@ -1,0 +1,59 @@
+"""A vehicle with a load on its deck: the same vehicle, heavier, its centre of mass elsewhere."""
+
+from dataclasses import replace
+from xml.etree import ElementTree
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+
+LINK = "payload"
+"""Of the URDF, fixed to the base."""
+
+
+def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
+    """The vehicle with a load fixed to it; mass, centre of mass and inertia are those of both (parallel-axis theorem).
+
+    Raises:
+        UserError: If it carries one already.
+    """
+    if vehicle.payload:
+        raise UserError(f"vehicle '{vehicle.name}' carries a payload already")
+    if payload.mass == 0:
+        return vehicle
+    m, p = vehicle.mass, payload.mass
+    together = m + p
+    apart = payload.ahead - vehicle.com_ahead
+    return replace(
+        vehicle,
+        payload=payload,
+        mass=together,
+        com_ahead=(m * vehicle.com_ahead + p * payload.ahead) / together,
+        com_height=(m * vehicle.com_height + p * payload.height) / together,
+        yaw_inertia=vehicle.yaw_inertia + payload.inertia + m * p / together * apart * apart,
+    )
+
+
+def urdf_text(vehicle: VehicleSpec) -> str:
+    """The vehicle's URDF, with its load as one more link.
+
+    Raises:
+        OSError: If the URDF cannot be read.
+    """
+    text = vehicle.urdf.read_text(encoding="utf-8")
+    if vehicle.payload is None:
+        return text
+    robot = ElementTree.fromstring(text)
+    children = {joint.find("child").attrib["link"] for joint in robot.iter("joint")}  # type: ignore[union-attr]
+    base = next(link.attrib["name"] for link in robot.iter("link") if link.attrib["name"] not in children)
+    payload, inertia = vehicle.payload, repr(vehicle.payload.inertia)
+    link = ElementTree.SubElement(robot, "link", name=LINK)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value=repr(payload.mass))
+    moments = {"ixx": inertia, "iyy": inertia, "izz": inertia, "ixy": "0", "ixz": "0", "iyz": "0"}
+    ElementTree.SubElement(inertial, "inertia", moments)
+    joint = ElementTree.SubElement(robot, "joint", name=LINK, type="fixed")
+    ElementTree.SubElement(joint, "parent", link=base)
+    ElementTree.SubElement(joint, "child", link=LINK)
+    above_axle = payload.height - vehicle.wheel_radius
+    ElementTree.SubElement(joint, "origin", xyz=f"{payload.ahead!r} 0 {above_axle!r}", rpy="0 0 0")
+    return ElementTree.tostring(robot, encoding="unicode")
