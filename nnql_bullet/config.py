@@ -68,12 +68,19 @@ def to_values(instance: Any) -> dict[str, Any]:
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` laid over it, table by table; a table of another `kind` replaces the one in `base`."""
+    """`base` with `changes` laid over it, table by table.
+
+    A table of another `kind` replaces the one in `base`; None leaves what is there.
+    """
     result = dict(base)
     for key, value in changes.items():
+        if value is None:
+            continue
         old = result.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping) and _same_kind(old, value):
             result[key] = merged(old, value)
+        elif isinstance(value, Mapping):
+            result[key] = merged({}, value)
         else:
             result[key] = value
     return result

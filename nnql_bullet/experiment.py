@@ -115,14 +115,12 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
         preset = values.pop("preset", "paper")
         if preset not in PRESETS:
             raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
-    given = {key: value for key, value in changes.items() if value is not None}
-    return parse(RunConfig, merged(merged(PRESETS[preset], values), given), name)
+    return parse(RunConfig, merged(merged(PRESETS[preset], values), changes), name)
 
 
 def changed(config: RunConfig, **changes: Any) -> RunConfig:
-    """The configuration with some top-level keys replaced; None leaves what is there."""
-    given = {key: value for key, value in changes.items() if value is not None}
-    return parse(RunConfig, merged(to_values(config), given), "command line")
+    """The configuration with nested values laid over it; None leaves what is there."""
+    return parse(RunConfig, merged(to_values(config), changes), "command line")
 
 
 class Experiment:

@@ -9,6 +9,7 @@
 
 import csv
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from nnql_bullet import __version__
 from nnql_bullet.agents import Agent
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import RunConfig
+from nnql_bullet.experiment import Experiment, RunConfig, changed
 from nnql_bullet.files import write_text
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
@@ -75,6 +76,26 @@ class Run:
         """Writes the configuration, every key resolved."""
         text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(self.config))}"
         write_text(self.folder / CONFIG, text)
+
+
+def open_policy(run: Path, changes: Mapping[str, Any]) -> tuple[Experiment, int]:
+    """What a run has learned, ready to drive.
+
+    Args:
+        run: Its folder, or a policy file.
+        changes: Nested values laid over the configuration that it was trained with; None leaves what is there.
+
+    Returns:
+        The experiment, its agent trained, and the number of training episodes behind it.
+
+    Raises:
+        UserError: If there is no policy, or a value is wrong.
+    """
+    path = run / POLICY if run.is_dir() else run
+    weights = load_weights(path)
+    experiment = Experiment(changed(parse(RunConfig, weights.config, str(path)), **changes))
+    experiment.agent.load(weights.arrays)
+    return experiment, weights.episodes
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,18 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import say
-from nnql_bullet.config import parse
-from nnql_bullet.experiment import Experiment, RunConfig, changed
+from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.recording import Recorder
 from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.runs import POLICY
-from nnql_bullet.training.checkpoint import load_weights
+from nnql_bullet.runs import open_policy
+from nnql_bullet.sim.engines import PhysicsName
 
 
 def navigate(
@@ -22,8 +21,12 @@ def navigate(
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
-    sim: Annotated[Literal["bullet", "twin"], tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[Literal["fast", "reference"], tyro.conf.arg(help_behavior_hint="")] = "reference",
+    sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
+    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
+    friction: Annotated[float | None, tyro.conf.arg(metavar="MU", help_behavior_hint="")] = None,
+    payload: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="")] = None,
+    noise: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None,
+    dead_sector: Annotated[int | None, tyro.conf.arg(metavar="0..7", help_behavior_hint="")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
     json_output: Annotated[
         bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
@@ -42,22 +45,26 @@ def navigate(
         run: Run folder, or a policy.safetensors.
         world: Shipped world (paper, cover_2.5 ... cover_20) or TOML file; default that of the training.
         seed: Of the world; default 0.
-        sim: Contact physics (bullet, the default), whatever it was trained in, or the ideal vehicle (twin).
+        sim: Contact physics (bullet, the default, or mujoco), whatever it was trained in, or the ideal vehicle (twin).
         physics: Solver settings of contact physics; default reference, the more exact.
+        friction: Of the wheels against the ground, instead of the vehicle's own.
+        payload: On the middle of the deck [kg].
+        noise: Standard deviation of each ray [m].
+        dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
         out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED.
         json_output: Print one JSON object instead of text.
     """
-    policy = run / POLICY if run.is_dir() else run
-    weights = load_weights(policy)
-    config = changed(parse(RunConfig, weights.config, str(policy)), world=world, simulator=sim, physics=physics)
-    experiment = Experiment(config)
-    experiment.agent.load(weights.arrays)
+    sensors = {"noise": noise, "dead_sector": dead_sector}
+    conditions = {"wheel_friction": friction, "payload": payload, "sensors": sensors}
+    changes = {"world": world, "simulator": sim, "physics": physics, "conditions": conditions}
+    experiment, episodes = open_policy(run, changes)
+    config = experiment.config
     spec = experiment.world(seed)
     recorder = Recorder(experiment.vehicle, experiment.agent)
     summary = run_episode(experiment.navigation, spec, experiment.agent.exploit, watcher=recorder)
-    folder = out or policy.parent / "navigate" / f"{spec.name}-{seed}"
+    folder = out or (run if run.is_dir() else run.parent) / "navigate" / f"{spec.name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
-    label = f"{config.agent.kind}, {weights.episodes} episodes"
+    label = f"{config.agent.kind}, {episodes} episodes"
     recording = recorder.recording(policy=label, simulator=sim, physics=config.physics, version=__version__)
     recording.save(folder / "trajectory.npz")
     draw_trajectory(recording, folder / "trajectory.png")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Literal
+from typing import Annotated
 
 import torch
 import tyro
@@ -16,10 +16,11 @@ from nnql_bullet.agents import Agent
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, load_config
+from nnql_bullet.experiment import Experiment, SimulatorName, load_config
 from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, open_run
 from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.training import loop
 
 SAVE_EVERY = 5.0
@@ -30,15 +31,11 @@ RECENT = 100
 
 def train(
     config: Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE", help_behavior_hint="")] = None,
-    sim: Annotated[
-        Literal["bullet", "twin"] | None, tyro.conf.arg(metavar="bullet|twin", help_behavior_hint="")
-    ] = None,
+    sim: Annotated[SimulatorName | None, tyro.conf.arg(metavar="bullet|mujoco|twin", help_behavior_hint="")] = None,
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
     seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    physics: Annotated[
-        Literal["fast", "reference"] | None, tyro.conf.arg(metavar="fast|reference", help_behavior_hint="")
-    ] = None,
+    physics: Annotated[PhysicsName | None, tyro.conf.arg(metavar="fast|reference", help_behavior_hint="")] = None,
     vehicles: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
@@ -60,7 +57,7 @@ def train(
 
     Args:
         config: Preset (paper, literal) or TOML file; default paper.
-        sim: Contact physics (bullet, the default) or the ideal vehicle (twin: no slip, much faster).
+        sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
         episodes: Training episodes in all; default 1000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper.

@@ -31,7 +31,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
     figure = Figure(figsize=(11.0, 7.4), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
     whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    _draw_world(whole, recording)
+    draw_world(whole, recording)
     _draw_path(whole, recording)
     whole.set(
         xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]"
@@ -50,7 +50,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
     if recording.about["ending"] == "collision":
         handles.append(Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
@@ -86,10 +86,11 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
     for axes in (ends, returns, length):
         axes.grid(color="#e9ecef", lw=0.8)
         axes.spines[["top"]].set_visible(False)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
-def _draw_world(axes: Axes, recording: Recording) -> None:
+def draw_world(axes: Axes, recording: Recording) -> None:
+    """Arena, boxes, start and target, to scale."""
     world = recording.about["world"]
     width, depth = world["width"], world["depth"]
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc="#f8f9fa", ec=BOX_EDGE, lw=2.5))
@@ -116,7 +117,7 @@ def _draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
     """The tightest moment, enlarged."""
     x, y, _ = recording.state_pose[int(np.argmin(recording.clearance)) + 1]
-    _draw_world(axes, recording)
+    draw_world(axes, recording)
     _draw_path(axes, recording, detail=2.0)
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title("the tightest moment", fontsize=10)
@@ -175,5 +176,6 @@ def _trailing_mean(values: Array, window: int) -> Array:
     return mean
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Writes a picture atomically, the same bytes for the same figure."""
     write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=150, metadata={"Software": None}))

@@ -1,0 +1,129 @@
+"""`nnql-bullet gap`."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from nnql_bullet.cli.console import complain, progress, say
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation import gap as measure
+from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
+from nnql_bullet.executors import make_executor
+from nnql_bullet.experiment import SimulatorName
+from nnql_bullet.files import write_text
+from nnql_bullet.recording import load_recording
+from nnql_bullet.reports import gap as report
+from nnql_bullet.runs import open_policy
+from nnql_bullet.seeding import TEST_WORLDS, VALIDATION_WORLDS
+from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.task import ENDINGS
+
+SPLITS = {"validation": VALIDATION_WORLDS, "test": TEST_WORLDS}
+
+
+def gap(
+    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
+    /,
+    against: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "twin",
+    sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
+    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
+    worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 100,
+    split: Annotated[Literal["validation", "test"], tyro.conf.arg(help_behavior_hint="")] = "validation",
+    faults: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+) -> int:
+    """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
+
+    Prints how drives ended on both sides, and leaves gap.md, gap.json, episodes.csv and pictures: outcomes against each
+    other, how the drives come apart, the drives that ended differently with a cause each and the command that replays
+    it, and success by fault (friction, payload, sensor noise, a dead sector).
+
+    For example:
+
+        nnql-bullet gap runs/paper-0
+        nnql-bullet gap runs/paper-0 runs/paper-1 --world cover_10 --split test
+        nnql-bullet gap runs/paper-0 --against mujoco --no-faults
+
+    Args:
+        runs: Run folders, or policy files.
+        against: What contact physics is held against: the ideal vehicle (twin, the default), or the other engine.
+        sim: Engine of contact physics; default bullet.
+        physics: Settings of contact physics; default reference, the more exact.
+        world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
+        worlds: How many worlds; default 100.
+        split: Worlds to choose with (validation, the default), or those for the final table (test).
+        faults: Whether to drive with faults too, which takes six times as long.
+        workers: Processes; default one a core. The result does not depend on it.
+        out: Where the report goes; default runs/gap.
+    """
+    if worlds < 1:
+        raise UserError(f"--worlds must be at least 1, not {worlds}")
+    if against == sim:
+        raise UserError(f"--against {against} is the engine itself; give another, or another --sim")
+    seeds = SPLITS[split][:worlds]
+    first, second = Side(against, physics), Side(sim, physics)
+    opened = [open_policy(run, {"world": world, "simulator": sim})[0] for run in runs]  # what is wrong shows here
+    periods = {experiment.config.drive.decision_period for experiment in opened}
+    if len(periods) > 1:
+        raise UserError("these runs decide at different periods; compare them one by one")
+    opened[0].world(seeds[0])
+    folder = out or Path("runs") / "gap"
+    flips = folder / "flips"
+    flips.mkdir(parents=True, exist_ok=True)
+    for old in flips.glob("*.npz"):
+        old.unlink()
+    tasks = measure.tasks(runs, world, seeds, first, second, faults, flips)
+    executor = make_executor("processes", workers or os.cpu_count() or 1)
+    done: dict[int, list[Pair] | list[Trial]] = {}
+    total = sum(len(task.seeds) for task in tasks)
+    with progress("driving", total) as show:
+        for outcome in executor.map(measure.work, tasks):
+            if outcome.error or outcome.value is None:
+                complain(f"world {outcome.task.seed} of {outcome.task.run}: {outcome.error and outcome.error.message}")
+                return 1
+            done[outcome.index] = outcome.value
+            show(sum(len(value) for value in done.values()), "")
+    results = [one for index in sorted(done) for one in done[index]]
+    pairs = [one for one in results if isinstance(one, Pair)]
+    trials = [one for one in results if isinstance(one, Trial)]
+    result = Gap(tuple(map(str, runs)), world, seeds, first, second, periods.pop(), pairs, trials)
+    _write(result, folder)
+    _print(result)
+    say(f"report: {folder / 'gap.md'}")
+    return 0
+
+
+def _write(gap: Gap, folder: Path) -> None:
+    write_text(folder / "gap.md", report.gap_markdown(gap))
+    write_text(folder / "gap.json", json.dumps(report.gap_values(gap), indent=1) + "\n")
+    write_text(folder / "episodes.csv", report.gap_csv(gap))
+    report.draw_gap(gap, folder / "gap.png")
+    if gap.trials:
+        report.draw_faults(gap, folder / "faults.png")
+    shown = []
+    for pair in gap.flips[: report.FLIPS_SHOWN]:
+        files = [
+            measure.flip_file(folder / "flips", pair.run, pair.world_seed, side) for side in (gap.first, gap.second)
+        ]
+        shown.append((pair, load_recording(files[0]), load_recording(files[1])))
+    if shown:
+        report.draw_flips(gap, shown, folder / "flips.png")
+
+
+def _print(gap: Gap) -> None:
+    matrix = measure.outcome_matrix(gap.pairs)
+    say(f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives")
+    say(f"{'':<11}" + "".join(f"{ending:>11}" for ending in ENDINGS))
+    for ending, row in zip(ENDINGS, matrix.tolist(), strict=True):
+        say(f"{ending:<11}" + "".join(f"{count:>11}" for count in row))
+    say(f"McNemar p = {measure.success_p_value(gap.pairs):.2g}; {len(gap.flips)} drives ended differently")
+    if gap.trials:
+        say(f"{'fault':<24}{'goal %':>22}{'collision %':>22}{'p':>9}")
+    for row in measure.fault_rows(gap.pairs, gap.trials) if gap.trials else ():
+        p_value = f"{row.p_value:.2g}" if row.fault else ""
+        say(f"{row.fault or 'none':<24}{row.shares['goal']!s:>22}{row.shares['collision']!s:>22}{p_value:>9}")

@@ -1,0 +1,324 @@
+"""The gap between two simulators: the same policy, worlds and seeds in both, drive by drive."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import __version__
+from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
+from nnql_bullet.evaluation.statistics import Share, mcnemar, share
+from nnql_bullet.experiment import Experiment, SimulatorName
+from nnql_bullet.geometry import Array
+from nnql_bullet.recording import Recorder, Recording
+from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.runs import open_policy
+from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.task import ENDINGS
+
+FAULTS: dict[str, dict[str, Any]] = {
+    "friction 0.5": {"wheel_friction": 0.5},
+    "friction 0.6": {"wheel_friction": 0.6},
+    "friction 0.7": {"wheel_friction": 0.7},
+    "friction 0.9": {"wheel_friction": 0.9},
+    "payload 40 kg": {"payload": 40.0},
+    "payload 80 kg": {"payload": 80.0},
+    "sensor noise 5 cm": {"sensors": {"noise": 0.05}},
+    "sensor noise 20 cm": {"sensors": {"noise": 0.20}},
+    "front sector dead": {"sensors": {"dead_sector": 0}},
+    "front-left sector dead": {"sensors": {"dead_sector": 1}},
+    "left sector dead": {"sensors": {"dead_sector": 2}},
+    "rear sector dead": {"sensors": {"dead_sector": 4}},
+}
+"""What a policy is tried with that it was not trained with: values of `experiment.Conditions`. A dead sector sees
+nothing, and nobody is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of the two simulators."""
+
+    simulator: SimulatorName
+    physics: PhysicsName
+
+    @property
+    def name(self) -> str:
+        """As it is printed."""
+        return self.simulator if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
+
+
+@dataclass(frozen=True, slots=True)
+class PairTask:
+    """One policy through some worlds, in both simulators."""
+
+    run: str
+    world: str | None
+    """Another world file than the policy was trained in."""
+    seeds: range
+    first: Side
+    second: Side
+    flips: str
+    """Folder for the recordings of drives that ended differently."""
+
+    @property
+    def seed(self) -> int:
+        """Of the first world."""
+        return self.seeds.start
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One world, driven through in both simulators."""
+
+    run: str
+    world_seed: int
+    first: EpisodeSummary
+    second: EpisodeSummary
+    times: Array
+    """Of the decisions that both came to (m,) [s]."""
+    apart: Array
+    """How far the vehicles were apart then (m,) [m]."""
+    parted: float
+    """When they first decided differently [s]; infinite if they never did."""
+    explanation: Explanation | None
+    """Where they ended differently."""
+
+    @property
+    def flipped(self) -> bool:
+        """Whether they ended differently."""
+        return self.first.ending != self.second.ending
+
+
+def drive_pairs(task: PairTask) -> list[Pair]:
+    """Drives both sides through each world, and compares them."""
+    sides = [_experiment(task.run, task.world, side, None) for side in (task.first, task.second)]
+    pairs = []
+    for seed in task.seeds:
+        drives = [_drive(experiment, seed) for experiment in sides]
+        (first, one), (second, other) = drives
+        explanation = None
+        if first.ending != second.ending:
+            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive.speed)
+            for side, (_, recording) in zip((task.first, task.second), drives, strict=True):
+                recording.save(flip_file(Path(task.flips), task.run, seed, side))
+        k = parting(one, other)
+        times, distances = apart(one, other)
+        parted = float(times[k]) if k < len(times) else float("inf")
+        pairs.append(Pair(task.run, seed, first, second, times, distances, parted, explanation))
+    return pairs
+
+
+def flip_file(folder: Path, run: str, seed: int, side: Side) -> Path:
+    """Where the recording of a drive is kept that ended differently on the other side."""
+    return folder / f"{run.strip('/').replace('/', '_')}-{seed}-{side.simulator}.npz"
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTask:
+    """One policy through some worlds, with something wrong."""
+
+    run: str
+    world: str | None
+    seeds: range
+    side: Side
+    fault: str
+    """A key of `FAULTS`."""
+
+    @property
+    def seed(self) -> int:
+        """Of the first world."""
+        return self.seeds.start
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One world, driven through with something wrong."""
+
+    run: str
+    fault: str
+    summary: EpisodeSummary
+
+
+def drive_faulty(task: FaultTask) -> list[Trial]:
+    """Drives through each world with the fault."""
+    experiment = _experiment(task.run, task.world, task.side, task.fault)
+    trials = []
+    for seed in task.seeds:
+        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit)
+        trials.append(Trial(task.run, task.fault, summary))
+    return trials
+
+
+@lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
+def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> Experiment:
+    conditions = FAULTS[fault] if fault else None
+    changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
+    return open_policy(Path(run), changes)[0]
+
+
+def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
+    recorder = Recorder(experiment.vehicle, experiment.agent)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit, watcher=recorder)
+    c = experiment.config
+    return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Policies, worlds and seeds, in two simulators."""
+
+    runs: tuple[str, ...]
+    world: str | None
+    """Another world file than the policies were trained in."""
+    seeds: range
+    first: Side
+    second: Side
+    control_period: float
+    """[s]"""
+    pairs: list[Pair]
+    trials: list[Trial]
+    """With faults, on the second side; may be empty."""
+
+    @property
+    def flips(self) -> list[Pair]:
+        """What ended differently."""
+        return [pair for pair in self.pairs if pair.flipped]
+
+    def replay(self, pair: Pair, side: Side) -> str:
+        """The command that drives one side of a pair again, exactly."""
+        world = f" --world {self.world}" if self.world else ""
+        physics = "" if side.simulator == "twin" else f" --physics {side.physics}"
+        return f"nnql-bullet navigate {pair.run}{world} --seed {pair.world_seed} --sim {side.simulator}{physics}"
+
+
+WORLDS_AT_A_TIME = 5
+
+
+def tasks(
+    runs: Sequence[Path], world: str | None, seeds: range, first: Side, second: Side, faults: bool, flips: Path
+) -> list[PairTask | FaultTask]:
+    """The work of a comparison, in pieces: every run through every world, then with each fault on the second side."""
+    chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
+    names = [str(run) for run in runs]
+    pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run in names for chunk in chunks]
+    wrong = list(FAULTS) if faults else []
+    return [
+        *pairs,
+        *(FaultTask(run, world, chunk, second, fault) for fault in wrong for run in names for chunk in chunks),
+    ]
+
+
+def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
+    """One piece of it."""
+    return drive_pairs(task) if isinstance(task, PairTask) else drive_faulty(task)
+
+
+def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
+    """How many drives ended how, (3, 3) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
+    for pair in pairs:
+        matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1
+    return matrix
+
+
+def success_p_value(pairs: Sequence[Pair]) -> float:
+    """McNemar's exact test of whether one side reaches the target more often."""
+    goals = [(pair.first.ending == "goal", pair.second.ending == "goal") for pair in pairs]
+    return mcnemar(goals.count((True, False)), goals.count((False, True)))
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """How far two drives through one world are apart as time goes on, over all pairs that still drive."""
+
+    time: Array
+    """(m,) [s]"""
+    median: Array
+    """(m,) [m]"""
+    ninetieth: Array
+    """90 % of the pairs are no farther apart (m,) [m]."""
+    parted: Array
+    """Share of all pairs that have decided differently by then (m,)."""
+    driving: NDArray[np.int64]
+    """Pairs in which both still drive (m,)."""
+
+
+def divergence(pairs: Sequence[Pair], every: float) -> Divergence:
+    """At every so many seconds, as long as half of the pairs still drive.
+
+    Args:
+        pairs: Drives through the same worlds.
+        every: The control period, at whose multiples decisions are taken [s].
+    """
+    steps = max(len(pair.times) for pair in pairs)
+    distances = np.full((len(pairs), steps), np.nan)
+    for row, pair in zip(distances, pairs, strict=True):
+        row[: len(pair.apart)] = pair.apart
+    driving = np.sum(np.isfinite(distances), axis=0)
+    m = int(np.sum(driving >= 0.5 * len(pairs)))
+    quantiles: Array = np.asarray(np.nanquantile(distances[:, :m], (0.5, 0.9), axis=0), np.float64)
+    time: Array = np.arange(m, dtype=np.float64) * every
+    parted: Array = np.mean(np.array([pair.parted for pair in pairs])[:, None] <= time + 1e-9, axis=0, dtype=np.float64)
+    return Divergence(time, quantiles[0], quantiles[1], parted, driving[:m])
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Second side less first, over drives that reached the target in both."""
+
+    quantity: str
+    unit: str
+    mean: float
+    low: float
+    """A tenth of the drives differ by less than this."""
+    high: float
+    """A tenth of the drives differ by more than this."""
+
+
+def differences(pairs: Sequence[Pair]) -> list[Difference]:
+    """In time, path and smallest clearance."""
+    both = [pair for pair in pairs if pair.first.ending == pair.second.ending == "goal"]
+    if not both:
+        return []
+    rows = []
+    for quantity, unit, name in (
+        ("time to the target", "s", "duration"),
+        ("path length", "m", "path_length"),
+        ("smallest clearance", "m", "clearance"),
+    ):
+        values = [getattr(pair.second, name) - getattr(pair.first, name) for pair in both]
+        low, high = np.quantile(values, (0.1, 0.9))
+        rows.append(Difference(quantity, unit, float(np.mean(values)), float(low), float(high)))
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """What a policy makes of a fault."""
+
+    fault: str
+    """Empty for none."""
+    shares: dict[str, Share]
+    """Of each ending."""
+    p_value: float
+    """McNemar's, against the same drives without the fault."""
+
+
+def fault_rows(pairs: Sequence[Pair], trials: Sequence[Trial]) -> list[FaultRow]:
+    """Success by fault on the second side; the first row is without one."""
+    sound = {(pair.run, pair.world_seed): pair.second.ending for pair in pairs}
+    rows = [FaultRow("", _shares(list(sound.values())), 1.0)]
+    for fault in dict.fromkeys(trial.fault for trial in trials):
+        endings = {(t.run, t.summary.world_seed): t.summary.ending for t in trials if t.fault == fault}
+        goals = [(sound[key] == "goal", ending == "goal") for key, ending in endings.items()]
+        p_value = mcnemar(goals.count((True, False)), goals.count((False, True)))
+        rows.append(FaultRow(fault, _shares(list(endings.values())), p_value))
+    return rows
+
+
+def _shares(endings: Sequence[str]) -> dict[str, Share]:
+    return {ending: share(endings.count(ending), len(endings)) for ending in ENDINGS}

@@ -1,0 +1,293 @@
+"""The gap between two simulators as text and pictures."""
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from nnql_bullet import __version__
+from nnql_bullet.evaluation.causes import CAUSES, GRAZE, NOTABLE
+from nnql_bullet.evaluation.gap import (
+    Gap,
+    Pair,
+    differences,
+    divergence,
+    fault_rows,
+    outcome_matrix,
+    success_p_value,
+)
+from nnql_bullet.evaluation.statistics import share
+from nnql_bullet.geometry import Array
+from nnql_bullet.recording import Recording
+from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_world, save_figure
+from nnql_bullet.task import ENDINGS
+
+
+def gap_markdown(gap: Gap) -> str:
+    """The report: what was driven, how it ended on both sides, why it differed, and what faults do."""
+    first, second = gap.first.name, gap.second.name
+    matrix = outcome_matrix(gap.pairs)
+    total, same = int(matrix.sum()), int(np.trace(matrix))
+    goals = [share(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
+    lines = [
+        f"# The gap: {first} against {second}",
+        "",
+        f"{', '.join(gap.runs)}; {f'world {gap.world}, ' if gap.world else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
+        f"{total} pairs of drives. nnql-bullet {__version__}.",
+        "",
+        f"{same} of {total} pairs end alike. Success: {goals[0]} % in {first}, {goals[1]} % in {second} (Wilson 95 % "
+        f"intervals over drives); McNemar's exact test p = {success_p_value(gap.pairs):.2g}.",
+        "",
+        "![the gap](gap.png)",
+        "",
+        f"| {first} \\ {second} | {' | '.join(ENDINGS)} |",
+        "|---|" + "---|" * len(ENDINGS),
+        *(f"| {name} | {' | '.join(str(n) for n in row)} |" for name, row in zip(ENDINGS, matrix, strict=True)),
+        "",
+        f"| policy | {first} | {second} | alike |",
+        "|---|---|---|---|",
+        *(_policy_row(run, [pair for pair in gap.pairs if pair.run == run]) for run in gap.runs),
+        "",
+    ]
+    rows = differences(gap.pairs)
+    if rows:
+        lines += [
+            f"Drives that reach the target on both sides, {second} less {first}:",
+            "",
+            "| quantity | mean | 10 % to 90 % of drives |",
+            "|---|---|---|",
+            *(f"| {r.quantity} [{r.unit}] | {r.mean:+.3f} | {r.low:+.3f} to {r.high:+.3f} |" for r in rows),
+            "",
+        ]
+    lines += _flips_markdown(gap)
+    if gap.trials:
+        lines += [
+            f"## Success by fault, in {second}",
+            "",
+            "The policies are told of none of these, and were not trained with them.",
+            "",
+            "![success by fault](faults.png)",
+            "",
+            "| fault | goal % | collision % | timeout % | McNemar p against none |",
+            "|---|---|---|---|---|",
+        ]
+        for row in fault_rows(gap.pairs, gap.trials):
+            shares = " | ".join(str(row.shares[ending]) for ending in ENDINGS)
+            lines.append(f"| {row.fault or 'none'} | {shares} | {f'{row.p_value:.2g}' if row.fault else ''} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _flips_markdown(gap: Gap) -> list[str]:
+    if not gap.flips:
+        return ["No drive ended differently.", ""]
+    causes = Counter(pair.explanation.cause for pair in gap.flips if pair.explanation)
+    counted = ", ".join(f"{cause} {causes[cause]}" for cause in CAUSES)
+    lines = [
+        f"## The {len(gap.flips)} drives that ended differently",
+        "",
+        f"By cause: {counted}. Before the two drives part, slip or lag beyond {NOTABLE:.0%} of the way in a control "
+        f"period is the cause; else a miss by less than {GRAZE:g} m where the other touched; what is left hangs on "
+        "decisions that were too close to call, between drives that were centimetres apart.",
+        "",
+        "![drives that ended differently](flips.png)",
+        "",
+        "| policy | seed | endings | cause | parted at [s] | apart then [mm] | slip | lag | Q margin | miss [m] |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for pair in gap.flips:
+        e = pair.explanation
+        if e:
+            lines.append(
+                f"| {Path(pair.run).name} | {pair.world_seed} | {pair.first.ending}, {pair.second.ending} | {e.cause} "
+                f"| {e.time:.1f} | {1000 * e.apart:.0f} | {e.slip:.2%} | {e.lag:.2%} "
+                f"| {_number(e.q_margin, '.3f')} | {_number(e.miss, '.3f')} |"
+            )
+    commands = [gap.replay(pair, side) for pair in gap.flips for side in (gap.first, gap.second)]
+    return [*lines, "", "Each is driven again, exactly, by:", "", "```", *commands, "```", ""]
+
+
+def gap_values(gap: Gap) -> dict[str, Any]:
+    """The same as plain values, for JSON."""
+    d = divergence(gap.pairs, gap.control_period)
+    return {
+        "version": __version__,
+        "runs": list(gap.runs),
+        "world": gap.world,
+        "seeds": [gap.seeds.start, gap.seeds.stop],
+        "first": gap.first.name,
+        "second": gap.second.name,
+        "endings": list(ENDINGS),
+        "outcomes": outcome_matrix(gap.pairs).tolist(),
+        "success_p_value": success_p_value(gap.pairs),
+        "divergence": {name: values.tolist() for name, values in asdict(d).items()},
+        "differences": [asdict(row) for row in differences(gap.pairs)],
+        "flips": [
+            {
+                "run": pair.run,
+                "world_seed": pair.world_seed,
+                "first": pair.first.ending,
+                "second": pair.second.ending,
+                **{name: _plain(value) for name, value in asdict(pair.explanation).items()},
+                "replay": [gap.replay(pair, side) for side in (gap.first, gap.second)],
+            }
+            for pair in gap.flips
+            if pair.explanation
+        ],
+        "faults": [
+            {"fault": row.fault or "none", "p_value": row.p_value, **{name: list(s) for name, s in row.shares.items()}}
+            for row in fault_rows(gap.pairs, gap.trials)
+        ],
+    }
+
+
+def gap_csv(gap: Gap) -> str:
+    """A line for each drive, sound or with a fault."""
+    text = io.StringIO()
+    numbers = ("duration", "path_length", "clearance")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["run", "world_seed", "simulator", "fault", "ending", "steps", *numbers])
+    drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
+    drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
+    drives += [(trial.run, gap.second.name, trial.fault, trial.summary) for trial in gap.trials]
+    for run, simulator, fault, s in drives:
+        values = [getattr(s, name) for name in numbers]
+        writer.writerow([run, s.world_seed, simulator, fault, s.ending, s.steps, *values])
+    return text.getvalue()
+
+
+def draw_gap(gap: Gap, path: Path) -> None:
+    """Outcomes against each other, how drives come apart, and what differs where both arrive."""
+    figure = Figure(figsize=(11.0, 8.2), layout="constrained")
+    (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
+    _draw_outcomes(outcomes, gap)
+    _draw_divergence(apart, gap)
+    both = [pair for pair in gap.pairs if pair.first.ending == pair.second.ending == "goal"]
+    _draw_against(times, both, gap, "duration", "time to the target [s]")
+    _draw_against(clearances, both, gap, "clearance", "smallest clearance [m]")
+    save_figure(figure, path)
+
+
+def draw_faults(gap: Gap, path: Path) -> None:
+    """How drives end with each fault: shares as bars, success with its Wilson interval."""
+    rows = fault_rows(gap.pairs, gap.trials)
+    figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.6), layout="constrained")
+    axes = figure.add_subplot()
+    places = np.arange(len(rows))[::-1]
+    left = np.zeros(len(rows))
+    for ending, colour in (("goal", GOAL), ("collision", COLLISION), ("timeout", TIMEOUT)):
+        widths = np.array([100 * row.shares[ending].value for row in rows])
+        axes.barh(places, widths, left=left, color=colour, height=0.66, label=ending)
+        left += widths
+    for place, row in zip(places, rows, strict=True):
+        goal = row.shares["goal"]
+        axes.plot([100 * goal.low, 100 * goal.high], [place, place], color=INK, lw=1.6, solid_capstyle="butt")
+        axes.text(101, place, f"{100 * goal.value:.1f}", va="center", fontsize=9, color=INK)
+    axes.set_yticks(places, [row.fault or "none" for row in rows])
+    axes.set(xlim=(0, 108), xlabel="drives [%]; black: 95 % interval of success; on the right: success")
+    axes.set_title(f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each", fontsize=11, color=INK)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    save_figure(figure, path)
+
+
+FLIPS_SHOWN = 6
+
+
+def draw_flips(gap: Gap, drives: Sequence[tuple[Pair, Recording, Recording]], path: Path) -> None:
+    """Both paths of drives that ended differently, each in its world, and where they parted."""
+    columns = min(3, len(drives))
+    rows = -(-len(drives) // columns)
+    figure = Figure(figsize=(4.0 * columns, 4.3 * rows + 0.4), layout="constrained")
+    for axes, (pair, first, second) in zip(figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False):
+        draw_world(axes, first)
+        for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
+            axes.plot(*recording.sample_pose[:, :2].T, color=colour, lw=width, solid_capstyle="round", zorder=4)
+            if recording.contact[-1]:
+                axes.plot(*recording.state_pose[-1, :2], "X", color=COLLISION, mec="white", ms=10, zorder=7)
+        if pair.explanation:
+            step = int(np.searchsorted(first.state_time, pair.explanation.time - 1e-9))
+            axes.plot(*first.state_pose[step, :2], "o", mfc="none", mec=INK, ms=11, mew=1.6, zorder=8)
+            cause = pair.explanation.cause
+            title = (
+                f"{Path(pair.run).name}, seed {pair.world_seed}: {pair.first.ending} | {pair.second.ending} ({cause})"
+            )
+            axes.set_title(title, fontsize=9, color=INK)
+        world = first.about["world"]
+        axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+    for axes in figure.axes[len(drives) :]:
+        axes.set_visible(False)
+    handles = [
+        Line2D([], [], color=SAFE, lw=2.6, label=gap.first.name),
+        Line2D([], [], color=NON_SAFE, lw=1.6, label=gap.second.name),
+        Line2D([], [], marker="o", ls="", mfc="none", mec=INK, ms=10, label="first different decision"),
+        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=10, label="collision"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+    save_figure(figure, path)
+
+
+def _draw_outcomes(axes: Axes, gap: Gap) -> None:
+    matrix = outcome_matrix(gap.pairs)
+    axes.imshow(matrix / matrix.sum(), cmap="Blues", vmin=0, vmax=1)
+    for (row, column), count in np.ndenumerate(matrix):
+        dark = count > 0.5 * matrix.sum()
+        axes.text(column, row, str(count), ha="center", va="center", fontsize=14, color="white" if dark else INK)
+    axes.set_xticks(range(len(ENDINGS)), ENDINGS)
+    axes.set_yticks(range(len(ENDINGS)), ENDINGS)
+    axes.set(xlabel=gap.second.name, ylabel=gap.first.name)
+    axes.set_title(f"how {len(gap.pairs)} pairs ended; McNemar p = {success_p_value(gap.pairs):.2g}", fontsize=10)
+
+
+def _draw_divergence(axes: Axes, gap: Gap) -> None:
+    d = divergence(gap.pairs, gap.control_period)
+    floor = 1e-4
+    axes.plot(d.time, np.maximum(d.median, floor), color=SAFE, lw=1.8, label="median")
+    axes.plot(d.time, np.maximum(d.ninetieth, floor), color=NON_SAFE, lw=1.8, label="90 % are closer")
+    axes.set(yscale="log", xlabel="time [s]", ylabel="distance between the two vehicles [m]", ylim=(floor, None))
+    axes.set_xlim(0, max(float(d.time[-1]), gap.control_period))
+    right = axes.twinx()
+    right.plot(d.time, 100 * d.parted, color=TIMEOUT, lw=1.4, ls="--")
+    right.set_ylabel("pairs that have decided differently [%]", color=TIMEOUT)
+    right.set_ylim(0, 100)
+    axes.legend(loc="upper left", frameon=False, fontsize=9)
+    axes.grid(color="#e9ecef", lw=0.8)
+    axes.set_title("how far apart, while at least half of the pairs drive", fontsize=10)
+
+
+def _draw_against(axes: Axes, both: Sequence[Pair], gap: Gap, name: str, label: str) -> None:
+    first: Array = np.array([getattr(pair.first, name) for pair in both])
+    second: Array = np.array([getattr(pair.second, name) for pair in both])
+    most = 1.05 * max(first.max(initial=0.0), second.max(initial=0.0), 1e-3)
+    axes.plot([0, most], [0, most], color=TIMEOUT, lw=1.0)
+    axes.plot(first, second, "o", color=SAFE, ms=4, alpha=0.5, mew=0)
+    axes.set(xlim=(0, most), ylim=(0, most), aspect="equal")
+    axes.set(xlabel=f"{gap.first.name}: {label}", ylabel=f"{gap.second.name}: {label}")
+    axes.grid(color="#e9ecef", lw=0.8)
+    axes.set_title(f"{len(both)} pairs that both reach the target", fontsize=10)
+
+
+def _policy_row(run: str, pairs: Sequence[Pair]) -> str:
+    first = sum(pair.first.ending == "goal" for pair in pairs)
+    second = sum(pair.second.ending == "goal" for pair in pairs)
+    alike = sum(not pair.flipped for pair in pairs)
+    return f"| {run} | {share(first, len(pairs))} | {share(second, len(pairs))} | {alike} of {len(pairs)} |"
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if isfinite(value) else ""
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    return value if not isinstance(value, float) or isfinite(value) else None

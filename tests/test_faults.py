@@ -1,0 +1,188 @@
+"""Faulty sensors and other conditions that a policy was not trained for."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import hypot
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from nnql_bullet.env import FleetNavigation
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Conditions, Experiment, RunConfig, changed
+from nnql_bullet.geometry import Pose
+from nnql_bullet.rollout import run_episode, run_episodes
+from nnql_bullet.sim.base import DriveOptions
+from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults, degraded
+from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
+from nnql_bullet.vehicle.payload import loaded, urdf_text
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
+
+RANGE = 10.0
+G = 9.81
+
+
+def generator(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+class TestDegraded:
+    def test_noise_has_the_stated_spread_and_no_bias(self) -> None:
+        distances = np.full(72, 5.0)
+        off = np.concatenate([degraded(distances, SensorFaults(noise=0.1), generator(k)) - 5.0 for k in range(200)])
+        assert abs(off.mean()) < 4 * 0.1 / np.sqrt(off.size)
+        assert off.std() == pytest.approx(0.1, rel=0.03)
+
+    def test_a_ray_that_meets_nothing_still_meets_nothing(self) -> None:
+        assert (degraded(np.full(72, RANGE), SensorFaults(noise=0.5), generator()) == RANGE).all()
+
+    def test_readings_stay_within_the_sensor(self) -> None:
+        for distance in (0.05, 9.95):
+            seen = degraded(np.full(72, distance), SensorFaults(noise=0.5), generator())
+            assert seen.min() >= 0.0
+            assert seen.max() <= RANGE
+            assert np.ptp(seen) > 0.1
+
+    @pytest.mark.parametrize("sector", [0, 3, 7])
+    def test_a_dead_sector_sees_nothing_and_the_others_all(self, sector: int) -> None:
+        distances = np.linspace(1.0, 8.0, 72)
+        seen = degraded(distances, SensorFaults(dead_sector=sector), generator())
+        dead = np.arange(72) // 9 == sector
+        assert (seen[dead] == RANGE).all()
+        assert (seen[~dead] == distances[~dead]).all()
+        assert distances.max() == 8.0  # what was handed in is untouched
+
+
+@pytest.mark.parametrize("faults", [SensorFaults(noise=0.05), SensorFaults(dead_sector=0)], ids=["noise", "dead"])
+class TestSimulatorsSeenThroughFaults:
+    def test_one_and_a_fleet_see_the_same(self, vehicle: VehicleSpec, small_world: Path, faults: SensorFaults) -> None:
+        config = RunConfig(world=str(small_world), simulator="twin", conditions=Conditions(sensors=faults), vehicles=3)
+        experiment = Experiment(config)
+        worlds = [experiment.world(seed) for seed in range(4)]
+        many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent.exploit)
+        alone = [run_episode(experiment.navigation, world, experiment.agent.exploit) for world in worlds]
+        assert many == alone
+
+    def test_what_is_seen_is_the_same_until_the_vehicle_moves(
+        self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
+    ) -> None:
+        simulator = FaultySimulator(TwinSimulator(vehicle, DriveOptions()), faults)
+        simulator.reset(world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0)))
+        first = simulator.scan()
+        assert (simulator.scan().distances == first.distances).all()
+        simulator.advance(0.3)
+        assert (simulator.scan().distances != first.distances).any()
+
+    def test_the_vehicle_itself_moves_as_before(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, faults: SensorFaults
+    ) -> None:
+        sound = TwinSimulator(vehicle, DriveOptions())
+        faulty = FaultySimulator(TwinSimulator(vehicle, DriveOptions()), faults)
+        for simulator in (sound, faulty):
+            simulator.reset(empty_world)
+        assert sound.advance(0.4) == faulty.advance(0.4)
+        assert sound.pose() == faulty.pose()
+
+    def test_what_a_fleet_hands_out_is_its_own(
+        self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
+    ) -> None:
+        inner = TwinFleet(vehicle, DriveOptions(), 2)
+        fleet = FaultyFleet(inner, faults)
+        world = world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0))
+        _, seen = fleet.reset({0: world, 1: replace(world, seed=1)})
+        _, true = inner.reset({0: world, 1: replace(world, seed=1)})
+        assert (seen != true).any()
+        if faults.noise:
+            assert (seen[0] != seen[1]).any()  # every world has noise of its own
+        fleet.close()
+
+
+class TestPayload:
+    LOAD = Payload(80.0, 0.35, 0.55, 0.4)
+
+    def test_mass_centre_and_inertia_are_those_of_two_bodies(self, vehicle: VehicleSpec) -> None:
+        v, w = vehicle, loaded(vehicle, self.LOAD)
+        assert w.mass == pytest.approx(200.0)
+        assert w.com_ahead == pytest.approx((120 * v.com_ahead + 80 * 0.35) / 200)
+        assert w.com_height == pytest.approx((120 * v.com_height + 80 * 0.55) / 200)
+        # Each body about the common centre, by Steiner.
+        cube = 80 * 0.4**2 / 6 + 80 * (0.35 - w.com_ahead) ** 2
+        assert w.yaw_inertia == pytest.approx(v.yaw_inertia + 120 * (v.com_ahead - w.com_ahead) ** 2 + cube)
+
+    def test_the_urdf_gains_one_link_at_its_place(self, vehicle: VehicleSpec) -> None:
+        before = ElementTree.parse(vehicle.urdf).getroot()
+        after = ElementTree.fromstring(urdf_text(loaded(vehicle, self.LOAD)))
+        assert len(after.findall("link")) == len(before.findall("link")) + 1
+        (joint,) = after.findall("joint[@type='fixed']")
+        place = [float(part) for part in joint.find("origin").attrib["xyz"].split()]  # type: ignore[union-attr]
+        assert place == pytest.approx([0.35, 0.0, 0.55 - vehicle.wheel_radius])
+
+    def test_without_one_the_urdf_is_the_file(self, vehicle: VehicleSpec) -> None:
+        assert urdf_text(vehicle) == vehicle.urdf.read_text()
+        assert loaded(vehicle, Payload(0.0, 0.3, 0.5)) is vehicle
+
+    def test_a_second_one_is_refused(self, vehicle: VehicleSpec) -> None:
+        with pytest.raises(UserError, match="carries a payload"):
+            loaded(loaded(vehicle, self.LOAD), self.LOAD)
+
+    def test_the_wheels_carry_it_by_the_lever_rule(
+        self, simulator_of: Callable[..., BulletSimulator], vehicle: VehicleSpec, empty_world: WorldSpec
+    ) -> None:
+        simulator = simulator_of("reference", loaded(vehicle, self.LOAD))
+        simulator.place(empty_world, empty_world.start, 0.0)
+        simulator.command_wheels(0.0, 0.0)
+        simulator.run(2.0)
+        left, right, front = simulator.wheel_loads()
+        moment = (120 * vehicle.com_ahead + 80 * 0.35) * G  # about the rear axle
+        assert front == pytest.approx(moment / vehicle.wheelbase, rel=0.01)
+        assert left + right == pytest.approx(200 * G - moment / vehicle.wheelbase, rel=0.01)
+
+    def test_its_files_are_gone_when_the_simulator_is(
+        self, vehicle: VehicleSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+        simulator = BulletSimulator(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
+        assert list(tmp_path.iterdir())
+        simulator.close()
+        assert not list(tmp_path.iterdir())
+
+
+class TestConditions:
+    def test_defaults_leave_the_vehicle_as_its_files_say(self, vehicle: VehicleSpec) -> None:
+        assert Conditions().applied_to(vehicle) == vehicle
+
+    def test_they_reach_the_vehicle(self) -> None:
+        config = changed(RunConfig(), conditions={"wheel_friction": 0.5, "payload": 40.0})
+        experiment = Experiment(config)
+        assert experiment.vehicle.contact.wheel_friction == 0.5
+        assert experiment.vehicle.mass == pytest.approx(160.0)
+        assert experiment.vehicle.payload == Payload(40.0, experiment.vehicle.footprint.x, 0.55)
+
+    def test_a_slippery_floor_lets_the_vehicle_drift_wide(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, simulator_of: Callable[..., BulletSimulator]
+    ) -> None:
+        ends = []
+        for friction in (0.8, 0.3):
+            slippery = Conditions(wheel_friction=friction).applied_to(vehicle)
+            simulator = simulator_of("reference", slippery, decision_period=1.0)
+            simulator.reset(empty_world)
+            ends.append(simulator.advance(1.0).pose)
+        assert hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y) > 0.1
+
+    @pytest.mark.parametrize(
+        ("conditions", "message"),
+        [
+            ({"wheel_friction": 0.0}, "conditions.wheel_friction"),
+            ({"payload": -1.0}, "conditions.payload"),
+            ({"sensors": {"dead_sector": 8}}, "conditions.sensors.dead_sector"),
+            ({"sensors": {"noise": -0.1}}, "conditions.sensors.noise"),
+            ({"friction": 0.5}, "unknown key 'conditions.friction'"),
+        ],
+    )
+    def test_nonsense_is_refused_by_name(self, conditions: dict[str, object], message: str) -> None:
+        with pytest.raises(UserError, match=message):
+            changed(RunConfig(), conditions=conditions)
