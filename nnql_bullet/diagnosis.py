@@ -4,7 +4,7 @@ import multiprocessing
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from math import cos, hypot, sin
 
 import imageio_ffmpeg
@@ -72,6 +72,14 @@ def check_rays() -> Finding:
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
 
 
+def check_mujoco() -> Finding:
+    """The second engine of contact physics."""
+    try:
+        return Finding(True, f"mujoco {version('mujoco')}")
+    except PackageNotFoundError:
+        return Finding(False, "the second engine is not installed: pip install 'nnql-bullet[mujoco]'", needed=False)
+
+
 def check_ffmpeg() -> Finding:
     """The encoder that videos need."""
     try:
@@ -103,6 +111,7 @@ def _works(probe: Callable[[], None]) -> bool:
 
 CHECKS: dict[str, Callable[[], Finding]] = {
     "PyBullet": check_pybullet,
+    "MuJoCo": check_mujoco,
     "drive": check_drive,
     "rays": check_rays,
     "ffmpeg": check_ffmpeg,

@@ -154,7 +154,7 @@ class TestHelp:
     def test_the_overview_names_every_verb(self, run_cli: Cli, arguments: list[str]) -> None:
         code, out, err = run_cli(*arguments)
         assert (code, err) == (0, "")
-        for verb in ("train", "navigate", "doctor"):
+        for verb in ("train", "navigate", "gap", "fidelity", "envelope", "doctor"):
             assert re.search(rf"^  {verb} +\S", out, re.MULTILINE)
 
     @pytest.mark.parametrize(
@@ -163,6 +163,10 @@ class TestHelp:
             ("train", ["--config", "--episodes", "--seed", "--world", "--physics", "--out", "--resume", "--overwrite"]),
             ("train", ["--sim", "--vehicles", "--workers"]),
             ("navigate", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
+            ("navigate", ["--friction", "--payload", "--noise", "--dead-sector"]),
+            ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
+            ("fidelity", ["--robot", "--sim", "--physics", "--out"]),
+            ("envelope", ["--robot", "--sim", "--physics", "--workers", "--out", "ISO 3691-4"]),
             ("doctor", ["Check this machine"]),
         ],
     )
@@ -197,7 +201,7 @@ class TestHelp:
 
 
 BAD_ARGUMENTS = [
-    (["fly"], ["fly", "train", "navigate", "doctor"]),
+    (["fly"], ["fly", "train", "navigate", "gap", "fidelity", "envelope", "doctor"]),
     (["train", "--bogus"], ["--bogus", "train --help"]),
     (["train", "--episodes"], ["--episodes"]),
     (["train", "--episodes", "many"], ["--episodes", "many"]),

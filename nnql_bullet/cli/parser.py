@@ -13,13 +13,22 @@ import tyro
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import complain, say
 from nnql_bullet.cli.doctor import doctor
+from nnql_bullet.cli.envelope import envelope
+from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.navigate import navigate
 from nnql_bullet.cli.train import train
 from nnql_bullet.errors import UserError
 from nnql_bullet.sim.base import WorkerDied
 
-VERBS: dict[str, Callable[..., int]] = {"train": train, "navigate": navigate, "gap": gap, "doctor": doctor}
+VERBS: dict[str, Callable[..., int]] = {
+    "train": train,
+    "navigate": navigate,
+    "gap": gap,
+    "fidelity": fidelity,
+    "envelope": envelope,
+    "doctor": doctor,
+}
 
 ABOUT = """\
 A three-wheeled vehicle learns to avoid obstacles by neural-network Q-learning, in contact physics.

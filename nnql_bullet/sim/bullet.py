@@ -58,6 +58,9 @@ CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
 SHAPES_PER_COMPOUND = 16
 """`createCollisionShapeArray` takes no more."""
 
+FASTEST_JOINT = 1e4
+"""[rad/s]"""
+
 LOCK = 1e4
 """What holds a locked joint [N m]."""
 
@@ -256,6 +259,8 @@ class BulletSimulator(ContactSimulator):
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
             group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
             bullet.setCollisionFilterGroupMask(self.body, link, group, mask, self.client)
+        # Else the engine holds every joint below 100 rad/s: a small caster drags from 5 m/s on.
+        bullet.changeDynamics(self.body, -1, maxJointVelocity=FASTEST_JOINT, physicsClientId=self.client)
         contact = vehicle.contact
         for wheel in wheels:
             bullet.changeDynamics(self.body, wheel, lateralFriction=contact.wheel_friction, physicsClientId=self.client)

@@ -31,8 +31,10 @@ def contact_simulator(
     if engine == "bullet":
         from nnql_bullet.sim import bullet
 
-        settings = bullet.PHYSICS[physics]
-        return bullet.BulletSimulator(vehicle, drive, replace(settings, time_step=settings.time_step / refinement))
+        plain = bullet.PHYSICS[physics]
+        # What is left over of each step adds up, and the residual is its square.
+        finer = replace(plain, time_step=plain.time_step / refinement, residual=plain.residual / refinement**2)
+        return bullet.BulletSimulator(vehicle, drive, finer)
     try:
         from nnql_bullet.sim import mujoco
     except ImportError:

@@ -1,0 +1,64 @@
+"""The paper's five actions, watched at every physics step beside the vehicle that neither slips nor lags."""
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.fidelity.probe import MIDDLE, Bench, open_ground
+from nnql_bullet.fidelity.turning import WheelForces, follow_turn, forces_by_command
+from nnql_bullet.geometry import Array
+from nnql_bullet.vehicle.drive import Turn, plan_turn, sample_turn
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedTurn:
+    """One action in contact physics, from running straight."""
+
+    heading_change: float
+    """[rad]"""
+    turn: Turn
+    """Its yaw-rate profile."""
+    times: Array
+    """After each physics step (n,) [s]."""
+    path: Array
+    """x, y of the rear-axle centre from where it began (n, 2) [m]."""
+    ideal: Array
+    """Where the profile leads without slip or lag (n, 2) [m]."""
+    forces: WheelForces
+
+    @property
+    def gap(self) -> float:
+        """Root mean square of the distance between the two paths [m]."""
+        return float(np.sqrt(np.mean(np.sum((self.path - self.ideal) ** 2, axis=1))))
+
+
+def watch_actions(bench: Bench) -> list[WatchedTurn]:
+    """Drives the five actions, each on a fresh plain and with time to end it."""
+    limits = bench.vehicle.limits
+    turns = {change: plan_turn(0.0, change, limits) for change in paper.TURNS}
+    longest = max(turn.duration for turn in turns.values())
+    watched = []
+    with bench.simulator(decision_period=ceil(10 * longest + 1) / 10) as simulator:
+        for change, turn in turns.items():
+            simulator.reset(open_ground())
+            instants = list(follow_turn(simulator, change))
+            times = np.array([instant.time for instant in instants])
+            path = np.array([(instant.pose.x - MIDDLE.x, instant.pose.y - MIDDLE.y) for instant in instants])
+            ideal = _ideal(turn, times, simulator.drive.speed)
+            watched.append(WatchedTurn(change, turn, times, path, ideal, forces_by_command(instants)))
+    return watched
+
+
+def tightest(turns: list[WatchedTurn]) -> WatchedTurn:
+    """The largest change of heading to the left."""
+    return max(turns, key=lambda turn: turn.heading_change)
+
+
+def _ideal(turn: Turn, times: Array, speed: float) -> Array:
+    """Of the rear-axle centre: chords of the arcs from one instant to the next."""
+    begins = np.concatenate([[0.0], times])
+    _, headings = sample_turn(turn, begins)
+    ways, middles = np.diff(begins) * speed, (headings[1:] + headings[:-1]) / 2
+    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=1), axis=0)

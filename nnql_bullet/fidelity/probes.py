@@ -1,0 +1,39 @@
+"""Every probe by name, and how they are run."""
+
+from collections.abc import Iterator
+from math import nan
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
+from nnql_bullet.fidelity.probes_body import BODY
+from nnql_bullet.fidelity.probes_contact import CONTACT
+from nnql_bullet.fidelity.probes_rolling import ROLLING
+from nnql_bullet.fidelity.probes_senses import SENSES
+
+PROBES: dict[str, Probe] = {probe.name: probe for probe in (*BODY, *ROLLING, *CONTACT, *SENSES)}
+
+
+def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
+    """Runs all of them, one after the other.
+
+    A probe that does not apply to the engine has no measurements. One that breaks, because the vehicle fell over for
+    instance, has a single one: NaN, which is never accepted, and the reason as its name.
+
+    Yields:
+        Each probe with its measurements, as soon as it ends.
+
+    Raises:
+        UserError: If the engine is not installed, or gives no more simulators.
+    """
+    for probe in PROBES.values():
+        yield probe, [] if bench.engine in probe.not_in else _measured(probe, bench)
+
+
+def _measured(probe: Probe, bench: Bench) -> list[Measurement]:
+    try:
+        return probe.measure(bench)
+    except UserError:
+        raise
+    except Exception as error:  # whatever an engine makes of a vehicle that is not what it should be
+        reason = str(error).partition("\n")[0]
+        return [Measurement(f"broke off: {type(error).__name__}: {reason}", "", nan, nan, nan, nan)]

@@ -1,0 +1,196 @@
+"""Probes of the body: what the engine holds of it, how it stands, falls, turns and tips."""
+
+from math import cos, degrees, hypot, isnan, nan, sin, tan
+from xml.etree import ElementTree
+
+import numpy as np
+
+from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
+from nnql_bullet.fidelity.probes_vehicles import gripping, on_ice, rolling_freely, top_heavy
+from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.sim.contact import GRAVITY, ContactSimulator
+from nnql_bullet.vehicle.demand import tip_angle
+from nnql_bullet.vehicle.payload import urdf_text
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
+"""So that no axis of the vehicle is one of the world's."""
+
+
+def _inertials(vehicle: VehicleSpec) -> dict[str, tuple[float, Array]]:
+    """Mass [kg] and ascending principal moments (3,) [kg m2] of every link, as the URDF has them."""
+    found = {}
+    for link in ElementTree.fromstring(urdf_text(vehicle)).iter("link"):
+        mass = float(link.find("inertial/mass").attrib["value"])  # type: ignore[union-attr]
+        i = {k: float(v) for k, v in link.find("inertial/inertia").attrib.items()}  # type: ignore[union-attr]
+        rows = [[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]]
+        found[link.attrib["name"]] = mass, np.linalg.eigvalsh(np.array(rows))
+    return found
+
+
+def _read_back(bench: Bench) -> list[Measurement]:
+    vehicle = bench.vehicle
+    with bench.simulator() as simulator:
+        simulator.reset(open_ground())
+        held = simulator.link_dynamics()
+    inertials = _inertials(vehicle)
+    rows = [at_most("links that only one of the two has", "", 0, len(held.keys() ^ inertials.keys()))]
+    for name, (mass, moments) in inertials.items():
+        if name in held:
+            there = np.sort(held[name].inertia)
+            worst = int(np.argmax(np.abs(there / moments - 1)))  # NaN, if there is any
+            rows += [
+                close_to(f"mass of {name}", "kg", mass, held[name].mass, relative=1e-6),
+                close_to(f"inertia of {name}", "kg m2", moments[worst], there[worst], relative=1e-6),
+            ]
+    contact, links = vehicle.contact, vehicle.links
+    drives = links["left_drive"], links["right_drive"]
+    for name in (*drives, links["caster_roll"]):
+        rows.append(close_to(f"friction of {name}", "", contact.wheel_friction, held[name].friction, relative=1e-6))
+    for name in drives:
+        rolling, spinning = held[name].rolling_friction, held[name].spinning_friction
+        rows += [
+            close_to(f"rolling friction of {name}", "m", contact.rolling_friction, rolling, relative=1e-6),
+            close_to(f"spinning friction of {name}", "m", contact.spinning_friction, spinning, relative=1e-6),
+        ]
+    others = [(link.rolling_friction, link.spinning_friction) for name, link in held.items() if name not in drives]
+    rows.append(at_most("rolling or spinning friction of the other links", "m", 0, float(np.max(others))))
+    return rows
+
+
+def _settle(bench: Bench) -> list[Measurement]:
+    vehicle = bench.vehicle
+    with bench.simulator(rolling_freely(vehicle)) as simulator:  # its resistance would carry a moment at rest too
+        simulator.place(open_ground(), ASKEW, 0.0)
+        simulator.run(2.0)
+        heights, loads = simulator.wheel_heights(), simulator.wheel_loads()
+    weight = vehicle.mass * GRAVITY
+    rear, front = weight * vehicle.rear_share / 2, weight * vehicle.com_ahead / vehicle.wheelbase
+    radii = vehicle.wheel_radius, vehicle.wheel_radius, vehicle.caster_radius
+    wheels = "left wheel", "right wheel", "caster"
+    return [
+        *(
+            close_to(f"height of {wheel}", "mm", 1e3 * radius, 1e3 * height, absolute=0.05)
+            for wheel, radius, height in zip(wheels, radii, heights, strict=True)
+        ),
+        *(
+            close_to(f"load on {wheel}", "N", expected, load, relative=5e-3)
+            for wheel, expected, load in zip(wheels, (rear, rear, front), loads, strict=True)
+        ),
+    ]
+
+
+def _creep(bench: Bench) -> list[Measurement]:
+    with bench.simulator() as simulator:
+        simulator.place(open_ground(), ASKEW, 0.0)
+        simulator.command_wheels(0.0, 0.0)
+        simulator.run(10.0)
+        pose = simulator.pose()
+    return [at_most("way in 10 s", "mm", 0.5, 1e3 * hypot(pose.x - ASKEW.x, pose.y - ASKEW.y))]
+
+
+def _free_fall(bench: Bench) -> list[Measurement]:
+    with bench.simulator() as simulator:
+        simulator.place(open_ground(), ASKEW, 0.0, height=50.0, ground=False)
+        simulator.run(1.0)
+        fallen, time = -simulator.velocity()[2], simulator.time()
+    return [
+        close_to("time", "s", 1.0, time, relative=1e-6),
+        close_to("speed", "m/s", GRAVITY * time, fallen, relative=1e-6),
+    ]
+
+
+def _yaw_inertia(bench: Bench) -> list[Measurement]:
+    torque = bench.vehicle.yaw_inertia  # for 1 rad/s2
+    with bench.simulator(on_ice(bench.vehicle)) as simulator:
+        simulator.place(open_ground(), ASKEW, 0.0)
+        simulator.lock_joints()
+        simulator.run(0.5)
+        before, time = simulator.yaw_rate(), simulator.time()
+        for _ in range(round(1.0 / simulator.time_step)):
+            simulator.twist(torque)
+            simulator.step()
+        gained, time = simulator.yaw_rate() - before, simulator.time() - time
+    return [close_to("yaw rate", "rad/s", torque * time / bench.vehicle.yaw_inertia, gained, relative=5e-3)]
+
+
+def _tilted_until_it_tips(simulator: ContactSimulator, side: int, slope: float) -> float:
+    """The slope [rad] from which on the upper rear wheel carries nothing.
+
+    Args:
+        simulator: Of the vehicle.
+        side: 1 to tilt down to the left, -1 to the right.
+        slope: Where this should be [rad]. It is passed at a fifth of this a second.
+    """
+    simulator.place(open_ground(), MIDDLE, 0.0)
+    simulator.lock_joints()
+    simulator.run(0.5)
+    upper = 1 if side > 0 else 0
+    nothing = 1e-3 * simulator.wheel_loads()[upper]
+    tilt, lifted = 0.0, nan
+    while tilt < 1.1 * slope:
+        tilt += slope * simulator.time_step * (0.8 if tilt < 0.8 * slope else 0.2)
+        simulator.set_gravity((0.0, side * GRAVITY * sin(tilt), -GRAVITY * cos(tilt)))
+        simulator.step()
+        if simulator.wheel_loads()[upper] > nothing:  # a wheel that hardly touches any more may do so now and then
+            lifted = nan
+        elif isnan(lifted):
+            lifted = tilt
+    return lifted
+
+
+def _tilt_table(bench: Bench) -> list[Measurement]:
+    vehicle = top_heavy(bench.vehicle)
+    slope = tip_angle(vehicle)
+    rows = []
+    with bench.simulator(gripping(rolling_freely(vehicle), max(1.0, 3 * tan(slope)))) as simulator:
+        for side, name in ((1, "left"), (-1, "right")):
+            tipped = _tilted_until_it_tips(simulator, side, slope)
+            rows.append(close_to(f"slope to the {name}", "deg", degrees(slope), degrees(tipped), absolute=0.25))
+    return rows
+
+
+BODY = (
+    Probe(
+        name="read-back",
+        title="The engine holds the URDF's masses and inertia, and the TOML's friction",
+        closed_form="m, eigenvalues of I, friction: what is read is what was written",
+        source="URDF specification, <inertial>; Goldstein, Poole and Safko, Classical Mechanics, 5.4 (principal axes)",
+        measure=_read_back,
+    ),
+    Probe(
+        name="settle",
+        title="It stands on its wheel radii with the static loads",
+        closed_form="z = r; N_rear = m g (1 - a/L) / 2 each, N_front = m g a/L",
+        source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 1 (static loads on level ground)",
+        measure=_settle,
+    ),
+    Probe(
+        name="creep",
+        title="It stays where it stands",
+        closed_form="x(t) = x(0)",
+        source="Lynch and Park, Modern Robotics, 12.2 (forces within the friction cones balance gravity)",
+        measure=_creep,
+    ),
+    Probe(
+        name="free-fall",
+        title="It falls without resistance",
+        closed_form="v = g t",
+        source="Goldstein, Poole and Safko, Classical Mechanics, 1.1 (Newton's second law)",
+        measure=_free_fall,
+    ),
+    Probe(
+        name="yaw-inertia",
+        title="A torque about the vertical turns it, joints locked, on ice",
+        closed_form="w = M t / Izz",
+        source="Goldstein, Poole and Safko, Classical Mechanics, 5.3 (moment of inertia, parallel axes)",
+        measure=_yaw_inertia,
+    ),
+    Probe(
+        name="tilt-table",
+        title="Top-heavy on a slope, it tips when the upper wheel's load is gone",
+        closed_form="tan(slope) = (T/2) (1 - a/L) / h",
+        source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 9 (quasi-static rollover), with one front wheel",
+        measure=_tilt_table,
+    ),
+)

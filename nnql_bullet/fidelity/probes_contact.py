@@ -1,0 +1,170 @@
+"""Probes of contact beyond rolling: locked wheels, skids, and the hit of a wall."""
+
+from collections.abc import Callable
+from math import cos, hypot, pi, sin
+
+import numpy as np
+
+from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
+from nnql_bullet.fidelity.probes_vehicles import driven_by, gripping, skidding_friction
+from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.sim.contact import GRAVITY, ContactSimulator
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+
+def _rear_braking(vehicle: VehicleSpec) -> float:
+    """Deceleration [m/s2] on locked drive wheels while the caster rolls on.
+
+    The load that goes to the caster, N_front L = m g a + (m h + I_c/r_c) d, is lost to the brakes, which give
+    mu (m g - N_front) = (m + I_c/r_c^2) d: the caster's spin has to be stopped too.
+    """
+    mu, m, spin = vehicle.contact.wheel_friction, vehicle.mass, vehicle.caster_spin_inertia / vehicle.caster_radius
+    shifted = mu * (m * vehicle.com_height + spin) / vehicle.wheelbase
+    return mu * m * GRAVITY * vehicle.rear_share / (m + spin / vehicle.caster_radius + shifted)
+
+
+def _locked_braking(bench: Bench) -> list[Measurement]:
+    vehicle = bench.vehicle
+    locking = 4 * vehicle.contact.wheel_friction * vehicle.mass * GRAVITY * vehicle.wheel_radius
+    with bench.simulator(driven_by(vehicle, locking)) as simulator:
+        speed, deceleration = simulator.drive.speed, _rear_braking(vehicle)
+        simulator.place(open_ground(), MIDDLE, speed)
+        simulator.command_wheels(0.0, 0.0)
+        simulator.run(2 * speed / deceleration)
+        stopped, left = simulator.pose().x - MIDDLE.x, abs(simulator.speed())
+    return [
+        close_to("stopping distance", "m", speed**2 / (2 * deceleration), stopped, relative=2e-2),
+        at_most("speed left", "m/s", 1e-3, left),
+    ]
+
+
+def _sliding(simulator: ContactSimulator) -> float:
+    """Speed [m/s]."""
+    vx, vy, _ = simulator.velocity()
+    return hypot(vx, vy)
+
+
+def _skid(
+    simulator: ContactSimulator, direction: float, until: float, look: Callable[[], None] = lambda: None
+) -> float:
+    """Sends the vehicle off with every joint locked, at twice the drive's speed.
+
+    Args:
+        simulator: Of the vehicle, which faces along x.
+        direction: Of the skid [rad].
+        until: The skid ends at this share of the first speed.
+        look: Called after every step.
+
+    Returns:
+        The first speed [m/s].
+    """
+    speed = 2 * simulator.drive.speed
+    simulator.place(open_ground(), MIDDLE, 0.0)
+    simulator.run(0.2)
+    simulator.lock_joints()
+    simulator.set_velocity(speed * cos(direction), speed * sin(direction))
+    while _sliding(simulator) > until * speed and simulator.time() < 10.0:
+        simulator.step()
+        look()
+    return speed
+
+
+def _skids(bench: Bench) -> list[Measurement]:
+    rows = []
+    for part in (1.0, 0.5):
+        friction = part * skidding_friction(bench.vehicle)
+        with bench.simulator(gripping(bench.vehicle, friction)) as simulator:
+            for direction, name in ((0.0, "ahead"), (pi / 2, "sideways")):
+                speed, pose = _skid(simulator, direction, until=2.5e-3), simulator.pose()
+                expected, slid = speed**2 / (2 * friction * GRAVITY), hypot(pose.x - MIDDLE.x, pose.y - MIDDLE.y)
+                rows.append(close_to(f"distance {name}, mu = {friction:.3g}", "m", expected, slid, relative=3e-2))
+    return rows
+
+
+def _friction_cone(bench: Bench) -> list[Measurement]:
+    friction = skidding_friction(bench.vehicle)
+    used: list[float] = []
+    with bench.simulator(gripping(bench.vehicle, friction)) as simulator:
+
+        def look() -> None:
+            used.extend(
+                force.friction / (friction * force.normal) for force in simulator.wheel_forces() if force.normal
+            )
+
+        for direction in (pi / 6, pi / 4, pi / 3):
+            _skid(simulator, direction, until=0.5, look=look)
+    return [
+        at_most("friction over mu N, largest", "", 1.0, float(np.max(used)), slack=1e-3),
+        close_to("friction over mu N, mean", "", 1.0, float(np.mean(used)), absolute=0.01),
+    ]
+
+
+def _hit(simulator: ContactSimulator, gap: float) -> tuple[float, float, float]:
+    """Flies the locked vehicle into a wall: impulse [N s], speed after it and depth [m/s, m]."""
+    footprint, speed = simulator.vehicle.footprint, simulator.drive.speed
+    front = footprint.x + footprint.half_length
+    face = MIDDLE.x + front + gap
+    wall = OrientedBox(face + 0.5, MIDDLE.y + footprint.y, 0.5, 2 * footprint.half_width)
+    simulator.place(open_ground(wall), MIDDLE, 0.0, ground=False)
+    simulator.set_gravity((0.0, 0.0, 0.0))
+    simulator.lock_joints()
+    simulator.set_velocity(speed, 0.0)
+    forces, depths = [], []
+    while simulator.time() < 2 * gap / speed:
+        simulator.step()
+        forces.append(simulator.obstacle_force())
+        depths.append(simulator.pose().x + front - face)
+    return sum(forces) * simulator.time_step, simulator.velocity()[0], float(np.max(depths))
+
+
+def _wall(bench: Bench) -> list[Measurement]:
+    with bench.simulator() as simulator:
+        speed, way = simulator.drive.speed, simulator.drive.speed * simulator.time_step
+        # Where within a step it arrives makes all the difference.
+        hits = [_hit(simulator, 0.1 + part * way) for part in (0.0, 0.2, 0.4, 0.6, 0.8)]
+    impulses, after, depths = np.array(hits).T
+    taken = bench.vehicle.mass * (speed - after)
+    worst = int(np.argmax(np.abs(impulses - taken)))
+    return [
+        close_to("impulse, worst of 5 hits", "N s", float(taken[worst]), float(impulses[worst]), relative=1e-2),
+        at_most("rebound, largest", "m/s", 0.2 * speed, float(np.max(np.abs(after))), slack=0.1),
+        at_most("penetration, largest", "mm", 1e3 * way, 1e3 * float(np.max(depths)), slack=0.1),
+    ]
+
+
+CONTACT = (
+    Probe(
+        name="locked-braking",
+        title="Locked drive wheels brake by grip, which the shift of load to the caster lessens",
+        closed_form="v^2/(2 d), d = mu g (1 - a/L) / (1 + mu h/L), and the caster's spin added to the mass",
+        source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 3 (rear axle braking)",
+        measure=_locked_braking,
+    ),
+    Probe(
+        name="skids",
+        title="On locked joints it slides as far as friction lets it, ahead and sideways",
+        closed_form="v^2 / (2 mu g)",
+        source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 3 (constant deceleration)",
+        measure=_skids,
+    ),
+    Probe(
+        name="friction-cone",
+        title="Friction in a skid at 30, 45 and 60 degrees is all there is and no more",
+        closed_form="sqrt(F_x^2 + F_y^2) = mu N",
+        source="Lynch and Park, Modern Robotics, 12.2.1 (Coulomb friction and friction cones)",
+        measure=_friction_cone,
+    ),
+    Probe(
+        name="wall",
+        title="A wall takes the momentum and gives none back: free flight into it, joints locked",
+        closed_form=(
+            "impulse = m (v_before - v_after); restitution 0. An engine feels contact up to a step late, v dt deep, "
+            "and pushes a fifth of that out again a step: rebound <= 0.2 v"
+        ),
+        source=(
+            "Beer and Johnston, Vector Mechanics for Engineers: Dynamics, ch. 13 (impulse and momentum, impact); "
+            "Baumgarte, Stabilization of constraints, Comput. Methods Appl. Mech. Eng. 1 (1972)"
+        ),
+        measure=_wall,
+    ),
+)

@@ -1,0 +1,252 @@
+"""Probes of rolling: how the wheels drive, coast, hold a line, turn and trail."""
+
+from math import ceil, copysign, cos, degrees, log, nan, radians, sin, sqrt, tan
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from nnql_bullet import paper
+from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground, step_factor
+from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
+from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Motion, Sample
+from nnql_bullet.sim.contact import GRAVITY, ContactSimulator
+from nnql_bullet.vehicle.demand import grip_acceleration, quasi_steady, tip_acceleration
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
+
+OUT_OF_REACH = 1e6
+"""A wheel speed that keeps the drives at their torque limit [rad/s]."""
+
+
+def _acceleration(bench: Bench) -> list[Measurement]:
+    vehicle, torque = bench.vehicle, gentlest_torque(bench.vehicle)
+    with bench.simulator(driven_by(rolling_freely(vehicle), torque)) as simulator:
+        simulator.place(open_ground(), MIDDLE, 0.0)
+        simulator.command_wheels(OUT_OF_REACH, OUT_OF_REACH)
+        simulator.run(1.0)
+        speed, time = simulator.speed(), simulator.time()
+    expected = 2 * torque * time / (vehicle.wheel_radius * vehicle.rolling_mass)
+    return [close_to("speed after 1 s", "m/s", expected, speed, relative=1e-3)]
+
+
+def _coast(bench: Bench) -> list[Measurement]:
+    rows = []
+    with bench.simulator(rolling_freely(bench.vehicle)) as simulator:
+        for speed in (simulator.drive.speed, 4 * simulator.drive.speed):
+            simulator.place(open_ground(), MIDDLE, speed)
+            simulator.release_wheels()
+            simulator.run(5.0)
+            rows.append(close_to(f"5 s after {speed:g} m/s", "m/s", speed, simulator.speed(), absolute=1e-3))
+    return rows
+
+
+def _rolling_resistance(bench: Bench) -> list[Measurement]:
+    vehicle = bench.vehicle
+    on_rear = vehicle.mass * GRAVITY * vehicle.rear_share
+    force = vehicle.contact.rolling_friction * on_rear / vehicle.wheel_radius
+    with bench.simulator() as simulator:
+        speed, deceleration = simulator.drive.speed, force / vehicle.rolling_mass
+        simulator.place(open_ground(), MIDDLE, speed)
+        simulator.release_wheels()
+        simulator.run(min(1.0, 0.5 * speed / deceleration) if deceleration > 0 else 1.0)
+        expected = speed - deceleration * simulator.time()
+        return [close_to("speed", "m/s", expected, simulator.speed(), absolute=5e-3)]
+
+
+def _straight(bench: Bench) -> list[Measurement]:
+    with bench.simulator() as simulator:
+        simulator.reset(open_ground())
+        periods = round(20.0 / simulator.control_period)
+        path_length = sum(simulator.advance(0.0).path_length for _ in range(periods))
+        expected, pose = simulator.drive.speed * simulator.time(), simulator.pose()
+    return [
+        close_to("distance in 20 s", "m", expected, pose.x - MIDDLE.x, relative=2e-4),
+        close_to("path length", "m", expected, path_length, relative=2e-4),
+        at_most("sideways", "mm", 10.0, 1e3 * abs(pose.y - MIDDLE.y)),
+        at_most("change of heading", "deg", 0.02, degrees(abs(pose.yaw))),
+    ]
+
+
+def _quickest(turn: float, limits: Limits) -> tuple[float, float]:
+    """Peak yaw rate [rad/s] and duration [s] of the quickest turn from straight to straight."""
+    peak = min(limits.yaw_rate, sqrt(limits.yaw_acceleration * abs(turn)))
+    return peak, peak / limits.yaw_acceleration + abs(turn) / peak if peak > 0 else 0.0
+
+
+def _unicycle(start: Pose, speed: float, turn: float, limits: Limits, times: Array) -> Array:
+    """Places (n, 2) [m] of a vehicle that turns by a trapezoidal yaw rate without slip, at `times` (n,) [s]."""
+    peak, end = _quickest(turn, limits)
+    slope = limits.yaw_acceleration
+
+    def derivative(time: float, state: Array) -> tuple[float, float, float]:
+        rate = max(min(slope * time, peak, slope * (end - time)), 0.0)
+        return speed * cos(state[2]), speed * sin(state[2]), copysign(rate, turn)
+
+    begin = (start.x, start.y, start.yaw)
+    path = solve_ivp(derivative, (0.0, times[-1]), begin, t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.02)
+    return np.asarray(path.y[:2].T)
+
+
+def _actions(bench: Bench) -> list[Measurement]:
+    vehicle, share = turning_within_its_means(bench.vehicle, DriveOptions().speed)
+    at_share = "" if share == 1 else f" at {share:.2f} of its yaw rate"
+    longest = max(_quickest(turn, vehicle.limits)[1] for turn in paper.TURNS)
+    rows, gaps, slips, rates = [], [], [], []
+    with bench.simulator(vehicle, decision_period=ceil(2 * (longest + 0.1)) / 2) as simulator:
+        speed, world = simulator.drive.speed, open_ground()
+        for turn in paper.TURNS:
+            trace: list[Sample] = []
+            simulator.reset(world)
+            motion = simulator.advance(turn, trace)
+            wanted, reached = degrees(turn), degrees(motion.pose.yaw)
+            rows.append(close_to(f"turn of {wanted:.0f} deg{at_share}", "deg", wanted, reached, absolute=0.1))
+            times = np.array([sample.time for sample in trace])
+            places = np.array([(sample.pose.x, sample.pose.y) for sample in trace])
+            off = places - _unicycle(world.start, speed, turn, vehicle.limits, times)
+            gaps.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+            slips += _slips(vehicle, motion, trace[-1])
+            rates.append(abs(motion.yaw_rate))
+        gap = 6.0 * step_factor(simulator)
+    return [
+        *rows,
+        at_most("RMS distance from the unicycle, largest", "mm", gap, 1e3 * float(np.max(gaps))),
+        at_most("slip of the wheels, largest", "%", 0.5, 1e2 * float(np.max(slips))),
+        at_most("yaw rate afterwards, largest", "rad/s", 0.01, float(np.max(rates))),
+    ]
+
+
+def _slips(vehicle: VehicleSpec, motion: Motion, end: Sample) -> list[float]:
+    """How far the way and the turn that the drive wheels rolled off are from the true ones, as shares of these."""
+    left, right, *_ = (vehicle.wheel_radius * angle for angle in end.joint_angles)
+    slips = [abs((left + right) / 2 / motion.path_length - 1)]
+    if abs(motion.pose.yaw) > 0.1:
+        slips.append(abs((right - left) / (vehicle.track * motion.pose.yaw) - 1))
+    return slips
+
+
+def _turn_steadily(simulator: ContactSimulator, v: float, w: float) -> Array:
+    """Loads of left, right and caster wheel [N], speed and yaw rate: means over 1 s of a turn (5,)."""
+    vehicle = simulator.vehicle
+    simulator.place(open_ground(), MIDDLE, v)
+    for rate in np.linspace(0.0, w, round(0.5 * COMMAND_RATE)):
+        half = rate * vehicle.track / 2
+        simulator.command_wheels((v - half) / vehicle.wheel_radius, (v + half) / vehicle.wheel_radius)
+        simulator.run(1 / COMMAND_RATE)
+    simulator.run(2.0)
+    seen = []
+    for _ in range(round(1.0 / simulator.time_step)):
+        simulator.step()
+        seen.append((*simulator.wheel_loads(), simulator.speed(), simulator.yaw_rate()))
+    return np.asarray(np.mean(seen, axis=0))
+
+
+def _steady_turn(bench: Bench) -> list[Measurement]:
+    vehicle = bench.vehicle
+    with bench.simulator(rolling_freely(vehicle)) as simulator:
+        v = simulator.drive.speed
+        w = min(grip_acceleration(vehicle) / 3 / v, tip_acceleration(vehicle) / 3 / v, vehicle.limits.yaw_rate)
+        *loads, speed, yaw_rate = _turn_steadily(simulator, v, w).tolist()
+    inner, outer, front = quasi_steady(vehicle, v, np.array([w]), np.zeros(1)).loads[0].tolist()
+    return [
+        close_to("speed", "m/s", v, speed, relative=2e-3),
+        close_to("yaw rate", "rad/s", w, yaw_rate, relative=7e-3),
+        close_to("load on inner wheel", "N", inner, loads[0], relative=1.5e-2),
+        close_to("load on outer wheel", "N", outer, loads[1], relative=1.5e-2),
+        close_to("load on caster", "N", front, loads[2], relative=1.5e-2),
+    ]
+
+
+def _trailing_after(simulator: ContactSimulator, speed: float, begin: float, end: float, longest: float) -> float:
+    """When the caster, put at the angle `begin`, has come within `end` of trailing for good [rad, s]."""
+    simulator.place(open_ground(), MIDDLE, speed)
+    simulator.command_wheels(*(speed / simulator.vehicle.wheel_radius,) * 2)
+    simulator.run(0.2)
+    simulator.set_swivel(begin)
+    start, before, within = simulator.time(), begin, nan
+    while (time := simulator.time() - start) < longest:
+        simulator.step()
+        angle = abs(simulator.sample().joint_angles[2])
+        if before > end >= angle:
+            within = time + simulator.time_step * (before - end) / (before - angle)
+        elif angle > end:
+            within = nan
+        before = angle
+    return within
+
+
+def _caster(bench: Bench) -> list[Measurement]:
+    vehicle, begin, end = bench.vehicle, radians(30.0), radians(1.0)
+    decay = 0.08  # trail over speed [s]: slow enough for every step to be much shorter
+    slowly = vehicle.caster_trail / decay
+    expected = decay * log(tan(begin / 2) / tan(end / 2))
+    with bench.simulator() as simulator:
+        tolerance = 0.05 * step_factor(simulator)
+        trailing = _trailing_after(simulator, slowly, begin, end, 3 * expected)
+        limit = 6 * vehicle.caster_trail / simulator.drive.speed
+        at_speed = _trailing_after(simulator, simulator.drive.speed, begin, end, 3 * limit)
+    return [
+        close_to(f"from 30 to 1 deg at {slowly:.3g} m/s", "s", expected, trailing, relative=tolerance),
+        at_most(f"from 30 to 1 deg at {simulator.drive.speed:.3g} m/s", "s", limit, at_speed),
+    ]
+
+
+ROLLING = (
+    Probe(
+        name="acceleration",
+        title="The torque limit accelerates mass and wheels from rest",
+        closed_form="v = 2 tau t / (r m_eff), m_eff = m + 2 I_wheel/r^2 + I_caster/r_c^2",
+        source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 2 (effective mass)",
+        measure=_acceleration,
+    ),
+    Probe(
+        name="coast",
+        title="Free wheels without rolling resistance keep their speed",
+        closed_form="v(t) = v(0)",
+        source="Goldstein, Poole and Safko, Classical Mechanics, 1.1 (conservation of momentum)",
+        measure=_coast,
+    ),
+    Probe(
+        name="rolling-resistance",
+        title="Rolling resistance slows free wheels",
+        closed_form="v = v(0) - b N_rear t / (r m_eff), b the lever arm of rolling friction",
+        source="Beer and Johnston, Vector Mechanics for Engineers: Statics, ch. 8 (rolling resistance)",
+        measure=_rolling_resistance,
+    ),
+    Probe(
+        name="straight",
+        title="It runs straight",
+        closed_form="x = v t, y = 0, yaw = 0",
+        source="Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2 (differential drive)",
+        measure=_straight,
+    ),
+    Probe(
+        name="five-actions",
+        title="The five turns of the paper follow a unicycle with the same yaw rate",
+        closed_form=(
+            "x' = v cos(yaw), y' = v sin(yaw), yaw' = trapezoid within the vehicle's limits, "
+            "or slower ones if these ask for more than grip and torque"
+        ),
+        source="Lynch and Park, Modern Robotics, 13.3.1 (unicycle) and 9.2.2 (trapezoid)",
+        measure=_actions,
+    ),
+    Probe(
+        name="steady-turn",
+        title="A steady turn keeps speed and yaw rate and shifts load outwards",
+        closed_form=(
+            "N_front = m a (g + h w^2) / x_c; N_outer - N_inner = 2 (m h v w + H w + N_front y_c) / T, "
+            "x_c and y_c where the caster touches, H the spin of the wheels"
+        ),
+        source=(
+            "Gillespie, Fundamentals of Vehicle Dynamics, ch. 9 (moments in a turn); "
+            "Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)"
+        ),
+        measure=_steady_turn,
+    ),
+    Probe(
+        name="caster",
+        title="The caster comes back to trailing",
+        closed_form="swivel' = -(v/trail) sin(swivel): t = (trail/v) ln(tan(15 deg) / tan(0.5 deg))",
+        source="Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)",
+        measure=_caster,
+    ),
+)

@@ -1,0 +1,150 @@
+"""Probes of the sensor's rays, and of whether the same calls give the same numbers."""
+
+from dataclasses import replace
+from math import cos, pi, sin
+
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, open_ground
+from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances
+from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
+
+SIDE = 40.0
+"""Of the worlds with boxes [m]."""
+GRAZING = 1e-5
+"""What the direction of a ray is good for [rad]; it matters where a ray passes an edge."""
+
+
+def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
+    """A walled arena of 25 boxes, anywhere, overlapping or not."""
+    rows = np.column_stack(
+        [
+            generator.uniform(0.0, SIDE, (25, 2)),
+            generator.uniform(0.1, 3.0, (25, 2)),
+            generator.uniform(-pi, pi, 25),
+        ]
+    )
+    boxes = tuple(OrientedBox(*row) for row in rows.tolist())
+    middle = Pose(SIDE / 2, SIDE / 2, 0.0)
+    return WorldSpec("boxes anywhere", seed, SIDE, SIDE, boxes, middle, (SIDE - 2.0, SIDE - 2.0), 1.0, 1.5)
+
+
+def _eye(vehicle: VehicleSpec, pose: Pose) -> tuple[float, float]:
+    """Where the rays start [m], seen from above."""
+    ahead, left, _ = vehicle.sensor
+    c, s = cos(pose.yaw), sin(pose.yaw)
+    return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
+
+
+def _analytic(eye: tuple[float, float], yaw: float, world: WorldSpec) -> Array:
+    return ray_distances(eye, ray_angles() + yaw, world.solids, paper.SENSOR_RANGE)
+
+
+def _largest_error(bench: Bench) -> Measurement:
+    errors = []
+    with bench.simulator() as simulator:
+        for seed in range(6):
+            generator = rng(seed, Stream.LAYOUT)
+            world = _cluttered(seed, generator)
+            for x, y, yaw in generator.uniform((1.0, 1.0, -pi), (SIDE - 1.0, SIDE - 1.0, pi), (6, 3)).tolist():
+                eye = _eye(bench.vehicle, Pose(x, y, yaw))
+                if _analytic(eye, yaw, world).min() < 0.05:
+                    continue  # a ray that starts within a box reads nothing
+                simulator.place(world, Pose(x, y, yaw), 0.0)
+                read = simulator.scan().distances
+                beside = [_analytic(eye, yaw + nudge, world) for nudge in (-GRAZING, 0.0, GRAZING)]
+                errors.append(float(np.max(np.min(np.abs(np.array(beside) - read), axis=0))))
+    return at_most("error in 25 boxes, largest", "mm", 2.0, 1e3 * float(np.max(errors)))
+
+
+def _hits(simulator: ContactSimulator, world: WorldSpec) -> int:
+    """How many rays meet anything when the vehicle stands in the middle."""
+    simulator.place(world, MIDDLE, 0.0)
+    return int(np.sum(~(simulator.scan().distances == paper.SENSOR_RANGE)))
+
+
+def _heights(bench: Bench) -> list[Measurement]:
+    """A box ahead that ends just below the rays, and one that ends just above them."""
+    x, y = _eye(bench.vehicle, MIDDLE)
+    box = OrientedBox(x + 4.0, y, 1.0, 1.0)
+    seen = int(np.sum(_analytic((x, y), 0.0, open_ground(box)) < paper.SENSOR_RANGE))
+    height = bench.vehicle.sensor_height
+    margin = min(0.02, height / 2)
+    with bench.simulator() as simulator:
+        over = _hits(simulator, replace(open_ground(box), obstacle_height=height - margin))
+        under = _hits(simulator, replace(open_ground(box), obstacle_height=height + margin))
+    return [
+        at_most(f"rays that meet a box {1e3 * margin:.0f} mm lower", "", 0, over),
+        at_most(f"rays that miss a box {1e3 * margin:.0f} mm higher", "", 0, abs(seen - under)),
+    ]
+
+
+def _own_body(bench: Bench) -> Measurement:
+    """Rays from where the vehicle or the ground would be in the way, on a plain with nothing on it."""
+    vehicle = bench.vehicle
+    behind, axle = vehicle.footprint.x - vehicle.footprint.half_length - 0.3, 0.0
+    hits = 0
+    for sensor in (
+        vehicle.sensor,
+        (0.0, vehicle.track / 6, axle),  # between the wheels
+        (vehicle.wheelbase - 2 * vehicle.caster_radius, 0.0, vehicle.caster_radius - vehicle.wheel_radius),
+        (behind, 0.0, axle),
+        (behind, 0.0, 1e-3 - vehicle.wheel_radius),  # a millimetre above the ground
+    ):
+        with bench.simulator(replace(vehicle, sensor=sensor)) as simulator:
+            hits += _hits(simulator, open_ground())
+            simulator.advance(paper.TURNS[1])  # it leans
+            hits += int(np.sum(~(simulator.scan().distances == paper.SENSOR_RANGE)))
+    return at_most("rays that meet the vehicle or the ground", "", 0, hits)
+
+
+def _rays(bench: Bench) -> list[Measurement]:
+    return [_largest_error(bench), *_heights(bench), _own_body(bench)]
+
+
+def _drive(simulator: ContactSimulator, world: WorldSpec) -> Array:
+    """Everything that is seen of a series of decisions, as one row of numbers."""
+    seen: list[float] = []
+    simulator.reset(world)
+    for turn in (0.0, 0.5, -1.0, 0.3, 0.9, -0.2, 0.0, -0.7):
+        motion = simulator.advance(turn)
+        seen += [motion.pose.x, motion.pose.y, motion.pose.yaw, motion.speed, motion.yaw_rate, *motion.wheel_speeds]
+        seen += [motion.duration, motion.path_length, motion.clearance, *simulator.scan().distances.tolist()]
+    return np.array(seen)
+
+
+def _determinism(bench: Bench) -> list[Measurement]:
+    here, there = (_cluttered(seed, rng(seed, Stream.LAYOUT)) for seed in (10, 11))
+    with bench.simulator() as first, bench.simulator() as second:
+        once, twice = _drive(first, here), _drive(second, here)
+        _drive(second, there)
+        second.command_wheels(50.0, -50.0)
+        second.step()
+        afterwards = _drive(second, here)
+    return [
+        at_most("values that differ in another simulator", "", 0, int(np.sum(once != twice))),
+        at_most("values that differ after another world", "", 0, int(np.sum(once != afterwards))),
+    ]
+
+
+SENSES = (
+    Probe(
+        name="rays",
+        title="Rays read the distance to boxes, and see nothing else",
+        closed_form="slab method: largest entry and smallest exit over the faces of each box",
+        source="Kay and Kajiya, Ray tracing complex scenes, SIGGRAPH 1986",
+        measure=_rays,
+    ),
+    Probe(
+        name="determinism",
+        title="The same calls give the same numbers, bit for bit",
+        closed_form="x(calls) = x(calls)",
+        source="the contract of a simulator: what follows a reset is a function of the calls since then",
+        measure=_determinism,
+    ),
+)

@@ -1,0 +1,83 @@
+"""Vehicles changed for a probe, so that it asks about one thing, and asks nothing that no vehicle could do."""
+
+from dataclasses import replace
+
+from nnql_bullet import paper
+from nnql_bullet.sim.contact import GRAVITY
+from nnql_bullet.vehicle.demand import tip_acceleration, turn_demand
+from nnql_bullet.vehicle.drive import plan_turn
+from nnql_bullet.vehicle.payload import loaded
+from nnql_bullet.vehicle.spec import Limits, Payload, VehicleSpec
+
+OWN_SHARE, EASY_SHARE = 0.95, 0.6
+"""Share of grip that a turn at the vehicle's own limits may ask for, and of a slower one if that asks for more. Towards
+the edge of grip wheels do slip, one before the other."""
+TORQUE_SHARE = 0.95
+"""Share of the torque limit that either may ask for."""
+SLOWER = tuple(1 - 0.05 * n for n in range(1, 19))
+"""Shares of its yaw rate at which a vehicle may turn within its means."""
+
+
+def gripping(vehicle: VehicleSpec, friction: float) -> VehicleSpec:
+    """The same vehicle on tyres of another friction."""
+    return replace(vehicle, contact=replace(vehicle.contact, wheel_friction=friction))
+
+
+def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
+    """The same vehicle without rolling and spinning resistance."""
+    return replace(vehicle, contact=replace(vehicle.contact, rolling_friction=0.0, spinning_friction=0.0))
+
+
+def on_ice(vehicle: VehicleSpec) -> VehicleSpec:
+    """The same vehicle without any friction: the ground carries it and does nothing else."""
+    return gripping(rolling_freely(vehicle), 0.0)
+
+
+def driven_by(vehicle: VehicleSpec, torque: float) -> VehicleSpec:
+    """The same vehicle with drives of another torque limit [N m]."""
+    return replace(vehicle, wheel_torque=torque)
+
+
+def top_heavy(vehicle: VehicleSpec) -> VehicleSpec:
+    """The vehicle under its own weight once more, which brings the centre of mass up by 0.6 of the track."""
+    if vehicle.payload:
+        return vehicle
+    return loaded(vehicle, Payload(vehicle.mass, vehicle.com_ahead, vehicle.com_height + 1.2 * vehicle.track))
+
+
+def skidding_friction(vehicle: VehicleSpec) -> float:
+    """The vehicle's own friction, or what lets it slide well before it tips, sideways or over the caster."""
+    sideways = tip_acceleration(vehicle) / GRAVITY
+    forwards = (vehicle.wheelbase - vehicle.com_ahead) / vehicle.com_height
+    return min(vehicle.contact.wheel_friction, 0.7 * sideways, 0.7 * forwards)
+
+
+def gentlest_torque(vehicle: VehicleSpec) -> float:
+    """Half of what the drives give, or of what makes the wheels spin or the caster lift [N m]."""
+    weight = vehicle.mass * GRAVITY
+    spinning, rearing = vehicle.contact.wheel_friction * vehicle.rear_share, vehicle.com_ahead / vehicle.com_height
+    return min(vehicle.wheel_torque, min(spinning, rearing) * weight * vehicle.wheel_radius / 2) / 2
+
+
+def turning_within_its_means(vehicle: VehicleSpec, speed: float) -> tuple[VehicleSpec, float]:
+    """The vehicle with limits for which grip and torque suffice in the paper's turns, and their share of its yaw rate.
+
+    A vehicle whose own limits ask for no more than it has keeps them: a share of 1. Another turns in the same way, but
+    slower, so that what it is compared with is still a turn without slip.
+    """
+    if _suffices(vehicle, speed, OWN_SHARE):
+        return vehicle, 1.0
+    for share in SLOWER:
+        slower = Limits(
+            yaw_rate=share * vehicle.limits.yaw_rate, yaw_acceleration=share**2 * vehicle.limits.yaw_acceleration
+        )
+        turning = replace(vehicle, limits=slower)
+        if _suffices(turning, speed, EASY_SHARE):
+            break
+    return turning, share
+
+
+def _suffices(vehicle: VehicleSpec, speed: float, grip_share: float) -> bool:
+    demands = [turn_demand(vehicle, speed, plan_turn(0.0, turn, vehicle.limits)) for turn in paper.TURNS]
+    grip, torque = grip_share * vehicle.contact.wheel_friction, TORQUE_SHARE * vehicle.wheel_torque
+    return all(demand.friction <= grip and demand.torque <= torque for demand in demands)

@@ -1,0 +1,168 @@
+"""How far a vehicle runs until it stands, and whether that is within what its sensors see."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import hypot
+
+import numpy as np
+from scipy.optimize import brentq
+
+from nnql_bullet import paper
+from nnql_bullet.errors import UserError
+from nnql_bullet.fidelity.envelope import PAYLOAD_HEIGHT, SETTLING
+from nnql_bullet.fidelity.probe import Bench, open_ground
+from nnql_bullet.fidelity.turning import mean_forces
+from nnql_bullet.sim.base import SAMPLE_EVERY, DriveOptions
+from nnql_bullet.vehicle.demand import Braking, braking, braking_rear_load, static_rear_load
+from nnql_bullet.vehicle.payload import loaded
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+
+STANDING = 0.01
+"""Speed below which a vehicle stands [m/s]."""
+PATIENCE = 10.0
+"""Times the stopping time on paper and a second, after which a vehicle is taken not to stop."""
+REACTION = DriveOptions().decision_period
+"""What passes at most until the brakes act: an obstacle comes into sight just after a decision [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopConditions:
+    """What a vehicle brakes with."""
+
+    payload: float
+    """On the middle of the deck [kg]."""
+    friction: float
+    """Of the wheels, against ground of friction 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopTask:
+    """One stop to be measured."""
+
+    bench: Bench
+    """Its vehicle carries nothing."""
+    conditions: StopConditions
+    speed: float
+    """[m/s]"""
+    seed: int
+    """Its number. Nothing here is random."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """From a speed to standing, straight ahead, the wheels commanded to stand at once."""
+
+    conditions: StopConditions
+    speed: float
+    """[m/s]"""
+    distance: float
+    """From the command on, measured [m]."""
+    distance_on_paper: float
+    """[m]"""
+    heading_drift: float
+    """At the end [rad]."""
+    friction_used: float
+    """Of what either drive wheel has, largest mean over 1/30 s."""
+    least_load: float
+    """On either drive wheel over its load at rest, least mean over 1/30 s."""
+    least_load_on_paper: float
+
+
+@dataclass(frozen=True, slots=True)
+class SafeSpeed:
+    """The largest speed from which the vehicle stops within what it sees."""
+
+    conditions: StopConditions
+    measured: float | None
+    """None if it lies above every speed that was measured [m/s]."""
+    on_paper: float
+    """[m/s]"""
+    braking: Braking
+
+
+def stopping_tasks(bench: Bench) -> list[StopTask]:
+    """Every stop: speeds from 1 to 12 m/s, under three loads and three frictions and the vehicle's own."""
+    frictions = sorted({0.4, 0.6, 0.8, bench.vehicle.contact.wheel_friction})
+    conditions = [StopConditions(payload, friction) for friction in frictions for payload in (0.0, 40.0, 80.0)]
+    cases = [(each, float(speed)) for each in conditions for speed in range(1, 13)]
+    return [StopTask(bench, each, speed, number) for number, (each, speed) in enumerate(cases)]
+
+
+def braking_vehicle(vehicle: VehicleSpec, conditions: StopConditions) -> VehicleSpec:
+    """The vehicle under these conditions.
+
+    Raises:
+        UserError: If it carries a payload already.
+    """
+    made = loaded(vehicle, Payload(conditions.payload, vehicle.footprint.x, PAYLOAD_HEIGHT))
+    return replace(made, contact=replace(vehicle.contact, wheel_friction=conditions.friction))
+
+
+def measure_stop(task: StopTask) -> Stop:
+    """Brakes once in contact physics, on open ground.
+
+    Raises:
+        UserError: If the vehicle carries a payload already, or does not stop.
+    """
+    vehicle = braking_vehicle(task.bench.vehicle, task.conditions)
+    paper_says = braking(vehicle)
+    with task.bench.simulator(vehicle, speed=task.speed) as simulator:
+        simulator.reset(open_ground())
+        rolling = task.speed / vehicle.wheel_radius
+        simulator.command_wheels(rolling, rolling)
+        simulator.run(SETTLING)
+        begin, began = simulator.pose(), simulator.time()
+        patience = PATIENCE * (1 + task.speed / paper_says.deceleration)
+        times, forces = [], []
+        simulator.command_wheels(0.0, 0.0)
+        while simulator.speed() > STANDING:
+            if simulator.time() - began > patience:
+                friction = task.conditions.friction
+                raise UserError(f"the vehicle does not stop from {task.speed:g} m/s on friction {friction:g}; raise it")
+            simulator.step()
+            times.append(simulator.time() - began)
+            forces.append(simulator.wheel_forces())
+        end = simulator.pose()
+    seen = mean_forces(times, forces, SAMPLE_EVERY)
+    return Stop(
+        conditions=task.conditions,
+        speed=task.speed,
+        distance=hypot(end.x - begin.x, end.y - begin.y),
+        distance_on_paper=paper_says.stopping_distance(task.speed),
+        heading_drift=end.yaw - begin.yaw,
+        friction_used=float(seen.used(vehicle).max()),
+        least_load=float(seen.normal[:, :2].min()) / static_rear_load(vehicle),
+        least_load_on_paper=braking_rear_load(vehicle, paper_says.deceleration),
+    )
+
+
+def sight(vehicle: VehicleSpec) -> float:
+    """How far ahead of its front edge a vehicle sees [m]."""
+    front = vehicle.footprint.x + vehicle.footprint.half_length
+    return paper.SENSOR_RANGE - (front - vehicle.sensor[0])
+
+
+def safe_speeds(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[SafeSpeed]:
+    """The largest safe speed under each of the conditions that stops were measured under.
+
+    Between two measured speeds the braking distance over the speed is taken to be linear, which braking at a constant
+    rate is exactly; so is its start from nothing at speed zero.
+    """
+    way, found = sight(vehicle), []
+    for conditions in dict.fromkeys(stop.conditions for stop in stops):
+        limit = braking(braking_vehicle(vehicle, conditions))
+        measured = _largest_within(way, [stop for stop in stops if stop.conditions == conditions])
+        found.append(SafeSpeed(conditions, measured, limit.largest_speed(way, REACTION), limit))
+    return found
+
+
+def _largest_within(way: float, stops: Sequence[Stop]) -> float | None:
+    """The speed v at which v t + D(v) reaches the way, D(v)/v being linear from one measured speed to the next."""
+    ordered = sorted(stops, key=lambda stop: stop.speed)
+    speeds = [0.0, *(stop.speed for stop in ordered)]
+    lasting = [0.0, *(stop.distance / stop.speed for stop in ordered)]
+
+    def beyond(speed: float) -> float:
+        return float(speed * (REACTION + np.interp(speed, speeds, lasting)) - way)
+
+    return None if beyond(speeds[-1]) < 0 else float(brentq(beyond, 0.0, speeds[-1], xtol=1e-6))

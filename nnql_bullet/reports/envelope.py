@@ -1,0 +1,598 @@
+"""What a vehicle can follow and how it stops: pictures, tables and numbers, measured beside paper."""
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+from nnql_bullet.fidelity.envelope import (
+    HEADING_TOLERANCE,
+    SLIP_TOLERANCE,
+    Case,
+    Followed,
+    Quantity,
+    Result,
+    Slice,
+    base_case,
+    on_paper,
+)
+from nnql_bullet.fidelity.probe import Bench
+from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
+from nnql_bullet.files import write_atomically
+from nnql_bullet.geometry import Array
+from nnql_bullet.vehicle.demand import (
+    braking,
+    grip_acceleration,
+    static_rear_load,
+    tip_acceleration,
+    tip_angle,
+    turn_demand,
+)
+from nnql_bullet.vehicle.drive import plan_turn
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+NOT_A_CERTIFICATE = (
+    "Evidence for an engineer, not a certificate; the standard that asks this question is ISO 3691-4 "
+    "(driverless industrial trucks)."
+)
+
+PAPER_GRID = 40
+"""Points along each axis at which the limits on paper are worked out."""
+INK, GRID = "#212529", "#e9ecef"
+HATCH_DARK, HATCH_LIGHT = "#00000099", "#ffffff99"
+LOADS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+"""Colours that the colour-blind tell apart (Okabe and Ito)."""
+MARKS = ("o", "s", "^", "D", "v", "P")
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """How a quantity of a case is shown."""
+
+    name: str
+    unit: str
+    shown: Callable[[float], float] = float
+
+    @property
+    def label(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+_AXES: dict[Quantity, _Axis] = {
+    "speed": _Axis("speed", "m/s"),
+    "heading_change": _Axis("heading change", "°", degrees),
+    "friction": _Axis("friction coefficient", ""),
+    "payload": _Axis("payload", "kg"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Measure:
+    """How what was measured is coloured: the worse, the brighter."""
+
+    label: str
+    value: Callable[[Followed], float]
+    norm: Normalize
+    colours: str
+    ticks: tuple[float, ...]
+
+
+def _measures() -> tuple[_Measure, ...]:
+    return (
+        _Measure(
+            "heading error [°]",
+            lambda m: max(abs(degrees(m.heading_error)), 0.01),
+            LogNorm(0.01, 30.0, clip=True),
+            "viridis",
+            (0.01, 0.1, 1.0, 10.0),
+        ),
+        _Measure(
+            "slip [% of speed]", lambda m: 100 * m.slip, LogNorm(0.2, 50.0, clip=True), "viridis", (0.2, 1.0, 5.0, 50.0)
+        ),
+        _Measure(
+            "least rear load [% of rest]",
+            lambda m: 100 * m.least_load,
+            Normalize(0.0, 100.0, clip=True),
+            "viridis_r",
+            (0.0, 50.0, 100.0),
+        ),
+        _Measure(
+            "friction used [%]",
+            lambda m: 100 * m.friction_used,
+            Normalize(0.0, 100.0, clip=True),
+            "viridis",
+            (0.0, 50.0, 100.0),
+        ),
+    )
+
+
+_STYLES = {"friction": "-", "torque": "--", "lift": ":"}
+
+
+def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Result], path: Path) -> None:
+    """A heat map for each slice (downwards) and each thing measured (across), the limits on paper drawn over it.
+
+    Args:
+        bench: What it was measured on.
+        slices: Through the cases.
+        results: Of every case of the slices.
+        path: A PNG file.
+    """
+    vehicle, found, measures = bench.vehicle, {result.case: result for result in results}, _measures()
+    with matplotlib.rc_context({"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
+        figure = Figure(figsize=(7.4, 2.15 * len(slices) + 1.5), layout="constrained")
+        panels = figure.subplots(len(slices), len(measures), squeeze=False, sharex="col")
+        for row, part in zip(panels, slices, strict=True):
+            limits = _paper_limits(vehicle, part)
+            meshes = [_draw_map(axes, part, found, measure) for axes, measure in zip(row, measures, strict=True)]
+            for axes in row:
+                _draw_paper_limits(axes, limits)
+                _mark_own_turn(axes, vehicle, part)
+                axes.tick_params(labelleft=bool(axes is row[0]))
+            row[0].set_ylabel(_AXES[part.quantity].label)
+            if part is slices[0]:
+                for axes, mesh, measure in zip(row, meshes, measures, strict=True):
+                    _add_colour_bar(figure, axes, mesh, measure)
+        for axes in panels[-1]:
+            axes.set_xlabel("control period [s]")
+        figure.legend(handles=_envelope_legend(), loc="outside lower center", ncols=2, frameon=False)
+        figure.suptitle(_described(bench, slices[0].base), fontsize=9, color=INK)
+        _save(figure, path)
+
+
+def _add_colour_bar(figure: Figure, axes: Axes, mesh: QuadMesh, measure: _Measure) -> None:
+    bar = figure.colorbar(mesh, ax=axes, location="top", ticks=measure.ticks, pad=0.03, aspect=14)
+    bar.set_label(measure.label)
+    bar.ax.minorticks_off()
+    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+
+
+def _draw_map(axes: Axes, part: Slice, found: Mapping[Case, Result], measure: _Measure) -> QuadMesh:
+    shown = _AXES[part.quantity].shown
+    across, up = _edges(part.periods), _edges([shown(value) for value in part.values])
+    rows = [[found[part.case(value, period)].measured for period in part.periods] for value in part.values]
+    colours = np.array([[measure.value(measured) for measured in row] for row in rows])
+    mesh = axes.pcolormesh(across, up, colours, norm=measure.norm, cmap=measure.colours)
+    for i, row in enumerate(rows):
+        for j, measured in enumerate(row):
+            if not measured.follows:
+                size = across[j + 1] - across[j], up[i + 1] - up[i]
+                ink = HATCH_DARK if np.mean(mesh.to_rgba(colours[i, j])[:3]) > 0.35 else HATCH_LIGHT
+                axes.add_patch(Rectangle((across[j], up[i]), *size, fill=False, hatch="/////", ec=ink, lw=0.0))
+    axes.set_xticks([period for period in part.periods if round(10 * period) % 3 == 0])
+    return mesh
+
+
+def _paper_limits(vehicle: VehicleSpec, part: Slice) -> tuple[Array, Array, dict[str, Array]]:
+    """Periods, values, and what of each limit is used on paper there: a line is where that is 1."""
+    ends = _edges(part.periods)
+    periods = np.linspace(ends[0], ends[-1], PAPER_GRID)
+    shown = _AXES[part.quantity].shown
+    ends = _edges(part.values)
+    values = np.linspace(max(ends[0], 0.0), ends[-1], PAPER_GRID)
+    used: dict[str, list[list[float]]] = {name: [] for name in _STYLES}
+    for value in values:
+        cases = [part.case(float(value), float(period)) for period in periods]
+        asked = [on_paper(vehicle, case) for case in cases]
+        used["friction"].append([each.friction / case.friction for each, case in zip(asked, cases, strict=True)])
+        used["torque"].append([each.torque / vehicle.wheel_torque for each in asked])
+        used["lift"].append([1 - each.least_load for each in asked])
+    return periods, np.array([shown(float(value)) for value in values]), {k: np.array(v) for k, v in used.items()}
+
+
+def _draw_paper_limits(axes: Axes, limits: tuple[Array, Array, dict[str, Array]]) -> None:
+    periods, values, used = limits
+    for name, grid in used.items():
+        if grid.min() < 1 < grid.max():
+            lines = axes.contour(
+                periods, values, grid, levels=[1.0], colors="white", linestyles=_STYLES[name], linewidths=1.6
+            )
+            lines.set_path_effects([withStroke(linewidth=3.2, foreground="black")])
+
+
+def _mark_own_turn(axes: Axes, vehicle: VehicleSpec, part: Slice) -> None:
+    """Where the vehicle's own limits put the base case's turn."""
+    value = _AXES[part.quantity].shown(getattr(part.base, part.quantity))
+    own = plan_turn(0.0, part.base.heading_change, vehicle.limits).duration
+    axes.plot(own, value, "*", ms=10, mfc="#e69f00", mec="black", mew=0.8, zorder=5)
+
+
+def _envelope_legend() -> list[Any]:
+    halo = [withStroke(linewidth=3.2, foreground="black")]
+    names = {"friction": "needs all friction", "torque": "needs all torque", "lift": "inner wheel lifts"}
+    lines = [
+        Line2D([], [], color="white", ls=_STYLES[name], lw=1.6, path_effects=halo, label=f"{text}, on paper")
+        for name, text in names.items()
+    ]
+    missed = f"off by over {degrees(HEADING_TOLERANCE):g}°, slips over {SLIP_TOLERANCE:.0%}, or lifts a wheel"
+    return [
+        lines[0],
+        lines[1],
+        lines[2],
+        Line2D(
+            [],
+            [],
+            ls="",
+            marker="*",
+            ms=10,
+            mfc="#e69f00",
+            mec="black",
+            label="the vehicle's own limits",
+        ),
+        Patch(fc="white", ec=HATCH_DARK, hatch="/////", lw=0.5, label=f"not followed: {missed}"),
+    ]
+
+
+def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
+    """Stopping distance, reaction included, over speed: a panel for each friction, a colour for each payload.
+
+    Args:
+        bench: What it was measured on.
+        stops: Every one that was measured.
+        path: A PNG file.
+    """
+    way, speeds = sight(bench.vehicle), safe_speeds(bench.vehicle, stops)
+    frictions = sorted({stop.conditions.friction for stop in stops})
+    payloads = sorted({stop.conditions.payload for stop in stops})
+    fastest = max(stop.speed for stop in stops)
+    with matplotlib.rc_context({"font.size": 8.5, "axes.linewidth": 0.6}):
+        figure = Figure(figsize=(7.4, 3.5), layout="constrained")
+        panels = figure.subplots(1, len(frictions), sharey=True, squeeze=False)[0]
+        for axes, friction in zip(panels, frictions, strict=True):
+            axes.axhline(way, color=INK, lw=1.0, ls="--", zorder=1)
+            for number, payload in enumerate(payloads):
+                conditions, colour = StopConditions(payload, friction), LOADS[number]
+                _draw_stops(axes, [each for each in stops if each.conditions == conditions], colour, MARKS[number])
+                safe = next(each for each in speeds if each.conditions == conditions)
+                _mark_safe_speed(axes, safe, way, colour, len(payloads) - number)
+            axes.text(0.3, way + 0.3, f"sight {way:.2f} m", ha="left", va="bottom", color=INK)
+            axes.set(xlim=(0, fastest), ylim=(0, 2.2 * way), xlabel="speed [m/s]")
+            axes.set_title(f"friction {friction:g}", fontsize=9)
+            axes.xaxis.set_major_locator(MultipleLocator(2))
+            axes.yaxis.set_major_locator(MultipleLocator(5))
+            axes.grid(color=GRID, lw=0.8)
+            axes.spines[["top", "right"]].set_visible(False)
+        panels[0].set_ylabel(f"way until it stands, with\n{REACTION:g} s of reaction [m]")
+        handles = [
+            Line2D([], [], color=colour, marker=mark, ms=4, lw=1.2, label=f"{payload:g} kg payload")
+            for payload, colour, mark in zip(payloads, LOADS, MARKS, strict=False)
+        ]
+        grey = "#868e96"
+        handles += [
+            Line2D([], [], color=grey, lw=1.2, label="line: on paper"),
+            Line2D([], [], color=grey, ls="", marker="o", ms=4, label="mark: measured"),
+            Line2D([], [], color=grey, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        _save(figure, path)
+
+
+def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> None:
+    speeds = np.linspace(0.0, max(stop.speed for stop in stops), 200)
+    deceleration = stops[0].speed ** 2 / (2 * stops[0].distance_on_paper)
+    axes.plot(speeds, speeds * REACTION + speeds**2 / (2 * deceleration), color=colour, lw=1.2)
+    ways = [stop.speed * REACTION + stop.distance for stop in stops]
+    axes.plot([stop.speed for stop in stops], ways, ls="", marker=mark, ms=4, color=colour, mec="white", mew=0.5)
+
+
+def _mark_safe_speed(axes: Axes, safe: SafeSpeed, way: float, colour: str, line: int) -> None:
+    """Down from the sight to the axis, and in words on a line counted from below."""
+    words = f"({safe.on_paper:.2f})"
+    if safe.measured is not None:
+        axes.plot([safe.measured] * 2, [0.0, way], color=colour, lw=0.9, ls=":")
+        words = f"{safe.measured:.2f} {words}"
+    above = (-2, 11 * line - 7)
+    axes.annotate(words, (1.0, 0.0), above, "axes fraction", textcoords="offset points", ha="right", color=colour)
+
+
+def case_record(result: Result) -> dict[str, float | bool]:
+    """A case in flat names and the units of tables: degrees, and shares of one."""
+    case, measured, paper = result.case, result.measured, result.on_paper
+    return {
+        "speed_m_s": case.speed,
+        "period_s": case.period,
+        "heading_change_deg": degrees(case.heading_change),
+        "friction": case.friction,
+        "payload_kg": case.payload,
+        "follows": measured.follows,
+        "allowed_on_paper": result.allowed,
+        "heading_error_deg": degrees(measured.heading_error),
+        "slip": measured.slip,
+        "least_load": measured.least_load,
+        "least_load_on_paper": paper.least_load,
+        "friction_used": measured.friction_used,
+        "wheel_friction_used": measured.wheel_friction_used,
+        "friction_asked_on_paper": paper.friction / case.friction,
+        "torque_on_paper_n_m": paper.torque,
+        "torque_limit_n_m": result.torque_limit,
+        "lateral_on_paper_m_s2": paper.lateral,
+        "roll_deg": degrees(measured.roll),
+        "fell_over": measured.fell_over,
+    }
+
+
+def stop_record(stop: Stop) -> dict[str, float]:
+    """A stop in flat names."""
+    return {
+        "friction": stop.conditions.friction,
+        "payload_kg": stop.conditions.payload,
+        "speed_m_s": stop.speed,
+        "distance_m": stop.distance,
+        "distance_on_paper_m": stop.distance_on_paper,
+        "heading_drift_deg": degrees(stop.heading_drift),
+        "friction_used": stop.friction_used,
+        "least_load": stop.least_load,
+        "least_load_on_paper": stop.least_load_on_paper,
+    }
+
+
+def safe_speed_record(safe: SafeSpeed) -> dict[str, float | None]:
+    """A largest safe speed in flat names."""
+    return {
+        "friction": safe.conditions.friction,
+        "payload_kg": safe.conditions.payload,
+        "measured_m_s": safe.measured,
+        "on_paper_m_s": safe.on_paper,
+        "by_grip_m_s2": safe.braking.by_grip,
+        "by_torque_m_s2": safe.braking.by_torque,
+    }
+
+
+def envelope_csv(results: Sequence[Result]) -> str:
+    """Every case, in full precision."""
+    return _csv([case_record(result) for result in results])
+
+
+def stopping_csv(stops: Sequence[Stop]) -> str:
+    """Every stop, in full precision."""
+    return _csv([stop_record(stop) for stop in stops])
+
+
+def envelope_dict(bench: Bench, results: Sequence[Result], stops: Sequence[Stop]) -> dict[str, Any]:
+    """Everything, for JSON."""
+    return {
+        "note": NOT_A_CERTIFICATE,
+        "vehicle": bench.vehicle.name,
+        "engine": bench.engine,
+        "physics": bench.physics,
+        "sight_m": sight(bench.vehicle),
+        "reaction_s": REACTION,
+        "cases": [case_record(result) for result in results],
+        "stops": [stop_record(stop) for stop in stops],
+        "largest_safe_speeds": [safe_speed_record(each) for each in safe_speeds(bench.vehicle, stops)],
+    }
+
+
+def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[Result]) -> str:
+    """What the vehicle can follow: its limits on paper, the shortest periods, and every case.
+
+    Args:
+        bench: What it was measured on.
+        slices: Through the cases.
+        results: Of every case of the slices.
+    """
+    found = {result.case: result for result in results}
+    parts = [
+        "# What the vehicle can follow",
+        NOT_A_CERTIFICATE,
+        f"{_described(bench, slices[0].base)} "
+        "Each turn goes from straight to straight in one control period: its yaw rate rises for a third of it, holds "
+        "for a third and falls for a third.",
+        f"A turn is followed if the heading ends within {degrees(HEADING_TOLERANCE):g}° of the command, no drive "
+        f"wheel's contact point moves over the ground at more than {SLIP_TOLERANCE:.0%} of the speed, and no rear "
+        "wheel lifts.",
+        _vehicle_markdown(bench.vehicle),
+        "## Measured against paper",
+        _agreement_markdown(results),
+        *(_shortest_markdown(part, found) for part in slices),
+        "## Every case",
+        "Friction and torque on paper are over what there is; loads are over the load at rest. Friction used is of "
+        "both drive wheels together. Forces are means over a look of the controller, 1/30 s.",
+        *(_cases_markdown(part, found) for part in slices),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _vehicle_markdown(vehicle: VehicleSpec) -> str:
+    base = base_case(vehicle)
+    turn = plan_turn(0.0, base.heading_change, vehicle.limits)
+    asked, brakes = turn_demand(vehicle, base.speed, turn), braking(vehicle)
+    rows = [
+        ("load at rest on each drive wheel", f"{static_rear_load(vehicle):.0f} N"),
+        ("lateral acceleration at which the inner wheel lifts", f"{tip_acceleration(vehicle):.2f} m/s²"),
+        ("side slope on which a wheel lifts", f"{degrees(tip_angle(vehicle)):.1f}°"),
+        ("lateral acceleration of a steady turn that uses all grip", f"{grip_acceleration(vehicle):.2f} m/s²"),
+        ("braking by grip / by torque", f"{brakes.by_grip:.2f} / {brakes.by_torque:.2f} m/s²"),
+        (
+            f"its own {degrees(base.heading_change):.0f}° turn at {base.speed:g} m/s lasts {turn.duration:.2f} s",
+            f"friction {asked.friction:.2f} of {base.friction:g}, torque {asked.torque:.1f} of "
+            f"{vehicle.wheel_torque:g} N m, least rear load {asked.least_load:.0%}",
+        ),
+    ]
+    return _table(("on paper", "value"), rows)
+
+
+def _agreement_markdown(results: Sequence[Result]) -> str:
+    counted = {
+        (followed, allowed): sum(r.measured.follows == followed and r.allowed == allowed for r in results)
+        for followed in (True, False)
+        for allowed in (True, False)
+    }
+    return _table(
+        ("cases", "allowed on paper", "not allowed on paper"),
+        [
+            ("follows", str(counted[True, True]), str(counted[True, False])),
+            ("does not follow", str(counted[False, True]), str(counted[False, False])),
+        ],
+    )
+
+
+def _shortest_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
+    """From which of the periods on every longer one is followed too."""
+    axis = _AXES[part.quantity]
+
+    def shortest(value: float, good: Callable[[Result], bool]) -> str:
+        kept = None
+        for period in sorted(part.periods, reverse=True):
+            if not good(found[part.case(value, period)]):
+                break
+            kept = period
+        return f"over {max(part.periods):g}" if kept is None else f"{kept:g}"
+
+    header = (axis.label, *(f"{axis.shown(value):.4g}" for value in part.values))
+    measured = ("shortest period followed [s]", *(shortest(v, lambda r: r.measured.follows) for v in part.values))
+    paper = ("on paper [s]", *(shortest(v, lambda r: r.allowed) for v in part.values))
+    return _table(header, [measured, paper])
+
+
+def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
+    axis = _AXES[part.quantity]
+    header = (
+        axis.label,
+        "period [s]",
+        "friction asked, paper [%]",
+        "friction used [%]",
+        "torque asked, paper [%]",
+        "least load, paper [%]",
+        "least load [%]",
+        "heading error [°]",
+        "slip [%]",
+        "roll [°]",
+        "follows",
+    )
+    rows = []
+    for case in part.cases:
+        result = found[case]
+        measured, paper = result.measured, result.on_paper
+        rows.append(
+            (
+                f"{axis.shown(getattr(case, part.quantity)):.4g}",
+                f"{case.period:g}",
+                f"{100 * paper.friction / case.friction:.0f}",
+                f"{100 * measured.friction_used:.0f}",
+                f"{100 * paper.torque / result.torque_limit:.0f}",
+                f"{100 * paper.least_load:.0f}",
+                f"{100 * measured.least_load:.0f}",
+                f"{degrees(measured.heading_error):.3f}",
+                f"{100 * measured.slip:.2f}",
+                f"{degrees(measured.roll):.2f}",
+                "fell over" if measured.fell_over else "yes" if measured.follows else "no",
+            )
+        )
+    return f"### {axis.name.capitalize()}\n\n{_table(header, rows)}"
+
+
+def stopping_markdown(bench: Bench, stops: Sequence[Stop]) -> str:
+    """How the vehicle stops, and from which speeds within what it sees."""
+    vehicle = bench.vehicle
+    safe_rows = [
+        (
+            f"{safe.conditions.friction:g}",
+            f"{safe.conditions.payload:g}",
+            f"{safe.braking.by_grip:.2f}",
+            f"{safe.braking.by_torque:.2f}",
+            f"{safe.on_paper:.2f}",
+            f"over {max(stop.speed for stop in stops):g}" if safe.measured is None else f"{safe.measured:.2f}",
+        )
+        for safe in safe_speeds(vehicle, stops)
+    ]
+    stop_rows = [
+        (
+            f"{stop.conditions.friction:g}",
+            f"{stop.conditions.payload:g}",
+            f"{stop.speed:g}",
+            f"{stop.distance_on_paper:.3f}",
+            f"{stop.distance:.3f}",
+            f"{100 * (stop.distance / stop.distance_on_paper - 1):+.1f}",
+            f"{degrees(stop.heading_drift):.3f}",
+            f"{100 * stop.friction_used:.0f}",
+            f"{100 * stop.least_load_on_paper:.0f}",
+            f"{100 * stop.least_load:.0f}",
+        )
+        for stop in stops
+    ]
+    parts = [
+        "# How the vehicle stops",
+        NOT_A_CERTIFICATE,
+        f"Vehicle '{vehicle.name}' in {bench.engine} ({bench.physics}): the wheels are commanded to stand at once, and "
+        "brake with what torque and grip they have.",
+        "## Largest safe speed",
+        f"It sees {sight(vehicle):.2f} m ahead of its front edge. An obstacle may come into sight just after a "
+        f"decision, so {REACTION:g} s pass before it brakes. Measured: interpolated between the measured speeds, where "
+        "braking distance over speed is all but linear.",
+        _table(
+            (
+                "friction",
+                "payload [kg]",
+                "braking by grip [m/s²]",
+                "by torque [m/s²]",
+                "largest safe speed, paper [m/s]",
+                "measured [m/s]",
+            ),
+            safe_rows,
+        ),
+        "## Every stop",
+        "Distances from the command to stop on.",
+        _table(
+            (
+                "friction",
+                "payload [kg]",
+                "speed [m/s]",
+                "distance, paper [m]",
+                "distance [m]",
+                "difference [%]",
+                "heading drift [°]",
+                "friction used [%]",
+                "least load, paper [%]",
+                "least load [%]",
+            ),
+            stop_rows,
+        ),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _described(bench: Bench, base: Case) -> str:
+    return (
+        f"Vehicle '{bench.vehicle.name}' in {bench.engine} ({bench.physics}). Unless an axis says otherwise: "
+        f"{base.speed:g} m/s, {degrees(base.heading_change):.0f}°, friction {base.friction:g}, "
+        f"{base.payload:g} kg payload."
+    )
+
+
+def _edges(middles: Sequence[float]) -> Array:
+    """Of cells around these middles, halfway to the next one."""
+    centres = np.asarray(middles, dtype=float)
+    between = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _csv(records: Sequence[Mapping[str, float | bool]]) -> str:
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(records[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    return out.getvalue()
+
+
+def _save(figure: Figure, path: Path) -> None:
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=150, metadata={"Software": None}))

@@ -1,0 +1,289 @@
+"""The fidelity report: what an engine was asked, what it answered, and how it behaves in the paper's five actions."""
+
+from dataclasses import asdict, dataclass
+from math import degrees, isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from nnql_bullet import __version__
+from nnql_bullet.fidelity.actions import WatchedTurn, tightest
+from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
+from nnql_bullet.geometry import Array
+from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, save_figure
+from nnql_bullet.sim.base import COMMAND_RATE
+from nnql_bullet.vehicle.demand import Demand, quasi_steady
+from nnql_bullet.vehicle.drive import sample_turn
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+COLOURS = ("#212529", "#74c0fc", "#1864ab", "#ffa94d", "#d9480f")
+"""Of the five actions."""
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """What was found of a vehicle in an engine."""
+
+    bench: Bench
+    time_step: float
+    """[s]"""
+    probes: list[tuple[Probe, list[Measurement], list[Measurement]]]
+    """Each with what it measured, and what at half the time step."""
+    actions: list[tuple[float, list[WatchedTurn]]]
+    """The five actions by time step [s], the bench's own first."""
+
+    @property
+    def measurements(self) -> list[Measurement]:
+        """Of all probes."""
+        return [measurement for _, measured, _ in self.probes for measurement in measured]
+
+    @property
+    def out(self) -> list[Measurement]:
+        """What is not accepted."""
+        return [measurement for measurement in self.measurements if not measurement.ok]
+
+    @property
+    def limits(self) -> list[float]:
+        """What the gaps of the five actions come to as the step goes to zero, if their error halves with it [m]."""
+        (_, coarse), (_, fine) = self.actions[-2:]
+        return [2 * after.gap - before.gap for before, after in zip(coarse, fine, strict=True)]
+
+    @property
+    def title(self) -> str:
+        """Vehicle, engine and settings."""
+        return f"{self.bench.vehicle.name} in {self.bench.engine}, {self.bench.physics}"
+
+
+def number(value: float, measurement: Measurement) -> str:
+    """A value with as many digits as the tolerance makes sense of."""
+    if not isfinite(value):
+        return str(value)
+    room = measurement.high - measurement.low
+    digits = 2 - int(np.floor(np.log10(room))) if isfinite(room) and room > 0 else 4
+    text = f"{value:.{max(0, min(digits, 9))}f}"
+    return text if float(text) or not value else f"{value:.1e}"
+
+
+def tolerance(measurement: Measurement) -> str:
+    """What is accepted, in words."""
+    m = measurement
+    if m.low == 0.0 and m.expected > 0:
+        return f"at most {number(m.high, m)}"
+    return f"±{(m.high - m.low) / 2:.2g}"
+
+
+def fidelity_markdown(fidelity: Fidelity) -> str:
+    """The report as text."""
+    f, count = fidelity, len(fidelity.measurements)
+    verdict = "all within tolerance" if not f.out else f"{len(f.out)} out of tolerance"
+    lines = [
+        f"# Fidelity: {f.title}",
+        "",
+        f"{count} quantities of {len(f.probes)} probes, {verdict}. The time step is 1/{1 / f.time_step:.0f} s; the "
+        "last column is what comes out at half of it. What is expected follows from the vehicle's files alone. "
+        f"nnql-bullet {__version__}.",
+        "",
+        "![how much of each tolerance is used](tolerances.png)",
+        "",
+        "| probe | quantity | expected | measured | accepted | verdict | at half the step |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for probe, measured, halved in f.probes:
+        finer = {m.quantity: m for m in halved}
+        if not measured:
+            lines.append(f"| {probe.title} | does not apply: {probe.not_in[f.bench.engine]} | | | | | |")
+        for m in measured:
+            half = number(finer[m.quantity].measured, m) if m.quantity in finer else ""
+            verdict = "ok" if m.ok else "**out**"
+            found = f"{number(m.expected, m)} | {number(m.measured, m)} | {tolerance(m)} | {verdict} | {half}"
+            lines.append(f"| {probe.title} | {_with_unit(m)} | {found} |")
+    lines += ["", "## Where the expectations come from", "", "| probe | closed form | source |", "|---|---|---|"]
+    lines += [f"| {probe.title} | {probe.closed_form} | {probe.source} |" for probe, _, _ in f.probes]
+    lines += [
+        "",
+        "## The five actions",
+        "",
+        "Against the unicycle that follows the same yaw-rate profile without slip or lag. What an engine adds by its "
+        "time step halves with the step; what is left in the limit is slip: the wheel controllers take each of the "
+        f"{COMMAND_RATE:.0f} commands a second at a stroke, and a wheel that is asked for more than its grip slides.",
+        "",
+        "![paths, and distance from the ideal](actions.png)",
+        "",
+        f"| time step [s] | {' | '.join(_name(turn) for turn in f.actions[0][1])} |",
+        "|---|" + "---|" * len(f.actions[0][1]),
+        *(f"| 1/{1 / step:.0f} | {' | '.join(f'{1e3 * t.gap:.2f} mm' for t in turns)} |" for step, turns in f.actions),
+        f"| in the limit | {' | '.join(f'{1e3 * gap:.2f} mm' for gap in f.limits)} |",
+        "",
+        "Distance: root mean square over the turn. The limit is Richardson's, from the last two steps.",
+        "",
+        "## Grip used and wheel loads",
+        "",
+        "![grip used, and load on each wheel through the tightest turn](grip.png)",
+        "",
+        "| action | most grip used by a drive wheel | most by both together | least load on a drive wheel [N] |",
+        "|---|---|---|---|",
+        *(_grip_row(turn, f.bench.vehicle) for turn in f.actions[0][1]),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
+    """The same as plain values, for JSON."""
+    f = fidelity
+    return {
+        "version": __version__,
+        "vehicle": f.bench.vehicle.name,
+        "engine": f.bench.engine,
+        "physics": f.bench.physics,
+        "time_step": f.time_step,
+        "ok": not f.out,
+        "probes": [
+            {
+                "name": probe.name,
+                "title": probe.title,
+                "closed_form": probe.closed_form,
+                "source": probe.source,
+                "applies": f.bench.engine not in probe.not_in,
+                "measurements": [_plain(m) for m in measured],
+                "at_half_the_step": [_plain(m) for m in halved],
+            }
+            for probe, measured, halved in f.probes
+        ],
+        "actions": [
+            {
+                "time_step": step,
+                "turns": [{"heading_change_degrees": degrees(t.heading_change), "gap": t.gap} for t in turns],
+            }
+            for step, turns in f.actions
+        ],
+    }
+
+
+def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
+    """How much of its tolerance each probe uses, at the time step and at half of it: its worst quantity."""
+    rows = [(probe, measured, halved) for probe, measured, halved in fidelity.probes if measured]
+    figure = Figure(figsize=(9.0, 0.3 * len(rows) + 1.3), layout="constrained")
+    axes = figure.add_subplot()
+    floor, labels = 1e-4, []
+    for place, (probe, measured, halved) in enumerate(rows):
+        worst = max(measured, key=share_used)
+        half = {m.quantity: m for m in halved}.get(worst.quantity)
+        used = max(share_used(worst), floor)
+        axes.plot([floor, used], [place, place], color="#ced4da", lw=1.4, zorder=1)
+        axes.plot(used, place, "o", color=GOAL if worst.ok else COLLISION, ms=6, zorder=3, clip_on=False)
+        if half:
+            axes.plot(max(share_used(half), floor), place, "o", mfc="white", mec=INK, ms=5, zorder=4, clip_on=False)
+        labels.append(f"{probe.name}: {worst.quantity}")
+    axes.axvline(1.0, color=COLLISION, lw=1.2)
+    axes.set_yticks(range(len(rows)), labels, fontsize=9)
+    axes.set(xscale="log", xlim=(floor, None), ylim=(len(rows) - 0.4, -0.6))
+    axes.set_xlabel("share of the tolerance used (full: at the time step; open: at half of it)")
+    axes.set_title(f"{fidelity.title}: the worst quantity of each probe", fontsize=11, color=INK)
+    axes.grid(axis="x", color="#e9ecef", lw=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+    save_figure(figure, path)
+
+
+def draw_actions(fidelity: Fidelity, path: Path) -> None:
+    """Paths of the five actions, ideal against contact; how far apart they are; and what the time step does to that."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    paths, gaps, steps = figure.subplots(1, 3, width_ratios=(1.0, 1.15, 0.9))
+    step, turns = fidelity.actions[0]
+    for turn, colour in zip(turns, COLOURS, strict=True):
+        label = _name(turn)
+        paths.plot(*turn.ideal.T, color="#ced4da", lw=5.0, solid_capstyle="round", zorder=1)
+        paths.plot(*turn.path.T, color=colour, lw=1.4, label=label, zorder=2)
+        gaps.plot(turn.times, 1e3 * np.hypot(*(turn.path - turn.ideal).T), color=colour, lw=1.4, label=label)
+    paths.set(xlabel="ahead [m]", ylabel="to the left [m]", aspect="equal")
+    paths.set_title("paths; grey: ideal", fontsize=10)
+    paths.legend(frameon=False, fontsize=8, loc="upper left")
+    gaps.set(xlabel="time [s]", ylabel="distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
+    gaps.set_title(f"distance from the ideal, step 1/{1 / step:.0f} s", fontsize=10)
+    sizes = np.array([s for s, _ in fidelity.actions])
+    for i, colour in enumerate(COLOURS):
+        distances = [1e3 * watched[i].gap for _, watched in fidelity.actions]
+        steps.plot(1e3 * sizes, distances, "o-", color=colour, lw=1.2, ms=4)
+    steps.set(xlabel="time step [ms]", ylabel="RMS distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
+    steps.set_title("what the time step does to that", fontsize=10)
+    for axes in (paths, gaps, steps):
+        axes.grid(color="#e9ecef", lw=0.8)
+    save_figure(figure, path)
+
+
+def draw_grip(fidelity: Fidelity, path: Path) -> None:
+    """How much of the friction circle the drive wheels use in each action, and the loads through the tightest turn."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    used, loads = figure.subplots(1, 2)
+    vehicle, turns = fidelity.bench.vehicle, fidelity.actions[0][1]
+    for turn, colour in zip(turns, COLOURS, strict=True):
+        times, label = turn.forces.times, _name(turn)
+        used.plot(times, 100 * turn.forces.used_by_axle(vehicle), color=colour, lw=1.6, label=label)
+        used.plot(times, 100 * turn.forces.used(vehicle).max(axis=1), color=colour, lw=0.8, ls=":")
+    most = tightest(turns)
+    needed = 100 * _on_paper(most, vehicle).friction / vehicle.contact.wheel_friction
+    used.plot(most.forces.times, needed, color=TIMEOUT, lw=1.4, ls="--", label=f"{_name(most)}, on paper")
+    used.axhline(100, color=COLLISION, lw=1.2)
+    used.text(0.01, 101, "slides", color=COLLISION, fontsize=8, va="bottom")
+    used.set(xlabel="time [s]", ylabel="friction circle used [%]", xlim=(0, None), ylim=(0, 112))
+    used.set_title("both drive wheels together; dotted: the one that uses more", fontsize=10)
+    used.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.02, 0.03))
+    _draw_loads(loads, most, vehicle)
+    for axes in (used, loads):
+        axes.grid(color="#e9ecef", lw=0.8)
+    save_figure(figure, path)
+
+
+def _draw_loads(axes: Axes, turn: WatchedTurn, vehicle: VehicleSpec) -> None:
+    times, paper = turn.forces.times, _on_paper(turn, vehicle).loads
+    for wheel, (name, colour) in enumerate((("left", SAFE), ("right", NON_SAFE), ("caster", GOAL))):
+        axes.plot(times, turn.forces.normal[:, wheel], color=colour, lw=1.5, label=name)
+        axes.plot(times, paper[:, wheel], color=colour, lw=1.2, ls=":")
+    axes.set(xlabel="time [s]", ylabel="load [N]", xlim=(0, times[-1]), ylim=(0, None))
+    axes.set_title(f"wheel loads, {_name(turn)}; dotted: on paper", fontsize=10)
+    axes.legend(frameon=False, fontsize=8, ncols=3)
+
+
+def _on_paper(turn: WatchedTurn, vehicle: VehicleSpec) -> Demand:
+    """What a turn asks for, at the end of each wheel command."""
+    times, shape = turn.forces.times, turn.turn
+    speed = float(np.hypot(*turn.ideal[0]) / turn.times[0])
+    rates, _ = sample_turn(shape, times)
+    ends = np.cumsum([shape.rise, shape.hold, shape.fall])
+    slopes = np.array([shape.peak / shape.rise, 0.0, -shape.peak / shape.fall, 0.0])
+    accelerations: Array = slopes[np.searchsorted(ends, times - 1e-9)]
+    return quasi_steady(vehicle, speed, rates, accelerations)
+
+
+def _name(turn: WatchedTurn) -> str:
+    return f"{degrees(turn.heading_change):+.0f} degrees" if turn.heading_change else "straight"
+
+
+def _grip_row(turn: WatchedTurn, vehicle: VehicleSpec) -> str:
+    forces = turn.forces
+    wheel, axle = float(forces.used(vehicle).max()), float(forces.used_by_axle(vehicle).max())
+    return f"| {_name(turn)} | {wheel:.0%} | {axle:.0%} | {forces.normal[:, :2].min():.0f} |"
+
+
+def share_used(m: Measurement) -> float:
+    """How much of what is accepted is used up: 1 at its edge."""
+    if not isfinite(m.measured):
+        return 1e3
+    off = m.measured - m.expected
+    if m.low == 0.0 and m.expected > 0:  # a limit, of which the whole counts
+        return m.measured / m.high
+    room = m.high - m.expected if off >= 0 else m.expected - m.low
+    return abs(off) / room if room > 0 else (0.0 if off == 0 else 1e3)
+
+
+def _with_unit(m: Measurement) -> str:
+    return f"{m.quantity} [{m.unit}]" if m.unit else m.quantity
+
+
+def _plain(m: Measurement) -> dict[str, Any]:
+    """JSON has no NaN and no infinity."""
+    values = {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in asdict(m).items()}
+    return {**values, "ok": m.ok}
