@@ -245,8 +245,12 @@ class TestCommand:
         for row in values["faults"]:
             name = "" if row["fault"] == "none" else row["fault"]
             endings = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] != "twin"]
+            in_twin = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] == "twin"]
             assert len(endings) == 7
             assert row["goal"][0] == pytest.approx(endings.count("goal") / 7)
+            assert bool(in_twin) is not name.startswith(("friction", "payload"))
+            assert row["goal_first"] is None or row["goal_first"][0] == pytest.approx(in_twin.count("goal") / 7)
+            assert bool(row["goal_first"]) is bool(in_twin)
         text = (report / "gap.md").read_text()
         assert all(f"| {row['fault']} |" in text for row in values["faults"])
 

@@ -123,7 +123,8 @@ def _print(gap: Gap) -> None:
         say(f"{ending:<11}" + "".join(f"{count:>11}" for count in row))
     say(f"McNemar p = {measure.success_p_value(gap.pairs):.2g}; {len(gap.flips)} drives ended differently")
     if gap.trials:
-        say(f"{'fault':<24}{'goal %':>22}{'collision %':>22}{'p':>9}")
-    for row in measure.fault_rows(gap.pairs, gap.trials) if gap.trials else ():
-        p_value = f"{row.p_value:.2g}" if row.fault else ""
-        say(f"{row.fault or 'none':<24}{row.shares['goal']!s:>22}{row.shares['collision']!s:>22}{p_value:>9}")
+        say(f"{'fault':<24}{'goal %':>20}{'collision %':>20}{'p':>9}{f'goal % in {gap.first.name}':>28}")
+        for row in measure.fault_rows(gap):
+            p_value = f"{row.p_value:.2g}" if row.fault else ""
+            shares = f"{row.shares['goal']!s:>20}{row.shares['collision']!s:>20}"
+            say(f"{row.fault or 'none':<24}{shares}{p_value:>9}{row.first_goal or 'as none'!s:>28}")

@@ -24,8 +24,8 @@ Cause = Literal["slip", "tracking lag", "grazing contact", "other"]
 CAUSES: tuple[Cause, ...] = ("slip", "tracking lag", "grazing contact", "other")
 
 NOTABLE = 0.03
-"""What a control period may end off for its way, before it counts as slip or lag: a share. The shipped vehicle on a floor
-that it grips keeps to 0.016."""
+"""What a control period may end off for its way, before it counts as slip or lag: a share. The shipped vehicle keeps to
+0.016 on a floor that it grips."""
 GRAZE = 0.05
 """A miss by less is as good as a hit [m]."""
 TOGETHER = 0.3

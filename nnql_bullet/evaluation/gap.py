@@ -50,6 +50,10 @@ class Side:
         """As it is printed."""
         return self.simulator if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
 
+    def notices(self, fault: str) -> bool:
+        """Whether a key of `FAULTS` changes anything there."""
+        return self.simulator != "twin" or "sensors" in FAULTS[fault]
+
 
 @dataclass(frozen=True, slots=True)
 class PairTask:
@@ -139,6 +143,7 @@ class Trial:
     """One world, driven through with something wrong."""
 
     run: str
+    side: Side
     fault: str
     summary: EpisodeSummary
 
@@ -149,7 +154,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
     trials = []
     for seed in task.seeds:
         summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit)
-        trials.append(Trial(task.run, task.fault, summary))
+        trials.append(Trial(task.run, task.side, task.fault, summary))
     return trials
 
 
@@ -181,7 +186,7 @@ class Gap:
     """[s]"""
     pairs: list[Pair]
     trials: list[Trial]
-    """With faults, on the second side; may be empty."""
+    """With faults; may be empty."""
 
     @property
     def flips(self) -> list[Pair]:
@@ -201,15 +206,15 @@ WORLDS_AT_A_TIME = 5
 def tasks(
     runs: Sequence[Path], world: str | None, seeds: range, first: Side, second: Side, faults: bool, flips: Path
 ) -> list[PairTask | FaultTask]:
-    """The work of a comparison, in pieces: every run through every world, then with each fault on the second side."""
+    """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
+
+    The twin has no friction and no mass: there, only faults of the sensors are tried.
+    """
     chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
     names = [str(run) for run in runs]
     pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run in names for chunk in chunks]
-    wrong = list(FAULTS) if faults else []
-    return [
-        *pairs,
-        *(FaultTask(run, world, chunk, second, fault) for fault in wrong for run in names for chunk in chunks),
-    ]
+    wrong = [(side, fault) for fault in FAULTS for side in (first, second) if side.notices(fault)] if faults else []
+    return [*pairs, *(FaultTask(run, world, chunk, side, fault) for side, fault in wrong for run, chunk in shares)]
 
 
 def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
@@ -303,21 +308,29 @@ class FaultRow:
     fault: str
     """Empty for none."""
     shares: dict[str, Share]
-    """Of each ending."""
+    """Of each ending, on the second side."""
     p_value: float
     """McNemar's, against the same drives without the fault."""
+    first_goal: Share | None
+    """Success on the first side; None where the fault changes nothing there."""
 
 
-def fault_rows(pairs: Sequence[Pair], trials: Sequence[Trial]) -> list[FaultRow]:
-    """Success by fault on the second side; the first row is without one."""
-    sound = {(pair.run, pair.world_seed): pair.second.ending for pair in pairs}
-    rows = [FaultRow("", _shares(list(sound.values())), 1.0)]
-    for fault in dict.fromkeys(trial.fault for trial in trials):
-        endings = {(t.run, t.summary.world_seed): t.summary.ending for t in trials if t.fault == fault}
+def fault_rows(gap: Gap) -> list[FaultRow]:
+    """Success by fault; the first row is without one."""
+    sound = {(pair.run, pair.world_seed): pair.second.ending for pair in gap.pairs}
+    rows = [FaultRow("", _shares(list(sound.values())), 1.0, _goals([pair.first.ending for pair in gap.pairs]))]
+    for fault in dict.fromkeys(trial.fault for trial in gap.trials):
+        trials = [trial for trial in gap.trials if trial.fault == fault]
+        first = [trial.summary.ending for trial in trials if trial.side == gap.first]
+        endings = {(t.run, t.summary.world_seed): t.summary.ending for t in trials if t.side == gap.second}
         goals = [(sound[key] == "goal", ending == "goal") for key, ending in endings.items()]
         p_value = mcnemar(goals.count((True, False)), goals.count((False, True)))
-        rows.append(FaultRow(fault, _shares(list(endings.values())), p_value))
+        rows.append(FaultRow(fault, _shares(list(endings.values())), p_value, _goals(first)))
     return rows
+
+
+def _goals(endings: Sequence[str]) -> Share | None:
+    return share(endings.count("goal"), len(endings)) if endings else None
 
 
 def _shares(endings: Sequence[str]) -> dict[str, Share]:

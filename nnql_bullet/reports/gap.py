@@ -77,12 +77,13 @@ def gap_markdown(gap: Gap) -> str:
             "",
             "![success by fault](faults.png)",
             "",
-            "| fault | goal % | collision % | timeout % | McNemar p against none |",
-            "|---|---|---|---|---|",
+            f"| fault | goal % | collision % | timeout % | McNemar p against none | goal % in {first} |",
+            "|---|---|---|---|---|---|",
         ]
-        for row in fault_rows(gap.pairs, gap.trials):
+        for row in fault_rows(gap):
             shares = " | ".join(str(row.shares[ending]) for ending in ENDINGS)
-            lines.append(f"| {row.fault or 'none'} | {shares} | {f'{row.p_value:.2g}' if row.fault else ''} |")
+            p_value = f"{row.p_value:.2g}" if row.fault else ""
+            lines.append(f"| {row.fault or 'none'} | {shares} | {p_value} | {row.first_goal or 'as none'} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -144,8 +145,13 @@ def gap_values(gap: Gap) -> dict[str, Any]:
             if pair.explanation
         ],
         "faults": [
-            {"fault": row.fault or "none", "p_value": row.p_value, **{name: list(s) for name, s in row.shares.items()}}
-            for row in fault_rows(gap.pairs, gap.trials)
+            {
+                "fault": row.fault or "none",
+                "p_value": row.p_value,
+                **{name: list(share) for name, share in row.shares.items()},
+                "goal_first": row.first_goal and list(row.first_goal),
+            }
+            for row in fault_rows(gap)
         ],
     }
 
@@ -158,7 +164,7 @@ def gap_csv(gap: Gap) -> str:
     writer.writerow(["run", "world_seed", "simulator", "fault", "ending", "steps", *numbers])
     drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
     drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
-    drives += [(trial.run, gap.second.name, trial.fault, trial.summary) for trial in gap.trials]
+    drives += [(trial.run, trial.side.name, trial.fault, trial.summary) for trial in gap.trials]
     for run, simulator, fault, s in drives:
         values = [getattr(s, name) for name in numbers]
         writer.writerow([run, s.world_seed, simulator, fault, s.ending, s.steps, *values])
@@ -179,7 +185,7 @@ def draw_gap(gap: Gap, path: Path) -> None:
 
 def draw_faults(gap: Gap, path: Path) -> None:
     """How drives end with each fault: shares as bars, success with its Wilson interval."""
-    rows = fault_rows(gap.pairs, gap.trials)
+    rows = fault_rows(gap)
     figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.6), layout="constrained")
     axes = figure.add_subplot()
     places = np.arange(len(rows))[::-1]
@@ -192,8 +198,10 @@ def draw_faults(gap: Gap, path: Path) -> None:
         goal = row.shares["goal"]
         axes.plot([100 * goal.low, 100 * goal.high], [place, place], color=INK, lw=1.6, solid_capstyle="butt")
         axes.text(101, place, f"{100 * goal.value:.1f}", va="center", fontsize=9, color=INK)
+        if row.first_goal:
+            axes.plot(100 * row.first_goal.value, place, "D", mfc="white", mec=INK, ms=5.5, zorder=3)
     axes.set_yticks(places, [row.fault or "none" for row in rows])
-    axes.set(xlim=(0, 108), xlabel="drives [%]; black: 95 % interval of success; on the right: success")
+    axes.set(xlim=(0, 108), xlabel=f"drives [%]; bar: 95 % interval of success; diamond: success in {gap.first.name}")
     axes.set_title(f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each", fontsize=11, color=INK)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
