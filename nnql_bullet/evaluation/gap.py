@@ -212,7 +212,8 @@ def tasks(
     """
     chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
     names = [str(run) for run in runs]
-    pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run in names for chunk in chunks]
+    shares = [(run, chunk) for run in names for chunk in chunks]
+    pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run, chunk in shares]
     wrong = [(side, fault) for fault in FAULTS for side in (first, second) if side.notices(fault)] if faults else []
     return [*pairs, *(FaultTask(run, world, chunk, side, fault) for side, fault in wrong for run, chunk in shares)]
 
