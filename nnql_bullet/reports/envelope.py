@@ -21,6 +21,7 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from nnql_bullet.fidelity.envelope import (
     HEADING_TOLERANCE,
+    HEADINGS,
     SLIP_TOLERANCE,
     Case,
     Followed,
@@ -32,8 +33,8 @@ from nnql_bullet.fidelity.envelope import (
 )
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
-from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array
+from nnql_bullet.reports.plots import INK, save_figure
 from nnql_bullet.vehicle.demand import (
     braking,
     grip_acceleration,
@@ -52,7 +53,7 @@ NOT_A_CERTIFICATE = (
 
 PAPER_GRID = 40
 """Points along each axis at which the limits on paper are worked out."""
-INK, GRID = "#212529", "#e9ecef"
+GRID = "#e9ecef"
 HATCH_DARK, HATCH_LIGHT = "#00000099", "#ffffff99"
 LOADS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 """Colours that the colour-blind tell apart (Okabe and Ito)."""
@@ -104,8 +105,15 @@ def _measures() -> tuple[_Measure, ...]:
             "slip [% of speed]", lambda m: 100 * m.slip, LogNorm(0.2, 50.0, clip=True), "viridis", (0.2, 1.0, 5.0, 50.0)
         ),
         _Measure(
-            "least rear load [% of rest]",
+            "rear load [% of rest]",
             lambda m: 100 * m.least_load,
+            Normalize(0.0, 100.0, clip=True),
+            "viridis_r",
+            (0.0, 50.0, 100.0),
+        ),
+        _Measure(
+            "tip margin [%]",
+            lambda m: 100 * m.tip_margin,
             Normalize(0.0, 100.0, clip=True),
             "viridis_r",
             (0.0, 50.0, 100.0),
@@ -134,7 +142,7 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
     """
     vehicle, found, measures = bench.vehicle, {result.case: result for result in results}, _measures()
     with matplotlib.rc_context({"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
-        figure = Figure(figsize=(7.4, 2.15 * len(slices) + 1.5), layout="constrained")
+        figure = Figure(figsize=(8.6, 2.15 * len(slices) + 1.5), layout="constrained")
         panels = figure.subplots(len(slices), len(measures), squeeze=False, sharex="col")
         for row, part in zip(panels, slices, strict=True):
             limits = _paper_limits(vehicle, part)
@@ -151,7 +159,7 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
             axes.set_xlabel("control period [s]")
         figure.legend(handles=_envelope_legend(), loc="outside lower center", ncols=2, frameon=False)
         figure.suptitle(_described(bench, slices[0].base), fontsize=9, color=INK)
-        _save(figure, path)
+        save_figure(figure, path)
 
 
 def _add_colour_bar(figure: Figure, axes: Axes, mesh: QuadMesh, measure: _Measure) -> None:
@@ -171,7 +179,7 @@ def _draw_map(axes: Axes, part: Slice, found: Mapping[Case, Result], measure: _M
         for j, measured in enumerate(row):
             if not measured.follows:
                 size = across[j + 1] - across[j], up[i + 1] - up[i]
-                ink = HATCH_DARK if np.mean(mesh.to_rgba(colours[i, j])[:3]) > 0.35 else HATCH_LIGHT
+                ink = HATCH_DARK if np.mean(mesh.to_rgba(colours[i, j])[:3]) > 0.40 else HATCH_LIGHT
                 axes.add_patch(Rectangle((across[j], up[i]), *size, fill=False, hatch="/////", ec=ink, lw=0.0))
     axes.set_xticks([period for period in part.periods if round(10 * period) % 3 == 0])
     return mesh
@@ -278,7 +286,7 @@ def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
             Line2D([], [], color=grey, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-        _save(figure, path)
+        save_figure(figure, path)
 
 
 def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> None:
@@ -313,6 +321,7 @@ def case_record(result: Result) -> dict[str, float | bool]:
         "heading_error_deg": degrees(measured.heading_error),
         "slip": measured.slip,
         "least_load": measured.least_load,
+        "tip_margin": measured.tip_margin,
         "least_load_on_paper": paper.least_load,
         "friction_used": measured.friction_used,
         "wheel_friction_used": measured.wheel_friction_used,
@@ -391,7 +400,9 @@ def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[R
         NOT_A_CERTIFICATE,
         f"{_described(bench, slices[0].base)} "
         "Each turn goes from straight to straight in one control period: its yaw rate rises for a third of it, holds "
-        "for a third and falls for a third.",
+        "for a third and falls for a third. Each turns left from headings of "
+        f"{', '.join(f'{degrees(heading):.0f}°' for heading in HEADINGS)}, since friction that has fixed axes grips "
+        "differently from heading to heading; the worst is what counts.",
         f"A turn is followed if the heading ends within {degrees(HEADING_TOLERANCE):g}° of the command, no drive "
         f"wheel's contact point moves over the ground at more than {SLIP_TOLERANCE:.0%} of the speed, and no rear "
         "wheel lifts.",
@@ -400,8 +411,11 @@ def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[R
         _agreement_markdown(results),
         *(_shortest_markdown(part, found) for part in slices),
         "## Every case",
-        "Friction and torque on paper are over what there is; loads are over the load at rest. Friction used is of "
-        "both drive wheels together. Forces are means over a look of the controller, 1/30 s.",
+        "Friction and torque on paper are over what there is; loads are over the load at rest. The tip margin is 1 "
+        "less the load transfer ratio of the drive wheels: at 0 one lifts. Friction used is of both drive wheels "
+        "together. Forces are means over a look of the controller, 1/30 s. A rigid axle leaves open "
+        "how its wheels share the side force, and an engine may have them push against each other: friction used is "
+        "then more than paper asks for.",
         *(_cases_markdown(part, found) for part in slices),
     ]
     return "\n\n".join(parts) + "\n"
@@ -469,6 +483,7 @@ def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
         "torque asked, paper [%]",
         "least load, paper [%]",
         "least load [%]",
+        "tip margin [%]",
         "heading error [°]",
         "slip [%]",
         "roll [°]",
@@ -487,6 +502,7 @@ def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
                 f"{100 * paper.torque / result.torque_limit:.0f}",
                 f"{100 * paper.least_load:.0f}",
                 f"{100 * measured.least_load:.0f}",
+                f"{100 * measured.tip_margin:.0f}",
                 f"{degrees(measured.heading_error):.3f}",
                 f"{100 * measured.slip:.2f}",
                 f"{degrees(measured.roll):.2f}",
@@ -592,7 +608,3 @@ def _csv(records: Sequence[Mapping[str, float | bool]]) -> str:
     writer.writeheader()
     writer.writerows(records)
     return out.getvalue()
-
-
-def _save(figure: Figure, path: Path) -> None:
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=150, metadata={"Software": None}))
