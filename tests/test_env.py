@@ -3,6 +3,7 @@
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from itertools import pairwise
 from math import atan2, cos, degrees, hypot, pi, radians, sin
 from typing import Any
@@ -22,6 +23,7 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import DriveOptions, Motion, Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.twin import TwinSimulator
 from nnql_bullet.task import Property, TaskOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -30,9 +32,15 @@ from nnql_bullet.worlds.spec import WorldSpec
 SIMULATORS: dict[str, Callable[[VehicleSpec, DriveOptions], Simulator]] = {
     "bullet, reference": lambda vehicle, drive: BulletSimulator(vehicle, drive, PHYSICS["reference"]),
     "bullet, fast": lambda vehicle, drive: BulletSimulator(vehicle, drive, PHYSICS["fast"]),
+    "mujoco, reference": lambda vehicle, drive: contact_simulator("mujoco", "reference", vehicle, drive),
+    "mujoco, fast": lambda vehicle, drive: contact_simulator("mujoco", "fast", vehicle, drive),
     "twin": TwinSimulator,
 }
 """Every simulator; a new one is added here and has to pass the contract below."""
+NEEDS_MUJOCO = pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
+)
+NAMES = [pytest.param(name, marks=NEEDS_MUJOCO) if "mujoco" in name else name for name in SIMULATORS]
 
 WorldOf = Callable[..., WorldSpec]
 
@@ -44,7 +52,7 @@ BOXES = (
 TURNS = (0.4, -0.8, 0.3, 0.0, 1.0, -0.2)
 
 
-@pytest.fixture(params=SIMULATORS)
+@pytest.fixture(params=NAMES)
 def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
     made = SIMULATORS[request.param](vehicle, DriveOptions())
     yield made
@@ -178,7 +186,7 @@ class TestSimulatorContract:
         simulator.reset(empty_world)
         assert simulator.advance(0.3) == fresh
 
-    @pytest.mark.parametrize("name", SIMULATORS)
+    @pytest.mark.parametrize("name", NAMES)
     def test_a_period_of_broken_steps_is_refused(self, vehicle: VehicleSpec, name: str) -> None:
         with pytest.raises(UserError, match=r"0\.123 s is not a whole number"):
             SIMULATORS[name](vehicle, DriveOptions(decision_period=0.123))

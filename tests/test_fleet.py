@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from importlib.util import find_spec
 from math import cos, hypot, pi, sin
 
 import numpy as np
@@ -17,8 +18,8 @@ from hypothesis import strategies as st
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
 from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Fleet, Motions, Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator, bullet_fleet
-from nnql_bullet.sim.local import LocalFleet
+from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.twin import TwinFleet, TwinSimulator, _announced
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn
@@ -27,21 +28,29 @@ from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
 DRIVE = DriveOptions()
-FAST = PHYSICS["fast"]
 SIZE = 6
-KINDS = ("twin", "local bullet", "local twin", "workers")
+NEEDS_MUJOCO = pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
+)
+KINDS = ("twin", "local bullet", pytest.param("local mujoco", marks=NEEDS_MUJOCO), "local twin", "workers")
 LIMIT = 60.0
 """Seconds after which a wait is given up."""
 
 
+def maker(kind: str, vehicle: VehicleSpec) -> Callable[[], Simulator]:
+    """What makes a single simulator of the fleet's kind."""
+    if "twin" in kind:
+        return partial(TwinSimulator, vehicle, DRIVE)
+    return partial(contact_simulator, "mujoco" if "mujoco" in kind else "bullet", "fast", vehicle, DRIVE)
+
+
 def make_fleet(kind: str, vehicle: VehicleSpec, size: int) -> Fleet:
+    make = maker(kind, vehicle)
     if kind == "twin":
         return TwinFleet(vehicle, DRIVE, size)
-    if kind == "local bullet":
-        return bullet_fleet(vehicle, DRIVE, FAST, size)
-    if kind == "local twin":
-        return LocalFleet([TwinSimulator(vehicle, DRIVE) for _ in range(size)])
-    return WorkerFleet(partial(bullet_fleet, vehicle, DRIVE, FAST), size, min(size, 2))
+    if kind == "workers":
+        return WorkerFleet(partial(local_fleet, make), size, min(size, 2))
+    return local_fleet(make, size)
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -59,8 +68,7 @@ def fleet(kind: str, vehicle: VehicleSpec) -> Iterator[Fleet]:
 @pytest.fixture(scope="module")
 def alone(kind: str, vehicle: VehicleSpec) -> Iterator[Simulator]:
     """What a vehicle of the fleet is compared with: a single simulator."""
-    twin = kind in ("twin", "local twin")
-    with closing(TwinSimulator(vehicle, DRIVE) if twin else BulletSimulator(vehicle, DRIVE, FAST)) as simulator:
+    with closing(maker(kind, vehicle)()) as simulator:
         yield simulator
 
 
@@ -148,7 +156,7 @@ class TestEveryFleet:
         for event in ("touching", "at_target"):
             assert any(answer.get(event) for diary in diaries for answer in diary.answers), event
 
-    @pytest.mark.parametrize("kind", KINDS[:3], indirect=True)  # the rest is in test_workers.py
+    @pytest.mark.parametrize("kind", KINDS[:-1], indirect=True)  # the rest is in test_workers.py
     @pytest.mark.parametrize("size", [1, 3])
     def test_the_size_of_the_fleet_makes_no_difference(
         self, kind: str, vehicle: VehicleSpec, alone: Simulator, worlds: list[WorldSpec], size: int

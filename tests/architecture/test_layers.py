@@ -115,6 +115,11 @@ def test_only_the_command_line_prints_or_exits(module):
 
 
 @modules_and_root
+def test_only_the_mujoco_simulator_imports_mujoco(module):
+    assert "mujoco" not in {name.split(".")[0] for name in imported(module)} or module == "nnql_bullet.sim.mujoco"
+
+
+@modules_and_root
 def test_randomness_comes_from_generators_that_are_passed_in(module):
     assert "random" not in {name.split(".")[0] for name in imported(module)}
     made = {"Generator", "PCG64", "SeedSequence", "default_rng"}
