@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import get_args
 
 from rich.progress import track
-from scipy.stats import binomtest
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.statistics import share
 from nnql_bullet.executors import ExecutorKind, make_executor
 
 PRESETS = ("paper", "literal")
@@ -92,12 +92,6 @@ def evaluate(trial: Trial) -> None:
     write_text(trial.result, "\n".join(lines) + "\n")
 
 
-def wilson(count: int, total: int) -> str:
-    """A share and its Wilson 95 % interval, in percent."""
-    interval = binomtest(count, total).proportion_ci(method="wilson")
-    return f"{100 * count / total:.1f} ({100 * interval.low:.1f}-{100 * interval.high:.1f})"
-
-
 def table(trials: list[Trial]) -> str:
     """The Markdown table: all seeds of a preset together, then each seed's successes."""
     lines = [
@@ -111,7 +105,7 @@ def table(trials: list[Trial]) -> str:
                 with trial.result.open(encoding="utf-8", newline="") as file:
                     by_seed.append([row["ending"] for row in csv.DictReader(file)])
         endings = [ending for one in by_seed for ending in one]
-        shares = [wilson(endings.count(ending), len(endings)) for ending in ENDINGS]
+        shares = [str(share(endings.count(ending), len(endings))) for ending in ENDINGS]
         each = ", ".join(str(one.count("goal")) for one in by_seed)
         lines.append(f"| `{preset}` | {' | '.join(shares)} | {each} of {trials[0].worlds} |")
     return "\n".join(lines)
