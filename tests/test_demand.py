@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from nnql_bullet.sim.contact import GRAVITY as ENGINE_GRAVITY
 from nnql_bullet.vehicle.demand import (
-    GRAVITY,
     braking,
     braking_rear_load,
     grip_acceleration,
@@ -34,10 +32,6 @@ def at(vehicle: VehicleSpec, speed: float, rate: float, acceleration: float = 0.
     """Wheel loads (3,) [N] and friction needed at one instant."""
     demand = quasi_steady(vehicle, speed, np.array([rate]), np.array([acceleration]))
     return demand.loads[0], float(demand.friction[0])
-
-
-def test_gravity_is_that_of_the_engines() -> None:
-    assert GRAVITY == ENGINE_GRAVITY
 
 
 # Friction and torque of 60 degrees at 2 m/s with cosine ramps of a third of the period, worked out independently. The

@@ -8,7 +8,8 @@ import numpy as np
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
 from nnql_bullet.fidelity.probes_vehicles import driven_by, gripping, skidding_friction
 from nnql_bullet.geometry import OrientedBox
-from nnql_bullet.sim.contact import GRAVITY, ContactSimulator
+from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.vehicle.demand import GRAVITY
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 

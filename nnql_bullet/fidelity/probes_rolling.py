@@ -10,8 +10,8 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_mos
 from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Motion, Sample
-from nnql_bullet.sim.contact import GRAVITY, ContactSimulator
-from nnql_bullet.vehicle.demand import grip_acceleration, quasi_steady, tip_acceleration
+from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.vehicle.demand import GRAVITY, grip_acceleration, quasi_steady, tip_acceleration
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 OUT_OF_REACH = 1e6

@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from nnql_bullet import paper
-from nnql_bullet.sim.contact import GRAVITY
-from nnql_bullet.vehicle.demand import tip_acceleration, turn_demand
+from nnql_bullet.vehicle.demand import GRAVITY, tip_acceleration, turn_demand
 from nnql_bullet.vehicle.drive import plan_turn
 from nnql_bullet.vehicle.payload import loaded
 from nnql_bullet.vehicle.spec import Limits, Payload, VehicleSpec

@@ -23,13 +23,13 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.sim.base import DriveOptions, Sample
 from nnql_bullet.sim.contact import (
     CONTACT_MARGIN,
-    GRAVITY,
     ContactForce,
     ContactSimulator,
     LinkDynamics,
     Quaternion,
     Vector,
 )
+from nnql_bullet.vehicle.demand import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec

@@ -19,8 +19,6 @@ from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
-GRAVITY = 9.81
-"""[m/s2]"""
 CONTACT_MARGIN = 0.0005
 """How far apart things may be that an engine takes for touching [m]."""
 

@@ -25,7 +25,8 @@ from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.base import DriveOptions, Sample
-from nnql_bullet.sim.contact import GRAVITY, ContactForce, ContactSimulator, LinkDynamics, Quaternion, Vector
+from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion, Vector
+from nnql_bullet.vehicle.demand import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec

@@ -17,8 +17,9 @@ from xml.etree import ElementTree
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import Pose, wrap_angle
 from nnql_bullet.sim.base import COMMAND_RATE, Sample
-from nnql_bullet.sim.bullet import GRAVITY, OBSTACLE, BulletSimulator
+from nnql_bullet.sim.bullet import OBSTACLE, BulletSimulator
 from nnql_bullet.sim.bullet import bullet as pybullet
+from nnql_bullet.vehicle.demand import GRAVITY
 from nnql_bullet.vehicle.drive import wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
