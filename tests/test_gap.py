@@ -201,7 +201,7 @@ class TestAggregates:
         assert success_p_value(self.PAIRS) == pytest.approx(mcnemar(2, 1))
 
     def test_divergence_is_over_the_pairs_that_still_drive(self) -> None:
-        d = divergence(self.PAIRS, 0.5)
+        d = divergence(self.PAIRS)
         assert d.time.tolist() == [0.0, 0.5, 1.0]  # at 1.5 s one of six drives
         assert d.driving.tolist() == [6, 5, 4]
         assert d.median == pytest.approx([0.0, 0.2, 0.4])

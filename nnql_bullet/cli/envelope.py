@@ -2,15 +2,16 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import tyro
 
-from nnql_bullet.cli.console import progress, say
-from nnql_bullet.executors import Executor, Task, make_executor
+from nnql_bullet.cli.console import say
+from nnql_bullet.cli.work import run_all
+from nnql_bullet.executors import make_executor
 from nnql_bullet.fidelity.envelope import Case, Result, envelope_slices, envelope_tasks, measure_turn
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import measure_stop, safe_speeds, sight, stopping_tasks
@@ -18,9 +19,6 @@ from nnql_bullet.files import write_text
 from nnql_bullet.reports import envelope as report
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.vehicle.spec import load_vehicle
-
-T = TypeVar("T", bound=Task)
-V = TypeVar("V")
 
 
 def envelope(
@@ -57,8 +55,8 @@ def envelope(
         pass
     executor = make_executor("processes", workers or os.cpu_count() or 1)
     slices = envelope_slices(vehicle)
-    results = _all(executor, "turns", measure_turn, envelope_tasks(bench, slices))
-    stops = _all(executor, "stops", measure_stop, stopping_tasks(bench))
+    results = run_all(executor, "turns", measure_turn, envelope_tasks(bench, slices))
+    stops = run_all(executor, "stops", measure_stop, stopping_tasks(bench))
     folder = out or Path("runs") / "envelope" / f"{vehicle.name}-{sim}-{physics}"
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "envelope.md", report.envelope_markdown(bench, slices, results))
@@ -93,19 +91,3 @@ def _quickest(results: Sequence[Result], base: Case) -> str:
         and (result.case.friction, result.case.payload) == (base.friction, base.payload)
     ]
     return f"{min(periods):.1f} s" if periods else "longer than was tried"
-
-
-def _all(executor: Executor, what: str, function: Callable[[T], V], tasks: Sequence[T]) -> list[V]:
-    """What a function makes of every task, in their order.
-
-    Raises:
-        RuntimeError: If it raises on one.
-    """
-    done: dict[int, V] = {}
-    with progress(what, len(tasks)) as show:
-        for outcome in executor.map(function, tasks):
-            if outcome.error or outcome.value is None:
-                raise RuntimeError(outcome.error and outcome.error.traceback)
-            done[outcome.index] = outcome.value
-            show(len(done), "")
-    return [done[index] for index in range(len(tasks))]

@@ -3,18 +3,19 @@
 import json
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Literal
 
 import tyro
 
-from nnql_bullet.cli.console import complain, progress, say
+from nnql_bullet.cli.console import say
+from nnql_bullet.cli.work import run_all
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
 from nnql_bullet.executors import make_executor
 from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.files import write_text
-from nnql_bullet.recording import load_recording
 from nnql_bullet.reports import gap as report
 from nnql_bullet.runs import open_policy
 from nnql_bullet.seeding import TEST_WORLDS, VALIDATION_WORLDS
@@ -57,7 +58,7 @@ def gap(
         world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
         worlds: How many worlds; default 100.
         split: Worlds to choose with (validation, the default), or those for the final table (test).
-        faults: Whether to drive with faults too, which takes six times as long.
+        faults: Whether to drive with faults too, which takes some twelve times as long.
         workers: Processes; default one a core. The result does not depend on it.
         out: Where the report goes; default runs/gap.
     """
@@ -67,35 +68,44 @@ def gap(
         raise UserError(f"--against {against} is the engine itself; give another, or another --sim")
     seeds = SPLITS[split][:worlds]
     first, second = Side(against, physics), Side(sim, physics)
-    opened = [open_policy(run, {"world": world, "simulator": sim})[0] for run in runs]  # what is wrong shows here
-    periods = {experiment.config.drive.decision_period for experiment in opened}
-    if len(periods) > 1:
-        raise UserError("these runs decide at different periods; compare them one by one")
-    opened[0].world(seeds[0])
+    _check(runs, world, (first, second), seeds[0])
     folder = out or Path("runs") / "gap"
-    flips = folder / "flips"
-    flips.mkdir(parents=True, exist_ok=True)
-    for old in flips.glob("*.npz"):
-        old.unlink()
-    tasks = measure.tasks(runs, world, seeds, first, second, faults, flips)
-    executor = make_executor("processes", workers or os.cpu_count() or 1)
-    done: dict[int, list[Pair] | list[Trial]] = {}
-    total = sum(len(task.seeds) for task in tasks)
-    with progress("driving", total) as show:
-        for outcome in executor.map(measure.work, tasks):
-            if outcome.error or outcome.value is None:
-                complain(f"world {outcome.task.seed} of {outcome.task.run}: {outcome.error and outcome.error.message}")
-                return 1
-            done[outcome.index] = outcome.value
-            show(sum(len(value) for value in done.values()), "")
-    results = [one for index in sorted(done) for one in done[index]]
-    pairs = [one for one in results if isinstance(one, Pair)]
-    trials = [one for one in results if isinstance(one, Trial)]
-    result = Gap(tuple(map(str, runs)), world, seeds, first, second, periods.pop(), pairs, trials)
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".flips-", dir=folder) as flips:
+        tasks = measure.tasks(runs, world, seeds, first, second, faults, Path(flips))
+        executor = make_executor("processes", workers or os.cpu_count() or 1)
+        results = run_all(executor, "driving", measure.work, tasks, lambda task: len(task.seeds))
+        drives = [drive for piece in results for drive in piece]
+        pairs = [drive for drive in drives if isinstance(drive, Pair)]
+        trials = [drive for drive in drives if isinstance(drive, Trial)]
+        result = Gap(tuple(map(str, runs)), world, seeds, first, second, pairs, trials)
+        _replace(folder / "flips", Path(flips))
     _write(result, folder)
     _print(result)
     say(f"report: {folder / 'gap.md'}")
     return 0
+
+
+def _check(runs: list[Path], world: str | None, sides: tuple[Side, Side], seed: int) -> None:
+    """What is wrong with runs, world or engines shows before anything is written.
+
+    Raises:
+        UserError: If something is.
+    """
+    for run in runs:
+        for side in sides:
+            experiment, _ = open_policy(run, {"world": world, "simulator": side.simulator})
+            experiment.simulator.close()
+        experiment.world(seed)
+
+
+def _replace(folder: Path, by: Path) -> None:
+    """Has a folder hold the recordings of another one, and no older ones."""
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob("*.npz"):
+        old.unlink()
+    for new in by.glob("*.npz"):
+        new.replace(folder / new.name)
 
 
 def _write(gap: Gap, folder: Path) -> None:
@@ -103,16 +113,8 @@ def _write(gap: Gap, folder: Path) -> None:
     write_text(folder / "gap.json", json.dumps(report.gap_values(gap), indent=1) + "\n")
     write_text(folder / "episodes.csv", report.gap_csv(gap))
     report.draw_gap(gap, folder / "gap.png")
-    if gap.trials:
-        report.draw_faults(gap, folder / "faults.png")
-    shown = []
-    for pair in gap.flips[: report.FLIPS_SHOWN]:
-        files = [
-            measure.flip_file(folder / "flips", pair.run, pair.world_seed, side) for side in (gap.first, gap.second)
-        ]
-        shown.append((pair, load_recording(files[0]), load_recording(files[1])))
-    if shown:
-        report.draw_flips(gap, shown, folder / "flips.png")
+    report.draw_faults(gap, folder / "faults.png")
+    report.draw_flips(gap, folder / "flips", folder / "flips.png")
 
 
 def _print(gap: Gap) -> None:

@@ -18,6 +18,7 @@ from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.navigate import navigate
 from nnql_bullet.cli.train import train
+from nnql_bullet.cli.work import WorkFailed
 from nnql_bullet.errors import UserError
 from nnql_bullet.sim.base import WorkerDied
 
@@ -57,7 +58,7 @@ def run(arguments: list[str]) -> int:
         return _call(verb, rest)
     except UserError as error:
         return complain(str(error))
-    except WorkerDied as error:
+    except (WorkerDied, WorkFailed) as error:
         complain(str(error))
         return 1
     except OSError as error:

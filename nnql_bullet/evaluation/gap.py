@@ -182,8 +182,6 @@ class Gap:
     seeds: range
     first: Side
     second: Side
-    control_period: float
-    """[s]"""
     pairs: list[Pair]
     trials: list[Trial]
     """With faults; may be empty."""
@@ -253,13 +251,8 @@ class Divergence:
     """Pairs in which both still drive (m,)."""
 
 
-def divergence(pairs: Sequence[Pair], every: float) -> Divergence:
-    """At every so many seconds, as long as half of the pairs still drive.
-
-    Args:
-        pairs: Drives through the same worlds.
-        every: The control period, at whose multiples decisions are taken [s].
-    """
+def divergence(pairs: Sequence[Pair]) -> Divergence:
+    """At every decision, as long as half of the pairs still drive."""
     steps = max(len(pair.times) for pair in pairs)
     distances = np.full((len(pairs), steps), np.nan)
     for row, pair in zip(distances, pairs, strict=True):
@@ -267,7 +260,7 @@ def divergence(pairs: Sequence[Pair], every: float) -> Divergence:
     driving = np.sum(np.isfinite(distances), axis=0)
     m = int(np.sum(driving >= 0.5 * len(pairs)))
     quantiles: Array = np.asarray(np.nanquantile(distances[:, :m], (0.5, 0.9), axis=0), np.float64)
-    time: Array = np.arange(m, dtype=np.float64) * every
+    time = max((pair.times for pair in pairs), key=len)[:m]
     parted: Array = np.mean(np.array([pair.parted for pair in pairs])[:, None] <= time + 1e-9, axis=0, dtype=np.float64)
     return Divergence(time, quantiles[0], quantiles[1], parted, driving[:m])
 

@@ -22,12 +22,13 @@ from nnql_bullet.evaluation.gap import (
     differences,
     divergence,
     fault_rows,
+    flip_file,
     outcome_matrix,
     success_p_value,
 )
 from nnql_bullet.evaluation.statistics import share
 from nnql_bullet.geometry import Array
-from nnql_bullet.recording import Recording
+from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_world, save_figure
 from nnql_bullet.task import ENDINGS
 
@@ -119,7 +120,7 @@ def _flips_markdown(gap: Gap) -> list[str]:
 
 def gap_values(gap: Gap) -> dict[str, Any]:
     """The same as plain values, for JSON."""
-    d = divergence(gap.pairs, gap.control_period)
+    d = divergence(gap.pairs)
     return {
         "version": __version__,
         "runs": list(gap.runs),
@@ -184,7 +185,9 @@ def draw_gap(gap: Gap, path: Path) -> None:
 
 
 def draw_faults(gap: Gap, path: Path) -> None:
-    """How drives end with each fault: shares as bars, success with its Wilson interval."""
+    """How drives end with each fault: shares as bars, success with its Wilson interval. Without faults, nothing."""
+    if not gap.trials:
+        return
     rows = fault_rows(gap)
     figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.6), layout="constrained")
     axes = figure.add_subplot()
@@ -211,8 +214,23 @@ def draw_faults(gap: Gap, path: Path) -> None:
 FLIPS_SHOWN = 6
 
 
-def draw_flips(gap: Gap, drives: Sequence[tuple[Pair, Recording, Recording]], path: Path) -> None:
-    """Both paths of drives that ended differently, each in its world, and where they parted."""
+def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
+    """Both paths of the first drives that ended differently, each in its world, and where they parted.
+
+    Args:
+        gap: What was measured.
+        folder: Of their recordings.
+        path: Of the picture; without such drives there is none.
+    """
+    if not gap.flips:
+        return
+    drives = [
+        (
+            pair,
+            *(load_recording(flip_file(folder, pair.run, pair.world_seed, side)) for side in (gap.first, gap.second)),
+        )
+        for pair in gap.flips[:FLIPS_SHOWN]
+    ]
     columns = min(3, len(drives))
     rows = -(-len(drives) // columns)
     figure = Figure(figsize=(4.0 * columns, 4.3 * rows + 0.4), layout="constrained")
@@ -258,12 +276,12 @@ def _draw_outcomes(axes: Axes, gap: Gap) -> None:
 
 
 def _draw_divergence(axes: Axes, gap: Gap) -> None:
-    d = divergence(gap.pairs, gap.control_period)
+    d = divergence(gap.pairs)
     floor = 1e-4
     axes.plot(d.time, np.maximum(d.median, floor), color=SAFE, lw=1.8, label="median")
     axes.plot(d.time, np.maximum(d.ninetieth, floor), color=NON_SAFE, lw=1.8, label="90 % are closer")
     axes.set(yscale="log", xlabel="time [s]", ylabel="distance between the two vehicles [m]", ylim=(floor, None))
-    axes.set_xlim(0, max(float(d.time[-1]), gap.control_period))
+    axes.set_xlim(0, max(float(d.time[-1]), 1.0))
     right = axes.twinx()
     right.plot(d.time, 100 * d.parted, color=TIMEOUT, lw=1.4, ls="--")
     right.set_ylabel("pairs that have decided differently [%]", color=TIMEOUT)
