@@ -224,13 +224,10 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
     """
     if not gap.flips:
         return
-    drives = [
-        (
-            pair,
-            *(load_recording(flip_file(folder, pair.run, pair.world_seed, side)) for side in (gap.first, gap.second)),
-        )
-        for pair in gap.flips[:FLIPS_SHOWN]
-    ]
+    drives = []
+    for pair in gap.flips[:FLIPS_SHOWN]:
+        files = [flip_file(folder, pair.run, pair.world_seed, side) for side in (gap.first, gap.second)]
+        drives.append((pair, load_recording(files[0]), load_recording(files[1])))
     columns = min(3, len(drives))
     rows = -(-len(drives) // columns)
     figure = Figure(figsize=(4.0 * columns, 4.3 * rows + 0.4), layout="constrained")
