@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import pickle
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import dropwhile, takewhile
@@ -509,3 +510,49 @@ def test_pictures_are_drawn(
         picture = imread(path)
         assert picture.shape[1] > 1000
         assert np.ptp(picture[..., :3]) == 1.0
+
+
+# The command
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two turns and two stops."""
+    from nnql_bullet.cli import envelope as command
+
+    slices = lambda vehicle: (Slice("speed", (2.0, 2.5), (0.9, 1.2), base_case(vehicle)),)  # noqa: E731
+    stops = lambda bench: [StopTask(bench, StopConditions(0.0, 0.8), v, i) for i, v in enumerate((2.0, 9.0))]  # noqa: E731
+    monkeypatch.setattr(command, "envelope_slices", slices)
+    monkeypatch.setattr(command, "stopping_tasks", stops)
+
+
+def test_the_command_leaves_reports_that_say_what_was_measured(
+    few: None, bench: Bench, run_cli: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
+    code, out, _ = run_cli("envelope", "--physics", bench.physics, "--workers", 1, "--out", tmp_path)
+    assert code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "envelope.md", "envelope.csv", "envelope.json", "envelope.png", "stopping.md", "stopping.csv", "stopping.png"
+    }  # fmt: skip
+    values = json.loads((tmp_path / "envelope.json").read_text())
+    assert [(case["speed_m_s"], case["period_s"]) for case in values["cases"]] == [
+        (2.0, 0.9), (2.0, 1.2), (2.5, 0.9), (2.5, 1.2)
+    ]  # fmt: skip
+    again = measured(bench, period=1.2).measured
+    assert values["cases"][1]["slip"] == again.slip
+    assert f"of {len(values['cases'])} followed" in out
+    (safe,) = values["largest_safe_speeds"]
+    assert f"{safe['measured_m_s']:.2f} m/s (on paper {safe['on_paper_m_s']:.2f})" in out
+    assert 7.0 < safe["measured_m_s"] < 8.2
+
+
+def test_an_engine_that_is_not_there_is_one_line(
+    run_cli: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.delitem(sys.modules, "nnql_bullet.sim.mujoco", raising=False)
+    monkeypatch.delattr("nnql_bullet.sim.mujoco", raising=False)
+    code, _, err = run_cli("envelope", "--sim", "mujoco", "--out", tmp_path / "none")
+    assert code == 2
+    assert "pip install 'nnql-bullet[mujoco]'" in err
+    assert not (tmp_path / "none").exists()

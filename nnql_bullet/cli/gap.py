@@ -113,6 +113,8 @@ def _write(gap: Gap, folder: Path) -> None:
     write_text(folder / "gap.json", json.dumps(report.gap_values(gap), indent=1) + "\n")
     write_text(folder / "episodes.csv", report.gap_csv(gap))
     report.draw_gap(gap, folder / "gap.png")
+    for name in ("faults.png", "flips.png"):
+        (folder / name).unlink(missing_ok=True)
     report.draw_faults(gap, folder / "faults.png")
     report.draw_flips(gap, folder / "flips", folder / "flips.png")
 
