@@ -134,6 +134,26 @@ class TestCauses:
         assert found.cause == "other"
         assert found.time == 1.0
 
+    def test_slip_that_adds_up_little_by_little(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, ideal: Recording
+    ) -> None:
+        # 1 cm of slip in each period of 1 m: no single one is notable, but in the end they are 10 cm apart.
+        n = len(ideal.action)
+        drift = np.outer(np.concatenate([[0.0], np.arange(1, n + 1)]), [0.013, 0.0, 0.0])
+        step = np.minimum(np.searchsorted(ideal.state_time, ideal.sample_time - 1e-9), n)
+        drifting = replace(
+            ideal,
+            state_pose=ideal.state_pose + drift,
+            sample_pose=ideal.sample_pose + drift[step],
+            action=np.array([*ideal.action[:-1], 3]),
+        )
+        found = explain(ideal, drifting, vehicle, 2.0)
+        assert found.cause == "slip"
+        assert found.slip < 0.03
+        assert found.apart == pytest.approx(0.013 * (n - 1))
+        barely = replace(drifting, state_pose=ideal.state_pose + 0.5 * drift)
+        assert explain(ideal, barely, vehicle, 2.0).cause == "other"
+
     def test_a_graze(self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
         # The same straight drive beside a post: 1 cm into the flank on one side, 1 cm clear of it on the other.
         half_width = vehicle.footprint.half_width

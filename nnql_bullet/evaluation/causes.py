@@ -26,6 +26,8 @@ CAUSES: tuple[Cause, ...] = ("slip", "tracking lag", "grazing contact", "other")
 NOTABLE = 0.03
 """What a control period may end off for its way, before it counts as slip or lag: a share. The shipped vehicle keeps to
 0.016 on a floor that it grips."""
+DRIFT = 0.1
+"""Drives that are farther apart than this when they part have drifted there, little by little [m]."""
 GRAZE = 0.05
 """A miss by less is as good as a hit [m]."""
 TOGETHER = 0.3
@@ -123,24 +125,28 @@ class Explanation:
 def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: float) -> Explanation:
     """The first of the causes that holds: slip or lag before the drives part, a near miss, or something else.
 
-    "Other" is what is left: decisions that hang on differences too small to be slip or lag, and grow.
+    Slip and lag count if a control period shows much of one, or if the drives have drifted apart; of the two, what adds
+    up to more. "Other" is what is left: decisions that hang on differences too small to be either.
     """
     k = parting(first, second)
     until = max(k, 1)
     parts = [departures(recording, vehicle, speed) for recording in (first, second)]
     slip = max(float(np.max((part.slip / part.way)[:until])) for part in parts)
     lag = max(float(np.max((part.lag / part.way)[:until])) for part in parts)
+    slipped = sum(float(np.sum(part.slip[:until])) for part in parts)
+    lagged = sum(float(np.sum(part.lag[:until])) for part in parts)
     miss = min(_miss(first, second), _miss(second, first))
-    _, distances = apart(first, second)
+    times, distances = apart(first, second)
+    there = min(k, len(distances) - 1)
     cause: Cause = "other"
-    if max(slip, lag) > NOTABLE:
-        cause = "slip" if slip >= lag else "tracking lag"
+    if max(slip, lag) > NOTABLE or distances[there] > DRIFT:
+        cause = "slip" if slipped >= lagged else "tracking lag"
     elif miss < GRAZE:
         cause = "grazing contact"
     return Explanation(
         cause=cause,
-        time=float(first.state_time[min(k, len(distances) - 1)]),
-        apart=float(distances[min(k, len(distances) - 1)]),
+        time=float(times[there]),
+        apart=float(distances[there]),
         slip=slip,
         lag=lag,
         q_margin=_q_margin(first, second, k),

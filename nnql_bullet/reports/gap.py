@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
-from nnql_bullet.evaluation.causes import CAUSES, GRAZE, NOTABLE
+from nnql_bullet.evaluation.causes import CAUSES, DRIFT, GRAZE, NOTABLE, Explanation
 from nnql_bullet.evaluation.gap import (
     Gap,
     Pair,
@@ -97,13 +97,14 @@ def _flips_markdown(gap: Gap) -> list[str]:
     lines = [
         f"## The {len(gap.flips)} drives that ended differently",
         "",
-        f"By cause: {counted}. Before the two drives part, slip or lag beyond {NOTABLE:.0%} of the way in a control "
-        f"period is the cause; else a miss by less than {GRAZE:g} m where the other touched; what is left hangs on "
-        "decisions that were too close to call, between drives that were centimetres apart.",
+        f"By cause: {counted}. The cause is slip or lag, whichever adds up to more, if before the drives part one of "
+        f"them exceeds {NOTABLE:.0%} of the way in a control period, or the drives are more than {DRIFT:g} m apart by "
+        f"then; else a graze, if one missed by less than {GRAZE:g} m what the other touched. What is left hangs on a "
+        "decision that was too close to call.",
         "",
         "![drives that ended differently](flips.png)",
         "",
-        "| policy | seed | endings | cause | parted at [s] | apart then [mm] | slip | lag | Q margin | miss [m] |",
+        "| policy | seed | endings | cause | parted at [s] | apart then [mm] | slip | lag | decision | miss [m] |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for pair in gap.flips:
@@ -112,7 +113,7 @@ def _flips_markdown(gap: Gap) -> list[str]:
             lines.append(
                 f"| {Path(pair.run).name} | {pair.world_seed} | {pair.first.ending}, {pair.second.ending} | {e.cause} "
                 f"| {e.time:.1f} | {1000 * e.apart:.0f} | {e.slip:.2%} | {e.lag:.2%} "
-                f"| {_number(e.q_margin, '.3f')} | {_number(e.miss, '.3f')} |"
+                f"| {_decision(pair, e)} | {_number(e.miss, '.3f')} |"
             )
     commands = [gap.replay(pair, side) for pair in gap.flips for side in (gap.first, gap.second)]
     return [*lines, "", "Each is driven again, exactly, by:", "", "```", *commands, "```", ""]
@@ -305,6 +306,14 @@ def _policy_row(run: str, pairs: Sequence[Pair]) -> str:
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
     return f"| {run} | {share(first, len(pairs))} | {share(second, len(pairs))} | {alike} of {len(pairs)} |"
+
+
+def _decision(pair: Pair, explanation: Explanation) -> str:
+    """What the drives decided differently."""
+    margin = explanation.q_margin
+    if not isfinite(pair.parted):
+        return "none"
+    return f"turn, Q apart by {margin:.3f}" if isfinite(margin) else "safe or not"
 
 
 def _number(value: float, form: str) -> str:
