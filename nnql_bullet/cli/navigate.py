@@ -8,6 +8,7 @@ import tyro
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import say
+from nnql_bullet.config import to_values
 from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.recording import Recorder
 from nnql_bullet.reports.plots import draw_trajectory
@@ -65,7 +66,10 @@ def navigate(
     folder = out or (run if run.is_dir() else run.parent) / "navigate" / f"{spec.name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     label = f"{config.agent.kind}, {episodes} episodes"
-    recording = recorder.recording(policy=label, simulator=sim, physics=config.physics, version=__version__)
+    conditions_met = to_values(config.conditions)
+    recording = recorder.recording(
+        policy=label, simulator=sim, physics=config.physics, conditions=conditions_met, version=__version__
+    )
     recording.save(folder / "trajectory.npz")
     draw_trajectory(recording, folder / "trajectory.png")
     result = {
