@@ -204,7 +204,10 @@ def test_preset_paper_is_the_defaults():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"episode": 3}, "unknown key 'episode'; valid keys: agent, conditions, drive, episodes, physics, robot, seed,"),
+        (
+            {"episode": 3},
+            "unknown key 'episode'; valid keys: agent, conditions, drive, episodes, physics, robot,",
+        ),
         ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: front_distance, front_side_distance,"),
         ({"agent": {"gamma": 0.1}}, "unknown key 'agent.gamma'; valid keys: discount, encoding, gradient_step,"),
         ({"seed": -1}, "'seed': input should be greater than or equal to 0, not -1"),
