@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -127,6 +128,23 @@ class TestNavigate:
         assert code == 0
         assert (json.loads(out)["world"], json.loads(out)["seed"]) == ("cover_10", 7)
         assert load_recording(here / "drive" / "trajectory.npz").about["physics"] == "fast"
+
+    @pytest.mark.usefixtures("compiled_twin")
+    def test_drives_under_other_conditions_do_not_replace_each_other(
+        self, run_cli: Cli, tiny_run: Path, tmp_path: Path
+    ) -> None:
+        run = shutil.copytree(tiny_run, tmp_path / "run")
+        flags = ([], ["--sim", "twin"], ["--friction", 0.5], ["--payload", 40, "--dead-sector", 2], ["--noise", 0.05])
+        for extra in flags:
+            assert run_cli("navigate", run, "--physics", "fast", *extra)[0] == 0
+        folders = {path.name: path / "trajectory.npz" for path in (run / "navigate").iterdir()}
+        assert folders.keys() == {
+            "small-0", "small-0-twin", "small-0-friction-0.5", "small-0-payload-40-dead-sector-2", "small-0-noise-0.05"
+        }  # fmt: skip
+        conditions = load_recording(folders["small-0-payload-40-dead-sector-2"]).about["conditions"]
+        assert (conditions["payload"], conditions["sensors"]["dead_sector"]) == (40.0, 2)
+        ends = {name: load_recording(path).state_pose[-1].tolist() for name, path in folders.items()}
+        assert len({tuple(end) for end in ends.values()}) >= 4  # they do differ
 
     @pytest.mark.usefixtures("compiled_twin")
     def test_it_drives_the_ideal_twin_when_asked(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:

@@ -52,7 +52,8 @@ def navigate(
         payload: On the middle of the deck [kg].
         noise: Standard deviation of each ray [m].
         dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
-        out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED.
+        out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED, with the
+            simulator and conditions that were asked for behind it.
         json_output: Print one JSON object instead of text.
     """
     sensors = {"noise": noise, "dead_sector": dead_sector}
@@ -63,7 +64,10 @@ def navigate(
     spec = experiment.world(seed)
     recorder = Recorder(experiment.vehicle, experiment.agent)
     summary = run_episode(experiment.navigation, spec, experiment.agent.exploit, watcher=recorder)
-    folder = out or (run if run.is_dir() else run.parent) / "navigate" / f"{spec.name}-{seed}"
+    given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
+    name = [spec.name, str(seed), *([sim] if sim != "bullet" else [])]
+    name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]
+    folder = out or (run if run.is_dir() else run.parent) / "navigate" / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
     label = f"{config.agent.kind}, {episodes} episodes"
     conditions_met = to_values(config.conditions)
