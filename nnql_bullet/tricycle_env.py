@@ -81,7 +81,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
         Args:
             config: A run's configuration, a preset's name or a TOML file.
-            **changes: Top-level keys to replace in it: world, robot, physics, simulator.
+            **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
 
         Raises:
             UserError: If a key or value is wrong.
@@ -144,7 +144,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             num_envs: How many.
             config: A run's configuration, a preset's name or a TOML file.
             workers: Processes (contact physics) or threads (twin) that share them; one a core if not given.
-            **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator.
+            **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
 
         Raises:
             UserError: If a key or value is wrong.
