@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from math import sqrt
 from pathlib import Path
@@ -29,6 +30,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
+from nnql_bullet.sim.faults import FaultyFleet, SensorFaults
 from nnql_bullet.sim.local import as_motions
 from nnql_bullet.sim.twin import TwinSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
@@ -314,6 +316,13 @@ class TestGoingOn:
         for episodes in range(2, 10):
             stop = going_on(parts(3), stop, episodes)
         assert_same(stop, whole[-1])
+
+    def test_with_noisy_sensors(self, parts: Callable[..., Parts]) -> None:
+        noisy = partial(FaultyFleet, faults=SensorFaults(noise=0.2))
+        whole = stops(parts(3, fleet=noisy), 8)
+        for stop in whole[0], whole[3]:
+            assert_same(going_on(parts(3, fleet=noisy), stop, 8), whole[-1])
+        assert whole[-1].done != stops(parts(3), 8)[-1].done
 
     @pytest.mark.slow
     def test_in_contact_physics(self, parts: Callable[..., Parts]) -> None:
