@@ -1,7 +1,6 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property, partial
 from os import cpu_count
 from pathlib import Path
@@ -24,8 +23,8 @@ from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.vehicle.payload import loaded
-from nnql_bullet.vehicle.spec import Payload, VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
+from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -63,15 +62,15 @@ class Conditions:
     """Of every wheel against the ground."""
     payload: Annotated[float, Field(ge=0)] = 0.0
     """On the middle of the deck [kg]."""
-    payload_height: Annotated[float, Field(gt=0)] = 0.55
+    payload_height: Annotated[float, Field(gt=0)] = LOAD_HEIGHT
     """Of its centre, above the ground [m]."""
     sensors: SensorFaults = SensorFaults()
 
     def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
         """The vehicle under these conditions."""
         if self.wheel_friction is not None:
-            vehicle = replace(vehicle, contact=replace(vehicle.contact, wheel_friction=self.wheel_friction))
-        return loaded(vehicle, Payload(self.payload, vehicle.footprint.x, self.payload_height))
+            vehicle = vehicle.gripping(self.wheel_friction)
+        return loaded(vehicle, deck_load(vehicle, self.payload, self.payload_height))
 
 
 @options

@@ -46,21 +46,14 @@ from nnql_bullet.fidelity.stopping import (
 from nnql_bullet.fidelity.turning import Instant, follow_turn, forces_by_command, largest_slip
 from nnql_bullet.geometry import Pose
 from nnql_bullet.reports import envelope as reports
-from nnql_bullet.reports.envelope import (
-    NOT_A_CERTIFICATE,
-    draw_envelope,
-    draw_stopping,
-    envelope_csv,
-    envelope_dict,
-    envelope_markdown,
-    stopping_csv,
-    stopping_markdown,
-)
+from nnql_bullet.reports.envelope import draw_envelope, envelope_csv, envelope_markdown, envelope_values
+from nnql_bullet.reports.stopping import draw_stopping, stopping_csv, stopping_markdown, stopping_values
+from nnql_bullet.reports.tables import NOT_A_CERTIFICATE
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import BulletSimulator
 from nnql_bullet.sim.contact import ContactForce
 from nnql_bullet.vehicle.demand import TurnDemand
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 G, MASS, RADIUS = 9.81, 120.0, 0.125
 
@@ -258,7 +251,7 @@ def test_the_harder_the_more_slip(bench: Bench, quantity: str, values: tuple[flo
 
 
 def test_a_high_load_on_ground_that_grips_falls_over(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(envelope, "PAYLOAD_HEIGHT", 2.0)
+    monkeypatch.setattr(envelope, "deck_load", lambda vehicle, mass: Payload(mass, vehicle.footprint.x, 2.0))
     strong = replace(bench, vehicle=replace(bench.vehicle, wheel_torque=400.0))
     result = measured(strong, speed=4.0, heading_change=radians(150), friction=2.0, payload=40.0)
     assert result.measured.fell_over and not result.measured.follows
@@ -487,11 +480,13 @@ def test_tables_of_stops_say_what_was_measured(bench: Bench, stops: list[Stop]) 
 
 
 def test_everything_goes_through_json(bench: Bench, results: list[Result], stops: list[Stop]) -> None:
-    read = json.loads(json.dumps(envelope_dict(bench, results, stops), allow_nan=False))
-    assert (read["vehicle"], read["engine"], read["note"]) == ("tricycle", "bullet", NOT_A_CERTIFICATE)
-    assert [case["slip"] for case in read["cases"]] == [result.measured.slip for result in results]
-    assert [stop["distance_m"] for stop in read["stops"]] == [stop.distance for stop in stops]
-    assert len(read["largest_safe_speeds"]) == 4
+    turned = json.loads(json.dumps(envelope_values(bench, results), allow_nan=False))
+    stopped = json.loads(json.dumps(stopping_values(bench, stops), allow_nan=False))
+    for read in (turned, stopped):
+        assert (read["vehicle"], read["engine"], read["note"]) == ("tricycle", "bullet", NOT_A_CERTIFICATE)
+    assert [case["slip"] for case in turned["cases"]] == [result.measured.slip for result in results]
+    assert [stop["distance_m"] for stop in stopped["stops"]] == [stop.distance for stop in stops]
+    assert len(stopped["largest_safe_speeds"]) == 4
 
 
 def test_pictures_are_drawn(
@@ -532,8 +527,8 @@ def test_the_command_leaves_reports_that_say_what_was_measured(
     code, out, _ = run_cli("envelope", "--physics", bench.physics, "--workers", 1, "--out", tmp_path)
     assert code == 0
     assert {path.name for path in tmp_path.iterdir()} == {
-        "envelope.md", "envelope.csv", "envelope.json", "envelope.png", "stopping.md", "stopping.csv", "stopping.png"
-    }  # fmt: skip
+        f"{name}.{kind}" for name in ("envelope", "stopping") for kind in ("md", "csv", "json", "png")
+    }
     values = json.loads((tmp_path / "envelope.json").read_text())
     assert [(case["speed_m_s"], case["period_s"]) for case in values["cases"]] == [
         (2.0, 0.9), (2.0, 1.2), (2.5, 0.9), (2.5, 1.2)
@@ -541,7 +536,7 @@ def test_the_command_leaves_reports_that_say_what_was_measured(
     again = measured(bench, period=1.2).measured
     assert values["cases"][1]["slip"] == again.slip
     assert f"of {len(values['cases'])} followed" in out
-    (safe,) = values["largest_safe_speeds"]
+    (safe,) = json.loads((tmp_path / "stopping.json").read_text())["largest_safe_speeds"]
     assert f"{safe['measured_m_s']:.2f} m/s (on paper {safe['on_paper_m_s']:.2f})" in out
     assert 7.0 < safe["measured_m_s"] < 8.2
 

@@ -17,6 +17,7 @@ from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import measure_stop, safe_speeds, sight, stopping_tasks
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import envelope as report
+from nnql_bullet.reports import stopping
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.vehicle.spec import load_vehicle
 
@@ -35,7 +36,7 @@ def envelope(
     largest speed from which the vehicle stops within what its sensors see. Evidence for an engineer, never a
     certificate; the standard that asks this question is ISO 3691-4.
 
-    Leaves envelope.md and stopping.md, their pictures, tables as CSV, and envelope.json.
+    Leaves envelope.md and stopping.md, and each of them as a picture, CSV and JSON.
 
     For example:
 
@@ -61,11 +62,12 @@ def envelope(
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "envelope.md", report.envelope_markdown(bench, slices, results))
     write_text(folder / "envelope.csv", report.envelope_csv(results))
-    write_text(folder / "envelope.json", json.dumps(report.envelope_dict(bench, results, stops), indent=1) + "\n")
+    write_text(folder / "envelope.json", json.dumps(report.envelope_values(bench, results), indent=1) + "\n")
     report.draw_envelope(bench, slices, results, folder / "envelope.png")
-    write_text(folder / "stopping.md", report.stopping_markdown(bench, stops))
-    write_text(folder / "stopping.csv", report.stopping_csv(stops))
-    report.draw_stopping(bench, stops, folder / "stopping.png")
+    write_text(folder / "stopping.md", stopping.stopping_markdown(bench, stops))
+    write_text(folder / "stopping.csv", stopping.stopping_csv(stops))
+    write_text(folder / "stopping.json", json.dumps(stopping.stopping_values(bench, stops), indent=1) + "\n")
+    stopping.draw_stopping(bench, stops, folder / "stopping.png")
     base = slices[0].base
     followed = sum(result.measured.follows for result in results)
     agreed = sum(result.measured.follows == result.allowed for result in results)

@@ -17,7 +17,7 @@ from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
 from nnql_bullet.sim.base import COMMAND_RATE
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn
+from nnql_bullet.vehicle.drive import plan_turn, rolled_path, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cause = Literal["slip", "tracking lag", "grazing contact", "other"]
@@ -66,20 +66,13 @@ def departures(recording: Recording, vehicle: VehicleSpec, speed: float) -> Depa
         instants[-1] = end - begin
         rates, headings = sample_turn(turn, instants)
         rate = float(rates[-1])
-        ideal = _rolled(start, np.diff(instants) * speed, np.diff(headings))
+        ideal = rolled_path(start[2], np.diff(instants) * speed, np.diff(headings))[-1]
         within = (times > begin - 1e-9) & (times < end + 1e-9)
         left, right = np.diff(wheels[within], axis=0).T
-        known = _rolled(start, (left + right) / 2, (right - left) / vehicle.track)
-        lag[k], slip[k] = hypot(*(known - ideal)), hypot(*(reached[:2] - known))
+        known = rolled_path(start[2], (left + right) / 2, (right - left) / vehicle.track)[-1]
+        lag[k], slip[k] = hypot(*(known - ideal)), hypot(*(reached[:2] - start[:2] - known))
         way[k] = (end - begin) * speed
     return Departures(lag, slip, way)
-
-
-def _rolled(start: Array, ways: Array, turns: Array) -> Array:
-    """Where a vehicle at `start` (3,) gets (2,) over arcs of these ways (m,) [m] and turns (m,) [rad]."""
-    middles = start[2] + np.cumsum(turns) - turns / 2
-    moved = np.array([np.sum(ways * np.cos(middles)), np.sum(ways * np.sin(middles))])
-    return np.asarray(start[:2] + moved)
 
 
 def apart(first: Recording, second: Recording) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from nnql_bullet import paper
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, open_ground
 from nnql_bullet.fidelity.turning import WheelForces, follow_turn, forces_by_command
 from nnql_bullet.geometry import Array
-from nnql_bullet.vehicle.drive import Turn, plan_turn, sample_turn
+from nnql_bullet.vehicle.drive import Turn, plan_turn, rolled_path, sample_turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ def watch_actions(bench: Bench) -> list[WatchedTurn]:
     with bench.simulator(decision_period=ceil(10 * longest + 1) / 10) as simulator:
         for change, turn in turns.items():
             simulator.reset(open_ground())
-            instants = list(follow_turn(simulator, change))
+            instants = follow_turn(simulator, change)
             times = np.array([instant.time for instant in instants])
             path = np.array([(instant.pose.x - MIDDLE.x, instant.pose.y - MIDDLE.y) for instant in instants])
             ideal = _ideal(turn, times, simulator.drive.speed)
@@ -57,8 +57,7 @@ def tightest(turns: list[WatchedTurn]) -> WatchedTurn:
 
 
 def _ideal(turn: Turn, times: Array, speed: float) -> Array:
-    """Of the rear-axle centre: chords of the arcs from one instant to the next."""
+    """Of the rear-axle centre, at each instant (n, 2) [m]."""
     begins = np.concatenate([[0.0], times])
     _, headings = sample_turn(turn, begins)
-    ways, middles = np.diff(begins) * speed, (headings[1:] + headings[:-1]) / 2
-    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=1), axis=0)
+    return rolled_path(0.0, np.diff(begins) * speed, np.diff(headings))

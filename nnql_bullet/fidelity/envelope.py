@@ -20,13 +20,11 @@ from nnql_bullet.sim.base import SAMPLE_EVERY
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.vehicle.demand import TurnDemand, static_rear_load, tip_angle, turn_demand
 from nnql_bullet.vehicle.drive import plan_turn
-from nnql_bullet.vehicle.payload import loaded
-from nnql_bullet.vehicle.spec import Limits, Payload, VehicleSpec
+from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 RAMP = 1 / 3
 """Share of the period in which the yaw rate rises; it falls in another."""
-PAYLOAD_HEIGHT = 0.55
-"""Of a payload's centre above the ground; it lies on the middle of the deck [m]."""
 HEADINGS = (0.0, radians(60.0), radians(75.0))
 """From which a turn is tried; the worst counts [rad]. Friction with axes fixed in the world grips worse in some
 directions than in others: PyBullet's worst at the last two, for a turn to the left."""
@@ -169,9 +167,8 @@ def vehicle_for(vehicle: VehicleSpec, case: Case) -> VehicleSpec:
     """
     peak = case.heading_change / ((1 - RAMP) * case.period)
     return replace(
-        loaded(vehicle, Payload(case.payload, vehicle.footprint.x, PAYLOAD_HEIGHT)),
+        loaded(vehicle, deck_load(vehicle, case.payload)).gripping(case.friction),
         limits=Limits(yaw_rate=abs(peak), yaw_acceleration=abs(peak) / (RAMP * case.period)),
-        contact=replace(vehicle.contact, wheel_friction=case.friction),
     )
 
 
@@ -220,8 +217,7 @@ def _followed(simulator: ContactSimulator, case: Case, heading: float) -> Follow
     simulator.command_wheels(rolling, rolling)
     simulator.run(SETTLING)
     begin = simulator.pose()
-    turn = list(follow_turn(simulator, case.heading_change))
-    after = list(follow_turn(simulator, 0.0))
+    turn, after = follow_turn(simulator, case.heading_change), follow_turn(simulator, 0.0)
     forces = forces_by_command(turn, SAMPLE_EVERY)
     left, right = forces.normal[:, :2].T
     roll = max(abs(instant.roll) for instant in chain(turn, after))

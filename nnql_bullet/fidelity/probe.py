@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.base import DriveOptions
@@ -93,8 +93,6 @@ class Probe:
     source: str
     """Where the formula stands."""
     measure: Callable[[Bench], list[Measurement]]
-    not_in: dict[EngineName, str] = field(default_factory=dict)
-    """Engines that it does not apply to, and why."""
 
 
 def open_ground(*boxes: OrientedBox, start: Pose = MIDDLE) -> WorldSpec:

@@ -16,8 +16,8 @@ PROBES: dict[str, Probe] = {probe.name: probe for probe in (*BODY, *ROLLING, *CO
 def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
     """Runs all of them, one after the other.
 
-    A probe that does not apply to the engine has no measurements. One that breaks, because the vehicle fell over for
-    instance, has a single one: NaN, which is never accepted, and the reason as its name.
+    One that breaks, because the vehicle fell over for instance, has a single measurement: NaN, which is never accepted,
+    and the reason as its name.
 
     Yields:
         Each probe with its measurements, as soon as it ends.
@@ -26,7 +26,7 @@ def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
         UserError: If the engine is not installed, or gives no more simulators.
     """
     for probe in PROBES.values():
-        yield probe, [] if bench.engine in probe.not_in else _measured(probe, bench)
+        yield probe, _measured(probe, bench)
 
 
 def _measured(probe: Probe, bench: Bench) -> list[Measurement]:

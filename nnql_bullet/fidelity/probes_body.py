@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
-from nnql_bullet.fidelity.probes_vehicles import gripping, on_ice, rolling_freely, top_heavy
+from nnql_bullet.fidelity.probes_vehicles import on_ice, rolling_freely, top_heavy
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.vehicle.demand import GRAVITY, tip_angle
@@ -143,7 +143,7 @@ def _tilt_table(bench: Bench) -> list[Measurement]:
     vehicle = top_heavy(bench.vehicle)
     slope = tip_angle(vehicle)
     rows = []
-    with bench.simulator(gripping(rolling_freely(vehicle), max(1.0, 3 * tan(slope)))) as simulator:
+    with bench.simulator(rolling_freely(vehicle).gripping(max(1.0, 3 * tan(slope)))) as simulator:
         for side, name in ((1, "left"), (-1, "right")):
             tipped = _tilted_until_it_tips(simulator, side, slope)
             rows.append(close_to(f"slope to the {name}", "deg", degrees(slope), degrees(tipped), absolute=0.25))

@@ -6,7 +6,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
-from nnql_bullet.fidelity.probes_vehicles import driven_by, gripping, skidding_friction
+from nnql_bullet.fidelity.probes_vehicles import driven_by, skidding_friction
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.vehicle.demand import GRAVITY
@@ -74,7 +74,7 @@ def _skids(bench: Bench) -> list[Measurement]:
     rows = []
     for part in (1.0, 0.5):
         friction = part * skidding_friction(bench.vehicle)
-        with bench.simulator(gripping(bench.vehicle, friction)) as simulator:
+        with bench.simulator(bench.vehicle.gripping(friction)) as simulator:
             for direction, name in ((0.0, "ahead"), (pi / 2, "sideways")):
                 speed, pose = _skid(simulator, direction, until=2.5e-3), simulator.pose()
                 expected, slid = speed**2 / (2 * friction * GRAVITY), hypot(pose.x - MIDDLE.x, pose.y - MIDDLE.y)
@@ -85,7 +85,7 @@ def _skids(bench: Bench) -> list[Measurement]:
 def _friction_cone(bench: Bench) -> list[Measurement]:
     friction = skidding_friction(bench.vehicle)
     used: list[float] = []
-    with bench.simulator(gripping(bench.vehicle, friction)) as simulator:
+    with bench.simulator(bench.vehicle.gripping(friction)) as simulator:
 
         def look() -> None:
             used.extend(

@@ -17,11 +17,6 @@ SLOWER = tuple(1 - 0.05 * n for n in range(1, 19))
 """Shares of its yaw rate at which a vehicle may turn within its means."""
 
 
-def gripping(vehicle: VehicleSpec, friction: float) -> VehicleSpec:
-    """The same vehicle on tyres of another friction."""
-    return replace(vehicle, contact=replace(vehicle.contact, wheel_friction=friction))
-
-
 def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
     """The same vehicle without rolling and spinning resistance."""
     return replace(vehicle, contact=replace(vehicle.contact, rolling_friction=0.0, spinning_friction=0.0))
@@ -29,7 +24,7 @@ def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
 
 def on_ice(vehicle: VehicleSpec) -> VehicleSpec:
     """The same vehicle without any friction: the ground carries it and does nothing else."""
-    return gripping(rolling_freely(vehicle), 0.0)
+    return rolling_freely(vehicle).gripping(0.0)
 
 
 def driven_by(vehicle: VehicleSpec, torque: float) -> VehicleSpec:

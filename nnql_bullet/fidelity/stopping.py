@@ -1,7 +1,7 @@
 """How far a vehicle runs until it stands, and whether that is within what its sensors see."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot
 
 import numpy as np
@@ -9,13 +9,13 @@ from scipy.optimize import brentq
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.fidelity.envelope import PAYLOAD_HEIGHT, SETTLING
+from nnql_bullet.fidelity.envelope import SETTLING
 from nnql_bullet.fidelity.probe import Bench, open_ground
 from nnql_bullet.fidelity.turning import mean_forces
 from nnql_bullet.sim.base import SAMPLE_EVERY, DriveOptions
 from nnql_bullet.vehicle.demand import Braking, braking, braking_rear_load, static_rear_load
-from nnql_bullet.vehicle.payload import loaded
-from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 STANDING = 0.01
 """Speed below which a vehicle stands [m/s]."""
@@ -94,8 +94,7 @@ def braking_vehicle(vehicle: VehicleSpec, conditions: StopConditions) -> Vehicle
     Raises:
         UserError: If it carries a payload already.
     """
-    made = loaded(vehicle, Payload(conditions.payload, vehicle.footprint.x, PAYLOAD_HEIGHT))
-    return replace(made, contact=replace(vehicle.contact, wheel_friction=conditions.friction))
+    return loaded(vehicle, deck_load(vehicle, conditions.payload)).gripping(conditions.friction)
 
 
 def measure_stop(task: StopTask) -> Stop:

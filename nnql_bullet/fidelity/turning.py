@@ -1,16 +1,15 @@
 """One turn in contact physics, watched at every physics step: where the wheels slip, and with how much force."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import asin, cos, hypot, sin
 
 import numpy as np
 
 from nnql_bullet.geometry import Array, Pose, wrap_angle
-from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, whole_steps
+from nnql_bullet.sim.base import COMMAND_RATE, whole_steps
 from nnql_bullet.sim.contact import ContactForce, ContactSimulator
 from nnql_bullet.vehicle.demand import static_rear_load
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Forces = tuple[ContactForce, ContactForce, ContactForce]
@@ -34,36 +33,21 @@ class Instant:
     """Speed of the left and right drive wheel's contact point over the ground, during the step [m/s]."""
 
 
-def follow_turn(simulator: ContactSimulator, heading_change: float) -> Iterator[Instant]:
-    """Follows a turn for one control period just as `ContactSimulator.advance` does, and shows every physics step.
-
-    The turn begins running straight, and nothing is near: neither obstacles nor the target are looked for.
+def follow_turn(simulator: ContactSimulator, heading_change: float) -> list[Instant]:
+    """Advances by one control period, and takes down the vehicle after each physics step.
 
     Args:
         simulator: With the vehicle placed in its world.
         heading_change: Wanted change from the present yaw [rad], positive to the left.
-
-    Yields:
-        The vehicle after each physics step. The simulator may be looked at in between, not moved.
     """
-    vehicle, drive = simulator.vehicle, simulator.drive
-    commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
-    steps = whole_steps(1 / COMMAND_RATE, simulator.time_step)
-    turn = plan_turn(0.0, heading_change, vehicle.limits)
-    _, headings = sample_turn(turn, np.arange(commands + 1) / COMMAND_RATE)
     begin, began = simulator.pose(), simulator.time()
-    wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
-    before, correction = begin, 0.0
-    for command in range(commands):
-        if command % SAMPLE_EVERY == 0:
-            correction = drive.heading_gain * wrap_angle(wanted[command] - before.yaw)
-        rate = feed_forward[command] + correction
-        simulator.command_wheels(*wheel_speeds(drive.speed, rate, vehicle.track, vehicle.wheel_radius))
-        for _ in range(steps):
-            simulator.step()
-            instant = _observed(simulator, before, began)
-            yield instant
-            before = instant.pose
+    instants: list[Instant] = []
+
+    def look() -> None:
+        instants.append(_observed(simulator, instants[-1].pose if instants else begin, began))
+
+    simulator.advance(heading_change, look=look)
+    return instants
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,5 @@
-"""What a vehicle can follow and how it stops: pictures, tables and numbers, measured beside paper."""
+"""What a vehicle can follow: a picture, tables and numbers, measured beside paper."""
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
@@ -17,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, MultipleLocator
+from matplotlib.ticker import FuncFormatter
 
 from nnql_bullet.fidelity.envelope import (
     HEADING_TOLERANCE,
@@ -32,9 +30,9 @@ from nnql_bullet.fidelity.envelope import (
     on_paper,
 )
 from nnql_bullet.fidelity.probe import Bench
-from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.plots import INK, save_figure
+from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
 from nnql_bullet.vehicle.demand import (
     braking,
     grip_acceleration,
@@ -46,18 +44,9 @@ from nnql_bullet.vehicle.demand import (
 from nnql_bullet.vehicle.drive import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-NOT_A_CERTIFICATE = (
-    "Evidence for an engineer, not a certificate; the standard that asks this question is ISO 3691-4 "
-    "(driverless industrial trucks)."
-)
-
 PAPER_GRID = 40
 """Points along each axis at which the limits on paper are worked out."""
-GRID = "#e9ecef"
 HATCH_DARK, HATCH_LIGHT = "#00000099", "#ffffff99"
-LOADS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Colours that the colour-blind tell apart (Okabe and Ito)."""
-MARKS = ("o", "s", "^", "D", "v", "P")
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,68 +234,6 @@ def _envelope_legend() -> list[Any]:
     ]
 
 
-def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
-    """Stopping distance, reaction included, over speed: a panel for each friction, a colour for each payload.
-
-    Args:
-        bench: What it was measured on.
-        stops: Every one that was measured.
-        path: A PNG file.
-    """
-    way, speeds = sight(bench.vehicle), safe_speeds(bench.vehicle, stops)
-    frictions = sorted({stop.conditions.friction for stop in stops})
-    payloads = sorted({stop.conditions.payload for stop in stops})
-    fastest = max(stop.speed for stop in stops)
-    with matplotlib.rc_context({"font.size": 8.5, "axes.linewidth": 0.6}):
-        figure = Figure(figsize=(7.4, 3.5), layout="constrained")
-        panels = figure.subplots(1, len(frictions), sharey=True, squeeze=False)[0]
-        for axes, friction in zip(panels, frictions, strict=True):
-            axes.axhline(way, color=INK, lw=1.0, ls="--", zorder=1)
-            for number, payload in enumerate(payloads):
-                conditions, colour = StopConditions(payload, friction), LOADS[number]
-                _draw_stops(axes, [each for each in stops if each.conditions == conditions], colour, MARKS[number])
-                safe = next(each for each in speeds if each.conditions == conditions)
-                _mark_safe_speed(axes, safe, way, colour, len(payloads) - number)
-            axes.text(0.3, way + 0.3, f"sight {way:.2f} m", ha="left", va="bottom", color=INK)
-            axes.set(xlim=(0, fastest), ylim=(0, 2.2 * way), xlabel="speed [m/s]")
-            axes.set_title(f"friction {friction:g}", fontsize=9)
-            axes.xaxis.set_major_locator(MultipleLocator(2))
-            axes.yaxis.set_major_locator(MultipleLocator(5))
-            axes.grid(color=GRID, lw=0.8)
-            axes.spines[["top", "right"]].set_visible(False)
-        panels[0].set_ylabel(f"way until it stands, with\n{REACTION:g} s of reaction [m]")
-        handles = [
-            Line2D([], [], color=colour, marker=mark, ms=4, lw=1.2, label=f"{payload:g} kg payload")
-            for payload, colour, mark in zip(payloads, LOADS, MARKS, strict=False)
-        ]
-        grey = "#868e96"
-        handles += [
-            Line2D([], [], color=grey, lw=1.2, label="line: on paper"),
-            Line2D([], [], color=grey, ls="", marker="o", ms=4, label="mark: measured"),
-            Line2D([], [], color=grey, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-        save_figure(figure, path)
-
-
-def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> None:
-    speeds = np.linspace(0.0, max(stop.speed for stop in stops), 200)
-    deceleration = stops[0].speed ** 2 / (2 * stops[0].distance_on_paper)
-    axes.plot(speeds, speeds * REACTION + speeds**2 / (2 * deceleration), color=colour, lw=1.2)
-    ways = [stop.speed * REACTION + stop.distance for stop in stops]
-    axes.plot([stop.speed for stop in stops], ways, ls="", marker=mark, ms=4, color=colour, mec="white", mew=0.5)
-
-
-def _mark_safe_speed(axes: Axes, safe: SafeSpeed, way: float, colour: str, line: int) -> None:
-    """Down from the sight to the axis, and in words on a line counted from below."""
-    words = f"({safe.on_paper:.2f})"
-    if safe.measured is not None:
-        axes.plot([safe.measured] * 2, [0.0, way], color=colour, lw=0.9, ls=":")
-        words = f"{safe.measured:.2f} {words}"
-    above = (-2, 11 * line - 7)
-    axes.annotate(words, (1.0, 0.0), above, "axes fraction", textcoords="offset points", ha="right", color=colour)
-
-
 def case_record(result: Result) -> dict[str, float | bool]:
     """A case in flat names and the units of tables: degrees, and shares of one."""
     case, measured, paper = result.case, result.measured, result.on_paper
@@ -334,55 +261,19 @@ def case_record(result: Result) -> dict[str, float | bool]:
     }
 
 
-def stop_record(stop: Stop) -> dict[str, float]:
-    """A stop in flat names."""
-    return {
-        "friction": stop.conditions.friction,
-        "payload_kg": stop.conditions.payload,
-        "speed_m_s": stop.speed,
-        "distance_m": stop.distance,
-        "distance_on_paper_m": stop.distance_on_paper,
-        "heading_drift_deg": degrees(stop.heading_drift),
-        "friction_used": stop.friction_used,
-        "least_load": stop.least_load,
-        "least_load_on_paper": stop.least_load_on_paper,
-    }
-
-
-def safe_speed_record(safe: SafeSpeed) -> dict[str, float | None]:
-    """A largest safe speed in flat names."""
-    return {
-        "friction": safe.conditions.friction,
-        "payload_kg": safe.conditions.payload,
-        "measured_m_s": safe.measured,
-        "on_paper_m_s": safe.on_paper,
-        "by_grip_m_s2": safe.braking.by_grip,
-        "by_torque_m_s2": safe.braking.by_torque,
-    }
-
-
 def envelope_csv(results: Sequence[Result]) -> str:
     """Every case, in full precision."""
-    return _csv([case_record(result) for result in results])
+    return csv_text([case_record(result) for result in results])
 
 
-def stopping_csv(stops: Sequence[Stop]) -> str:
-    """Every stop, in full precision."""
-    return _csv([stop_record(stop) for stop in stops])
-
-
-def envelope_dict(bench: Bench, results: Sequence[Result], stops: Sequence[Stop]) -> dict[str, Any]:
+def envelope_values(bench: Bench, results: Sequence[Result]) -> dict[str, Any]:
     """Everything, for JSON."""
     return {
         "note": NOT_A_CERTIFICATE,
         "vehicle": bench.vehicle.name,
         "engine": bench.engine,
         "physics": bench.physics,
-        "sight_m": sight(bench.vehicle),
-        "reaction_s": REACTION,
         "cases": [case_record(result) for result in results],
-        "stops": [stop_record(stop) for stop in stops],
-        "largest_safe_speeds": [safe_speed_record(each) for each in safe_speeds(bench.vehicle, stops)],
     }
 
 
@@ -437,7 +328,7 @@ def _vehicle_markdown(vehicle: VehicleSpec) -> str:
             f"{vehicle.wheel_torque:g} N m, least rear load {asked.least_load:.0%}",
         ),
     ]
-    return _table(("on paper", "value"), rows)
+    return markdown_table(("on paper", "value"), rows)
 
 
 def _agreement_markdown(results: Sequence[Result]) -> str:
@@ -446,7 +337,7 @@ def _agreement_markdown(results: Sequence[Result]) -> str:
         for followed in (True, False)
         for allowed in (True, False)
     }
-    return _table(
+    return markdown_table(
         ("cases", "allowed on paper", "not allowed on paper"),
         [
             ("follows", str(counted[True, True]), str(counted[True, False])),
@@ -470,7 +361,7 @@ def _shortest_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
     header = (axis.label, *(f"{axis.shown(value):.4g}" for value in part.values))
     measured = ("shortest period followed [s]", *(shortest(v, lambda r: r.measured.follows) for v in part.values))
     paper = ("on paper [s]", *(shortest(v, lambda r: r.allowed) for v in part.values))
-    return _table(header, [measured, paper])
+    return markdown_table(header, [measured, paper])
 
 
 def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
@@ -509,77 +400,7 @@ def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
                 "fell over" if measured.fell_over else "yes" if measured.follows else "no",
             )
         )
-    return f"### {axis.name.capitalize()}\n\n{_table(header, rows)}"
-
-
-def stopping_markdown(bench: Bench, stops: Sequence[Stop]) -> str:
-    """How the vehicle stops, and from which speeds within what it sees."""
-    vehicle = bench.vehicle
-    safe_rows = [
-        (
-            f"{safe.conditions.friction:g}",
-            f"{safe.conditions.payload:g}",
-            f"{safe.braking.by_grip:.2f}",
-            f"{safe.braking.by_torque:.2f}",
-            f"{safe.on_paper:.2f}",
-            f"over {max(stop.speed for stop in stops):g}" if safe.measured is None else f"{safe.measured:.2f}",
-        )
-        for safe in safe_speeds(vehicle, stops)
-    ]
-    stop_rows = [
-        (
-            f"{stop.conditions.friction:g}",
-            f"{stop.conditions.payload:g}",
-            f"{stop.speed:g}",
-            f"{stop.distance_on_paper:.3f}",
-            f"{stop.distance:.3f}",
-            f"{100 * (stop.distance / stop.distance_on_paper - 1):+.1f}",
-            f"{degrees(stop.heading_drift):.3f}",
-            f"{100 * stop.friction_used:.0f}",
-            f"{100 * stop.least_load_on_paper:.0f}",
-            f"{100 * stop.least_load:.0f}",
-        )
-        for stop in stops
-    ]
-    parts = [
-        "# How the vehicle stops",
-        NOT_A_CERTIFICATE,
-        f"Vehicle '{vehicle.name}' in {bench.engine} ({bench.physics}): the wheels are commanded to stand at once, and "
-        "brake with what torque and grip they have.",
-        "## Largest safe speed",
-        f"It sees {sight(vehicle):.2f} m ahead of its front edge. An obstacle may come into sight just after a "
-        f"decision, so {REACTION:g} s pass before it brakes. Measured: interpolated between the measured speeds, where "
-        "braking distance over speed is all but linear.",
-        _table(
-            (
-                "friction",
-                "payload [kg]",
-                "braking by grip [m/s²]",
-                "by torque [m/s²]",
-                "largest safe speed, paper [m/s]",
-                "measured [m/s]",
-            ),
-            safe_rows,
-        ),
-        "## Every stop",
-        "Distances from the command to stop on.",
-        _table(
-            (
-                "friction",
-                "payload [kg]",
-                "speed [m/s]",
-                "distance, paper [m]",
-                "distance [m]",
-                "difference [%]",
-                "heading drift [°]",
-                "friction used [%]",
-                "least load, paper [%]",
-                "least load [%]",
-            ),
-            stop_rows,
-        ),
-    ]
-    return "\n\n".join(parts) + "\n"
+    return f"### {axis.name.capitalize()}\n\n{markdown_table(header, rows)}"
 
 
 def _described(bench: Bench, base: Case) -> str:
@@ -595,16 +416,3 @@ def _edges(middles: Sequence[float]) -> Array:
     centres = np.asarray(middles, dtype=float)
     between = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _csv(records: Sequence[Mapping[str, float | bool]]) -> str:
-    out = io.StringIO()
-    writer = csv.DictWriter(out, list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    return out.getvalue()

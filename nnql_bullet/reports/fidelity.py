@@ -14,6 +14,7 @@ from nnql_bullet.fidelity.actions import WatchedTurn, tightest
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, save_figure
+from nnql_bullet.reports.tables import finite, markdown_table
 from nnql_bullet.sim.base import COMMAND_RATE
 from nnql_bullet.vehicle.demand import Demand, quasi_steady
 from nnql_bullet.vehicle.drive import sample_turn
@@ -28,12 +29,15 @@ class Fidelity:
     """What was found of a vehicle in an engine."""
 
     bench: Bench
-    time_step: float
-    """[s]"""
     probes: list[tuple[Probe, list[Measurement], list[Measurement]]]
     """Each with what it measured, and what at half the time step."""
     actions: list[tuple[float, list[WatchedTurn]]]
     """The five actions by time step [s], the bench's own first."""
+
+    @property
+    def time_step(self) -> float:
+        """Of the bench [s]."""
+        return self.actions[0][0]
 
     @property
     def measurements(self) -> list[Measurement]:
@@ -77,58 +81,63 @@ def tolerance(measurement: Measurement) -> str:
 
 def fidelity_markdown(fidelity: Fidelity) -> str:
     """The report as text."""
-    f, count = fidelity, len(fidelity.measurements)
+    f, count, turns = fidelity, len(fidelity.measurements), fidelity.actions[0][1]
     verdict = "all within tolerance" if not f.out else f"{len(f.out)} out of tolerance"
-    lines = [
+    limits = ("in the limit", *(f"{1e3 * gap:.2f} mm" for gap in f.limits))
+    parts = [
         f"# Fidelity: {f.title}",
-        "",
         f"{count} quantities of {len(f.probes)} probes, {verdict}. The time step is 1/{1 / f.time_step:.0f} s; the "
         "last column is what comes out at half of it. What is expected follows from the vehicle's files alone. "
         f"nnql-bullet {__version__}.",
-        "",
         "![how much of each tolerance is used](tolerances.png)",
-        "",
-        "| probe | quantity | expected | measured | accepted | verdict | at half the step |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for probe, measured, halved in f.probes:
-        finer = {m.quantity: m for m in halved}
-        if not measured:
-            lines.append(f"| {probe.title} | does not apply: {probe.not_in[f.bench.engine]} | | | | | |")
-        for m in measured:
-            half = number(finer[m.quantity].measured, m) if m.quantity in finer else ""
-            verdict = "ok" if m.ok else "**out**"
-            found = f"{number(m.expected, m)} | {number(m.measured, m)} | {tolerance(m)} | {verdict} | {half}"
-            lines.append(f"| {probe.title} | {_with_unit(m)} | {found} |")
-    lines += ["", "## Where the expectations come from", "", "| probe | closed form | source |", "|---|---|---|"]
-    lines += [f"| {probe.title} | {probe.closed_form} | {probe.source} |" for probe, _, _ in f.probes]
-    lines += [
-        "",
+        markdown_table(
+            ("probe", "quantity", "expected", "measured", "accepted", "verdict", "at half the step"),
+            [row for probe in f.probes for row in _measured_rows(*probe)],
+        ),
+        "## Where the expectations come from",
+        markdown_table(
+            ("probe", "closed form", "source"),
+            [(probe.title, probe.closed_form, probe.source) for probe, _, _ in f.probes],
+        ),
         "## The five actions",
-        "",
         "Against the unicycle that follows the same yaw-rate profile without slip or lag. What an engine adds by its "
         "time step halves with the step; what is left in the limit is slip: the wheel controllers take each of the "
         f"{COMMAND_RATE:.0f} commands a second at a stroke, and a wheel that is asked for more than its grip slides.",
-        "",
         "![paths, and distance from the ideal](actions.png)",
-        "",
-        f"| time step [s] | {' | '.join(_name(turn) for turn in f.actions[0][1])} |",
-        "|---|" + "---|" * len(f.actions[0][1]),
-        *(f"| 1/{1 / step:.0f} | {' | '.join(f'{1e3 * t.gap:.2f} mm' for t in turns)} |" for step, turns in f.actions),
-        f"| in the limit | {' | '.join(f'{1e3 * gap:.2f} mm' for gap in f.limits)} |",
-        "",
+        markdown_table(
+            ("time step [s]", *map(_name, turns)),
+            [*((f"1/{1 / step:.0f}", *(f"{1e3 * t.gap:.2f} mm" for t in ts)) for step, ts in f.actions), limits],
+        ),
         "Distance: root mean square over the turn. The limit is Richardson's, from the last two steps.",
-        "",
         "## Grip used and wheel loads",
-        "",
         "![grip used, and load on each wheel through the tightest turn](grip.png)",
-        "",
-        "| action | most grip used by a drive wheel | most by both together | least load on a drive wheel [N] |",
-        "|---|---|---|---|",
-        *(_grip_row(turn, f.bench.vehicle) for turn in f.actions[0][1]),
-        "",
+        markdown_table(
+            (
+                "action",
+                "most grip used by a drive wheel",
+                "most by both together",
+                "least load on a drive wheel [N]",
+            ),
+            [_grip_row(turn, f.bench.vehicle) for turn in turns],
+        ),
     ]
-    return "\n".join(lines)
+    return "\n\n".join(parts) + "\n"
+
+
+def _measured_rows(probe: Probe, measured: list[Measurement], halved: list[Measurement]) -> list[tuple[str, ...]]:
+    finer = {m.quantity: m for m in halved}
+    return [
+        (
+            probe.title,
+            f"{m.quantity} [{m.unit}]" if m.unit else m.quantity,
+            number(m.expected, m),
+            number(m.measured, m),
+            tolerance(m),
+            "ok" if m.ok else "**out**",
+            number(finer[m.quantity].measured, m) if m.quantity in finer else "",
+        )
+        for m in measured
+    ]
 
 
 def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
@@ -147,7 +156,6 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
                 "title": probe.title,
                 "closed_form": probe.closed_form,
                 "source": probe.source,
-                "applies": f.bench.engine not in probe.not_in,
                 "measurements": [_plain(m) for m in measured],
                 "at_half_the_step": [_plain(m) for m in halved],
             }
@@ -165,7 +173,7 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
 
 def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
     """How much of its tolerance each probe uses, at the time step and at half of it: its worst quantity."""
-    rows = [(probe, measured, halved) for probe, measured, halved in fidelity.probes if measured]
+    rows = fidelity.probes
     figure = Figure(figsize=(9.0, 0.3 * len(rows) + 1.3), layout="constrained")
     axes = figure.add_subplot()
     floor, labels = 1e-4, []
@@ -262,10 +270,10 @@ def _name(turn: WatchedTurn) -> str:
     return f"{degrees(turn.heading_change):+.0f} degrees" if turn.heading_change else "straight"
 
 
-def _grip_row(turn: WatchedTurn, vehicle: VehicleSpec) -> str:
+def _grip_row(turn: WatchedTurn, vehicle: VehicleSpec) -> tuple[str, ...]:
     forces = turn.forces
     wheel, axle = float(forces.used(vehicle).max()), float(forces.used_by_axle(vehicle).max())
-    return f"| {_name(turn)} | {wheel:.0%} | {axle:.0%} | {forces.normal[:, :2].min():.0f} |"
+    return _name(turn), f"{wheel:.0%}", f"{axle:.0%}", f"{float(forces.normal[:, :2].min()):.0f}"
 
 
 def share_used(m: Measurement) -> float:
@@ -279,11 +287,5 @@ def share_used(m: Measurement) -> float:
     return abs(off) / room if room > 0 else (0.0 if off == 0 else 1e3)
 
 
-def _with_unit(m: Measurement) -> str:
-    return f"{m.quantity} [{m.unit}]" if m.unit else m.quantity
-
-
 def _plain(m: Measurement) -> dict[str, Any]:
-    """JSON has no NaN and no infinity."""
-    values = {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in asdict(m).items()}
-    return {**values, "ok": m.ok}
+    return {**finite(asdict(m)), "ok": m.ok}

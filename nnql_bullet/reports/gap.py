@@ -1,7 +1,5 @@
 """The gap between two simulators as text and pictures."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -17,6 +15,7 @@ from matplotlib.lines import Line2D
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import CAUSES, DRIFT, GRAZE, NOTABLE, Explanation
 from nnql_bullet.evaluation.gap import (
+    FaultRow,
     Gap,
     Pair,
     differences,
@@ -30,6 +29,7 @@ from nnql_bullet.evaluation.statistics import share
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_world, save_figure
+from nnql_bullet.reports.tables import csv_text, finite, markdown_table
 from nnql_bullet.task import ENDINGS
 
 
@@ -50,13 +50,15 @@ def gap_markdown(gap: Gap) -> str:
         "",
         "![the gap](gap.png)",
         "",
-        f"| {first} \\ {second} | {' | '.join(ENDINGS)} |",
-        "|---|" + "---|" * len(ENDINGS),
-        *(f"| {name} | {' | '.join(str(n) for n in row)} |" for name, row in zip(ENDINGS, matrix, strict=True)),
+        markdown_table(
+            (f"{first} \\ {second}", *ENDINGS),
+            [(name, *row) for name, row in zip(ENDINGS, matrix.tolist(), strict=True)],
+        ),
         "",
-        f"| policy | {first} | {second} | alike |",
-        "|---|---|---|---|",
-        *(_policy_row(run, [pair for pair in gap.pairs if pair.run == run]) for run in gap.runs),
+        markdown_table(
+            ("policy", first, second, "alike"),
+            [_policy_row(run, [pair for pair in gap.pairs if pair.run == run]) for run in gap.runs],
+        ),
         "",
     ]
     rows = differences(gap.pairs)
@@ -64,9 +66,10 @@ def gap_markdown(gap: Gap) -> str:
         lines += [
             f"Drives that reach the target on both sides, {second} less {first}:",
             "",
-            "| quantity | mean | 10 % to 90 % of drives |",
-            "|---|---|---|",
-            *(f"| {r.quantity} [{r.unit}] | {r.mean:+.3f} | {r.low:+.3f} to {r.high:+.3f} |" for r in rows),
+            markdown_table(
+                ("quantity", "mean", "10 % to 90 % of drives"),
+                [(f"{r.quantity} [{r.unit}]", f"{r.mean:+.3f}", f"{r.low:+.3f} to {r.high:+.3f}") for r in rows],
+            ),
             "",
         ]
     lines += _flips_markdown(gap)
@@ -78,14 +81,12 @@ def gap_markdown(gap: Gap) -> str:
             "",
             "![success by fault](faults.png)",
             "",
-            f"| fault | goal % | collision % | timeout % | McNemar p against none | goal % in {first} |",
-            "|---|---|---|---|---|---|",
+            markdown_table(
+                ("fault", *(f"{ending} %" for ending in ENDINGS), "McNemar p against none", f"goal % in {first}"),
+                [_fault_row(row) for row in fault_rows(gap)],
+            ),
+            "",
         ]
-        for row in fault_rows(gap):
-            shares = " | ".join(str(row.shares[ending]) for ending in ENDINGS)
-            p_value = f"{row.p_value:.2g}" if row.fault else ""
-            lines.append(f"| {row.fault or 'none'} | {shares} | {p_value} | {row.first_goal or 'as none'} |")
-        lines.append("")
     return "\n".join(lines)
 
 
@@ -104,17 +105,14 @@ def _flips_markdown(gap: Gap) -> list[str]:
         "",
         "![drives that ended differently](flips.png)",
         "",
-        "| policy | seed | endings | cause | parted at [s] | apart then [mm] | slip | lag | decision | miss [m] |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        markdown_table(
+            (
+                *("policy", "seed", "endings", "cause", "parted at [s]", "apart then [mm]"),
+                *("slip", "lag", "decision", "miss [m]"),
+            ),
+            [_flip_row(pair, pair.explanation) for pair in gap.flips if pair.explanation],
+        ),
     ]
-    for pair in gap.flips:
-        e = pair.explanation
-        if e:
-            lines.append(
-                f"| {Path(pair.run).name} | {pair.world_seed} | {pair.first.ending}, {pair.second.ending} | {e.cause} "
-                f"| {e.time:.1f} | {1000 * e.apart:.0f} | {e.slip:.2%} | {e.lag:.2%} "
-                f"| {_decision(pair, e)} | {_number(e.miss, '.3f')} |"
-            )
     commands = [gap.replay(pair, side) for pair in gap.flips for side in (gap.first, gap.second)]
     return [*lines, "", "Each is driven again, exactly, by:", "", "```", *commands, "```", ""]
 
@@ -140,7 +138,7 @@ def gap_values(gap: Gap) -> dict[str, Any]:
                 "world_seed": pair.world_seed,
                 "first": pair.first.ending,
                 "second": pair.second.ending,
-                **{name: _plain(value) for name, value in asdict(pair.explanation).items()},
+                **finite(asdict(pair.explanation)),
                 "replay": [gap.replay(pair, side) for side in (gap.first, gap.second)],
             }
             for pair in gap.flips
@@ -160,17 +158,16 @@ def gap_values(gap: Gap) -> dict[str, Any]:
 
 def gap_csv(gap: Gap) -> str:
     """A line for each drive, sound or with a fault."""
-    text = io.StringIO()
-    numbers = ("duration", "path_length", "clearance")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["run", "world_seed", "simulator", "fault", "ending", "steps", *numbers])
     drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
     drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
     drives += [(trial.run, trial.side.name, trial.fault, trial.summary) for trial in gap.trials]
-    for run, simulator, fault, s in drives:
-        values = [getattr(s, name) for name in numbers]
-        writer.writerow([run, s.world_seed, simulator, fault, s.ending, s.steps, *values])
-    return text.getvalue()
+    shown = ("world_seed", "ending", "steps", "duration", "path_length", "clearance")
+    return csv_text(
+        [
+            {"run": run, "simulator": simulator, "fault": fault, **{name: getattr(summary, name) for name in shown}}
+            for run, simulator, fault, summary in drives
+        ]
+    )
 
 
 def draw_gap(gap: Gap, path: Path) -> None:
@@ -301,11 +298,24 @@ def _draw_against(axes: Axes, both: Sequence[Pair], gap: Gap, name: str, label: 
     axes.set_title(f"{len(both)} pairs that both reach the target", fontsize=10)
 
 
-def _policy_row(run: str, pairs: Sequence[Pair]) -> str:
+def _policy_row(run: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
     first = sum(pair.first.ending == "goal" for pair in pairs)
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
-    return f"| {run} | {share(first, len(pairs))} | {share(second, len(pairs))} | {alike} of {len(pairs)} |"
+    return run, share(first, len(pairs)), share(second, len(pairs)), f"{alike} of {len(pairs)}"
+
+
+def _fault_row(row: FaultRow) -> tuple[object, ...]:
+    p_value = f"{row.p_value:.2g}" if row.fault else ""
+    shares = (row.shares[ending] for ending in ENDINGS)
+    return row.fault or "none", *shares, p_value, row.first_goal or "as none"
+
+
+def _flip_row(pair: Pair, e: Explanation) -> tuple[object, ...]:
+    numbers = f"{e.time:.1f}", f"{1000 * e.apart:.0f}", f"{e.slip:.2%}", f"{e.lag:.2%}"
+    miss = f"{e.miss:.3f}" if isfinite(e.miss) else ""
+    ends = f"{pair.first.ending}, {pair.second.ending}"
+    return Path(pair.run).name, pair.world_seed, ends, e.cause, *numbers, _decision(pair, e), miss
 
 
 def _decision(pair: Pair, explanation: Explanation) -> str:
@@ -314,12 +324,3 @@ def _decision(pair: Pair, explanation: Explanation) -> str:
     if not isfinite(pair.parted):
         return "none"
     return f"turn, Q apart by {margin:.3f}" if isfinite(margin) else "safe or not"
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form) if isfinite(value) else ""
-
-
-def _plain(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    return value if not isinstance(value, float) or isfinite(value) else None

@@ -5,7 +5,9 @@ engines differ in their physics and in nothing else.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import cos, hypot, sin
 
 import numba
@@ -91,13 +93,21 @@ class ContactSimulator(ABC):
         """Builds the world anew and puts the vehicle on its start, at the drive's speed."""
         self.place(world, world.start, self.drive.speed)
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(
+        self, heading_change: float, trace: list[Sample] | None = None, look: Callable[[], None] | None = None
+    ) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target.
 
         The wheels are commanded 120 times a second. The heading, whose error takes a quarter of a second to die out, is
         fed back at every look, 30 times a second. Contact is seen at the physics step that it happens in, the target
         after the wheel command that reaches it.
+
+        Args:
+            heading_change: See `sim.base.Simulator.advance`.
+            trace: Likewise.
+            look: Called after every physics step; it may look at the simulator, not move it.
         """
+        run = self._run if look is None else partial(self._run_seen, look)
         begin, first_step = self.pose(), self._steps
         turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
         rates, headings = sample_turn(turn, self._command_times)
@@ -116,7 +126,7 @@ class ContactSimulator(ABC):
                 trace.append(self.sample())
             if over or command == last:
                 break
-            carried_out, touching = self._run(speeds[:until_look].tolist(), self._steps_per_command, near)
+            carried_out, touching = run(speeds[:until_look].tolist(), self._steps_per_command, near)
             command += carried_out
         x, y, yaw, path_length, smallest, _ = way.tolist()
         (velocity_x, velocity_y, _), (_, _, yaw_rate) = self._velocities()
@@ -272,6 +282,19 @@ class ContactSimulator(ABC):
         Returns:
             How many commands were carried out, and whether there was contact.
         """
+
+    def _run_seen(
+        self, look: Callable[[], None], speeds: list[list[float]], steps: int, watched: bool
+    ) -> tuple[int, bool]:
+        """Does the same as `_run`, and looks after every step."""
+        for number, (left, right) in enumerate(speeds, 1):
+            self.command_wheels(left, right)
+            for _ in range(steps):
+                self.step()
+                look()
+                if watched and self.touching():
+                    return number, True
+        return len(speeds), False
 
     @abstractmethod
     def _frame(self) -> tuple[Vector, Quaternion]:

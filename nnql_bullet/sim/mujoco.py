@@ -90,7 +90,6 @@ class MujocoSimulator(ContactSimulator):
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
         super().__init__(vehicle, drive, physics.time_step)
-        self.physics = physics
         self._urdf = urdf_text(vehicle)
         self._model: Any = None
         self._data: Any = None

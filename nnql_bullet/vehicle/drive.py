@@ -63,6 +63,21 @@ def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
     return rates, headings
 
 
+def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
+    """Where a vehicle gets that rolls over arcs, each as the chord along its middle heading.
+
+    Args:
+        yaw: At the start [rad].
+        ways: Of the arcs (m,) [m].
+        turns: Of the arcs (m,) [rad].
+
+    Returns:
+        Places after each arc, from the start (m, 2) [m].
+    """
+    middles = yaw + np.cumsum(turns) - turns / 2
+    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=1), axis=0)
+
+
 @numba.njit(cache=True)
 def sample_profile(
     start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array

@@ -10,6 +10,15 @@ LINK = "payload"
 """Of the URDF, fixed to the base."""
 
 
+LOAD_HEIGHT = 0.55
+"""Of the centre of a load above the ground, where nothing else is said [m]."""
+
+
+def deck_load(vehicle: VehicleSpec, mass: float, height: float = LOAD_HEIGHT) -> Payload:
+    """A load of this mass [kg] on the middle of the deck."""
+    return Payload(mass, vehicle.footprint.x, height)
+
+
 def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     """The vehicle with a load fixed to it; mass, centre of mass and inertia are those of both (parallel-axis theorem).
 

@@ -1,7 +1,7 @@
 """The vehicle as its URDF and TOML describe it; nothing about it is typed anywhere else."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf
 from pathlib import Path
 from typing import Annotated, Any
@@ -141,6 +141,10 @@ class VehicleSpec:
     def rear_share(self) -> float:
         """Of the weight, on both drive wheels together at rest."""
         return 1 - self.com_ahead / self.wheelbase
+
+    def gripping(self, friction: float) -> "VehicleSpec":
+        """The same vehicle on wheels of another friction."""
+        return replace(self, contact=replace(self.contact, wheel_friction=friction))
 
     @property
     def clear_radius(self) -> float:

@@ -1,0 +1,32 @@
+"""What reports are made of besides pictures: Markdown tables, CSV text, values that JSON can take."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+NOT_A_CERTIFICATE = (
+    "Evidence for an engineer, not a certificate; the standard that asks this question is ISO 3691-4 "
+    "(driverless industrial trucks)."
+)
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table; cells as they print."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
+    """A line for each record, under the names of the first; numbers are exact."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    return text.getvalue()
+
+
+def finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values, with None for what JSON has not: NaN and infinity."""
+    return {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in values.items()}
