@@ -70,9 +70,12 @@ def navigate(
     folder = out or (run if run.is_dir() else run.parent) / "navigate" / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
     label = f"{config.agent.kind}, {episodes} episodes"
-    conditions_met = to_values(config.conditions)
     recording = recorder.recording(
-        policy=label, simulator=sim, physics=config.physics, conditions=conditions_met, version=__version__
+        policy=label,
+        simulator=sim,
+        physics=config.physics,
+        conditions=to_values(config.conditions),
+        version=__version__,
     )
     recording.save(folder / "trajectory.npz")
     draw_trajectory(recording, folder / "trajectory.png")
