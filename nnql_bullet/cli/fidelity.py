@@ -1,6 +1,7 @@
 """`nnql-bullet fidelity`."""
 
 import json
+from itertools import count
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ import tyro
 
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.fidelity.actions import watch_actions
-from nnql_bullet.fidelity.probe import Bench, Measurement
+from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.probes import PROBES, run_probes
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import fidelity as report
@@ -48,28 +49,19 @@ def fidelity(
     bench = Bench(vehicle, sim, physics)
     with bench.simulator() as simulator:  # an engine that is not there shows here
         time_step = simulator.time_step
-    total = 2 * len(PROBES) + len(REFINEMENTS)
-    done = 0
-    with progress("probing", total) as show:
-
-        def ran(what: str) -> None:
-            nonlocal done
-            done += 1
-            show(done, what)
-
-        measured = {}
+    measured, halved, actions = [], [], []
+    done = count(1)
+    with progress("probing", 2 * len(PROBES) + len(REFINEMENTS)) as show:
         for probe, found in run_probes(bench):
-            measured[probe.name] = probe, found
-            ran(probe.title)
-        halved: dict[str, list[Measurement]] = {}
+            measured.append((probe, found))
+            show(next(done), probe.title)
         for probe, found in run_probes(Bench(vehicle, sim, physics, 2)):
-            halved[probe.name] = found
-            ran(f"{probe.title}, half the step")
-        actions = []
+            halved.append(found)
+            show(next(done), f"{probe.title}, half the step")
         for refinement in REFINEMENTS:
             actions.append((time_step / refinement, watch_actions(Bench(vehicle, sim, physics, refinement))))
-            ran("the five actions")
-    result = Fidelity(bench, [(probe, m, halved[name]) for name, (probe, m) in measured.items()], actions)
+            show(next(done), "the five actions")
+    result = Fidelity(bench, [(*pair, half) for pair, half in zip(measured, halved, strict=True)], actions)
     folder = out or Path("runs") / "fidelity" / f"{vehicle.name}-{sim}-{physics}"
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "fidelity.md", report.fidelity_markdown(result))
