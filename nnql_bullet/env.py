@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, bearing, distance, wrap_angles
-from nnql_bullet.sensing import Scan, sector_readings
+from nnql_bullet.sensing import RAYS, Scan, sector_readings
 from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property, TaskOptions, ending, reward_terms, state_property
 from nnql_bullet.worlds.spec import WorldSpec
@@ -42,6 +42,8 @@ class Observation:
     yaw_rate: float
     """[rad/s]"""
     property: Property
+    ray_distances: Array
+    """What is behind the readings (72,) [m]. The paper's vehicle is not told: only agents that say so use it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,6 @@ class Transition:
     ending: str | None
     """One of `task.ENDINGS`, or None while the episode goes on."""
     motion: Motion
-    scan: Scan
-    """The rays behind `s_t`."""
 
 
 class Navigation:
@@ -68,21 +68,19 @@ class Navigation:
         self.simulator = simulator
         self.task = task
 
-    def reset(self, world: WorldSpec) -> tuple[Observation, Scan]:
+    def reset(self, world: WorldSpec) -> Observation:
         """Starts an episode in `world`."""
         self._world = world
         self._steps = 0
         self.simulator.reset(world)
-        scan = self.simulator.scan()
-        self._observation = self._observe(self.simulator.pose(), 0.0, scan, None)
-        return self._observation, scan
+        self._observation = self._observe(self.simulator.pose(), 0.0, self.simulator.scan(), None)
+        return self._observation
 
     def step(self, action: int, trace: list[Sample] | None = None) -> Transition:
         """Carries out one decision."""
         s_tm1 = self._observation
         motion = self.simulator.advance(float(heading_change(action, s_tm1.target_bearing)), trace)
-        scan = self.simulator.scan()
-        s_t = self._observe(motion.pose, motion.yaw_rate, scan, motion)
+        s_t = self._observe(motion.pose, motion.yaw_rate, self.simulator.scan(), motion)
         self._steps += 1
         terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task).tolist()
         end = int(ending(s_t.property, self._steps, self.task))
@@ -96,7 +94,6 @@ class Navigation:
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
             ending=None if end == GOES_ON else ENDINGS[end],
             motion=motion,
-            scan=scan,
         )
 
     def _observe(self, pose: Pose, yaw_rate: float, scan: Scan, motion: Motion | None) -> Observation:
@@ -107,6 +104,7 @@ class Navigation:
             target_bearing=bearing(pose, *self._world.target),
             yaw_rate=yaw_rate,
             property=Property(int(state_property(scan.readings, touching, at_target, self.task))),
+            ray_distances=scan.distances,
         )
 
 
@@ -124,6 +122,8 @@ class Observations:
     """(n,) [rad/s]"""
     property: NDArray[np.int64]
     """`Property` (n,)."""
+    ray_distances: Array
+    """(n, 72) [m]"""
 
 
 def stacked(observations: Sequence[Observation]) -> Observations:
@@ -164,7 +164,12 @@ class FleetNavigation:
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
         self._observations = Observations(
-            np.zeros((n, paper.SECTORS)), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+            np.zeros((n, paper.SECTORS)),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n, np.int64),
+            np.zeros((n, RAYS)),
         )
 
     @property
@@ -230,6 +235,7 @@ class FleetNavigation:
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
             property=state_property(readings, touching, at_target, self.task),
+            ray_distances=ray_distances.copy(),
         )
         if len(vehicles) < self.fleet.size:
             everyone = Observations(*(getattr(self._observations, field.name).copy() for field in fields(Observations)))

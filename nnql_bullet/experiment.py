@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents import Agent, AnyAgentOptions, make_agent
+from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, Learner, Taught, make_agent
 from nnql_bullet.agents.nnql import NnqlOptions
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import Navigation
@@ -51,6 +51,8 @@ PRESETS: dict[str, dict[str, Any]] = {
             "gradient_step": 1.0,  # the target of eq. (2) taken at its word
         },
     },
+    # Another agent in the paper's place, all else being equal.
+    **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
 }
 
 
@@ -114,7 +116,8 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
         preset = values.pop("preset", "paper")
         if preset not in PRESETS:
             raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
-    return parse(RunConfig, merged(merged(PRESETS[preset], values), changes), name)
+    known_kind = {"agent": {"kind": RunConfig().agent.kind}}
+    return parse(RunConfig, merged(merged(merged(known_kind, PRESETS[preset]), values), changes), name)
 
 
 def changed(config: RunConfig, **changes: Any) -> RunConfig:
@@ -196,4 +199,27 @@ class Experiment:
     @cached_property
     def agent(self) -> Agent:
         """The agent, untrained."""
-        return make_agent(self.config.agent, self.config.seed)
+        return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+
+    @property
+    def taught(self) -> Taught:
+        """The agent as one that can be taught.
+
+        Raises:
+            UserError: If it is a rule.
+        """
+        if not isinstance(self.agent, Taught):
+            kind = self.config.agent.kind
+            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet navigate {kind}")
+        return self.agent
+
+    @property
+    def learner(self) -> Learner:
+        """The agent as one that learns step by step.
+
+        Raises:
+            UserError: If it is a rule.
+        """
+        if not isinstance(self.taught, Learner):
+            raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
+        return self.taught

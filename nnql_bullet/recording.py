@@ -17,7 +17,6 @@ from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -113,10 +112,10 @@ class Recorder:
         self._agent = agent
         self._steps: list[Transition] = []
 
-    def begin(self, world: WorldSpec, observation: Observation, scan: Scan) -> None:
+    def begin(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
         self._world = world
-        self._first = observation, scan
+        self._first = observation
         self.trace.clear()
         self._steps.clear()
 
@@ -127,8 +126,7 @@ class Recorder:
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
         steps, vehicle = self._steps, self._vehicle
-        observation, scan = self._first
-        observations = [observation, *(step.s_t for step in steps)]
+        observations = [self._first, *(step.s_t for step in steps)]
         poses = [self._world.start, *(step.motion.pose for step in steps)]
         samples = self.trace
         return Recording(
@@ -141,7 +139,7 @@ class Recorder:
             state_time=np.cumsum([0.0, *(step.motion.duration for step in steps)]),
             state_pose=_poses(poses),
             readings=np.array([observation.readings for observation in observations]),
-            ray_distances=np.array([scan.distances, *(step.scan.distances for step in steps)]),
+            ray_distances=np.array([observation.ray_distances for observation in observations]),
             state_property=np.array([observation.property.label for observation in observations]),
             q_values=self._agent.action_values(stacked([step.s_tm1 for step in steps])),
             action=np.array([step.a_tm1 for step in steps]),

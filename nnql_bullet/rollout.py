@@ -8,14 +8,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, Transition, Transitions, stacked
-from nnql_bullet.sensing import Scan
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.local import as_motions
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
 from nnql_bullet.worlds.spec import WorldSpec
 
-Policy = Callable[[Observations], NDArray[np.int64]]
-"""Actions (n,) for what n vehicles see."""
+
+class Driver(Protocol):
+    """Decides for vehicles, of which it may remember what it saw and did. Every agent is one."""
+
+    def begin(self, vehicle: int, world_seed: int) -> None:
+        """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """The actions (n,) that it holds best for vehicles 0 to n - 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reflex:
+    """A driver that remembers nothing."""
+
+    policy: Callable[[Observations], NDArray[np.int64]]
+    """Actions (n,) for what n vehicles see."""
+
+    def begin(self, vehicle: int, world_seed: int) -> None:
+        """There is nothing to forget."""
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """What the policy says."""
+        return self.policy(observations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +53,10 @@ class EpisodeSummary:
     """[m]"""
     clearance: float
     """Smallest distance to an obstacle or wall [m]."""
+    mean_clearance: float
+    """Mean over control periods of the smallest in each [m]."""
+    lateral_acceleration: float
+    """Largest at the end of a control period [m/s2]."""
     heading_error: float
     """Root mean square of what commanded turns left over at the end of their control period [rad]."""
     non_safe_steps: int
@@ -50,7 +75,8 @@ class Tally:
         self._ending = np.full(size, GOES_ON)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
-        self._clearance = np.zeros(size)
+        self._clearance, self._clearances = np.zeros(size), np.zeros(size)
+        self._lateral_acceleration = np.zeros(size)
         self._terms = np.zeros((size, len(REWARD_TERMS)))
 
     @property
@@ -67,7 +93,10 @@ class Tally:
         """A new episode of one vehicle."""
         self._world_seed[vehicle] = world_seed
         self._ending[vehicle] = GOES_ON
-        for sums in (self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors, self._terms):
+        for sums in (
+            *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
+            *(self._clearances, self._lateral_acceleration, self._terms),
+        ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
 
@@ -81,6 +110,10 @@ class Tally:
         self._path_length[on] += t.motions.path_length[on]
         self._squared_errors[on] += t.motions.heading_error[on] ** 2
         self._clearance[on] = np.minimum(self._clearance[on], t.motions.clearance[on])
+        self._clearances[on] += t.motions.clearance[on]
+        speed = t.motions.path_length[on] / t.motions.duration[on]
+        lateral = np.abs(speed * t.motions.yaw_rate[on])
+        self._lateral_acceleration[on] = np.maximum(self._lateral_acceleration[on], lateral)
         self._terms[on] += t.terms[on]
 
     def summary(self, vehicle: int) -> EpisodeSummary:
@@ -93,6 +126,8 @@ class Tally:
             duration=float(self._duration[v]),
             path_length=float(self._path_length[v]),
             clearance=float(self._clearance[v]),
+            mean_clearance=float(self._clearances[v] / self._steps[v]),
+            lateral_acceleration=float(self._lateral_acceleration[v]),
             heading_error=float(np.sqrt(self._squared_errors[v] / self._steps[v])),
             non_safe_steps=int(self._non_safe[v]),
             episode_return=sum(terms),
@@ -107,7 +142,7 @@ class Watcher(Protocol):
     def trace(self) -> list[Sample] | None:
         """Where samples between decisions go, if they are wanted."""
 
-    def begin(self, world: WorldSpec, observation: Observation, scan: Scan) -> None:
+    def begin(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
 
     def see(self, transition: Transition) -> None:
@@ -115,23 +150,24 @@ class Watcher(Protocol):
 
 
 def run_episode(
-    navigation: Navigation, world: WorldSpec, policy: Policy, watcher: Watcher | None = None
+    navigation: Navigation, world: WorldSpec, driver: Driver, watcher: Watcher | None = None
 ) -> EpisodeSummary:
     """Drives one vehicle through one episode.
 
     Args:
         navigation: The environment.
         world: Where.
-        policy: Chooses the actions.
+        driver: Chooses the actions.
         watcher: Is shown each step.
     """
-    observation, scan = navigation.reset(world)
+    observation = navigation.reset(world)
+    driver.begin(0, world.seed)
     if watcher:
-        watcher.begin(world, observation, scan)
+        watcher.begin(world, observation)
     tally = Tally(1)
     tally.begin(0, world.seed)
     while not tally.over[0]:
-        action = int(policy(stacked([observation]))[0])
+        action = int(driver.exploit(stacked([observation]))[0])
         transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
             watcher.see(transition)
@@ -140,7 +176,7 @@ def run_episode(
     return tally.summary(0)
 
 
-def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy) -> list[EpisodeSummary]:
+def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], driver: Driver) -> list[EpisodeSummary]:
     """Drives an episode in each world, as many at a time as there are vehicles.
 
     Returns:
@@ -159,10 +195,11 @@ def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], polic
         begun = {vehicle: worlds[place[vehicle]] for vehicle in free if place[vehicle] >= 0}
         for vehicle, world in begun.items():
             tally.begin(vehicle, world.seed)
+            driver.begin(vehicle, world.seed)
         navigation.reset(begun)
         active = place >= 0
         if active.any():
-            tally.add(navigation.step(policy(navigation.observations), active))
+            tally.add(navigation.step(driver.exploit(navigation.observations), active))
     return [summaries[i] for i in range(len(worlds))]
 
 

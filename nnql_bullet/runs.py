@@ -17,10 +17,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from nnql_bullet import __version__
-from nnql_bullet.agents import Agent
+from nnql_bullet.agents import RULES, Taught
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, changed
+from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
 from nnql_bullet.files import write_text
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
@@ -30,7 +30,7 @@ from nnql_bullet.training.loop import Training, TrainingEpisode
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
 _UNDER_WAY = "under_way/"
-_NUMBERS = ("duration", "path_length", "clearance", "heading_error")
+_NUMBERS = ("duration", "path_length", "clearance", "mean_clearance", "lateral_acceleration", "heading_error")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
 
-    def save(self, agent: Agent, training: Training) -> None:
+    def save(self, agent: Taught, training: Training) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
         Raises:
@@ -78,11 +78,11 @@ class Run:
         write_text(self.folder / CONFIG, text)
 
 
-def open_policy(run: Path, changes: Mapping[str, Any]) -> tuple[Experiment, int]:
-    """What a run has learned, ready to drive.
+def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, int]:
+    """What a run has learned, or a rule that has nothing to learn, ready to drive.
 
     Args:
-        run: Its folder, or a policy file.
+        policy: A run's folder, a policy file, the name of a rule, or a TOML file that configures one.
         changes: Nested values laid over the configuration that it was trained with; None leaves what is there.
 
     Returns:
@@ -91,10 +91,19 @@ def open_policy(run: Path, changes: Mapping[str, Any]) -> tuple[Experiment, int]
     Raises:
         UserError: If there is no policy, or a value is wrong.
     """
-    path = run / POLICY if run.is_dir() else run
+    name = str(policy)
+    if policy.suffix == ".toml" or (name in RULES and not policy.exists()):
+        experiment = Experiment(changed(load_config(name, {}), **changes))
+        kind = experiment.config.agent.kind
+        if kind not in RULES:
+            raise UserError(f"{name}: '{kind}' has to learn first; train it with: nnql-bullet train --config {name}")
+        return experiment, 0
+    if not policy.exists():
+        raise UserError(f"{name}: no such run or policy file, and no rule; rules: {', '.join(RULES)}")
+    path = policy / POLICY if policy.is_dir() else policy
     weights = load_weights(path)
     experiment = Experiment(changed(parse(RunConfig, weights.config, str(path)), **changes))
-    experiment.agent.load(weights.arrays)
+    experiment.taught.load(weights.arrays)
     return experiment, weights.episodes
 
 

@@ -97,7 +97,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         super().reset(seed=seed)
         given = (options or {}).get("world_seed")
         world = self.world(_draw_seed(self.np_random) if given is None else int(given))
-        observation, _ = self._experiment.navigation.reset(world)
+        observation = self._experiment.navigation.reset(world)
         return _vectors(observation, self.observation_space), {"world_seed": world.seed}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:

@@ -84,10 +84,10 @@ def evaluate(trial: Trial) -> None:
     weights = load_weights(trial.run / POLICY)
     config = changed(parse(RunConfig, weights.config, str(trial.run)), world=trial.world, physics=trial.physics)
     experiment = Experiment(config)
-    experiment.agent.load(weights.arrays)
+    experiment.taught.load(weights.arrays)
     lines = ["world_seed,ending,duration,path_length,clearance"]
     for seed in TEST_WORLDS[: trial.worlds]:
-        s = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit)
+        s = run_episode(experiment.navigation, experiment.world(seed), experiment.agent)
         lines.append(f"{seed},{s.ending},{s.duration!r},{s.path_length!r},{s.clearance!r}")
     write_text(trial.result, "\n".join(lines) + "\n")
 

@@ -40,14 +40,14 @@ def successes(trial: Trial) -> list[float]:
     config = RunConfig(simulator="twin", vehicles=trial.vehicles, seed=trial.seed)
     experiment = Experiment(config)
     navigation = FleetNavigation(experiment.fleet(1), config.task)
-    training = Training(experiment.agent, navigation, experiment.training_world, config.seed)
+    training = Training(experiment.learner, navigation, experiment.training_world, config.seed)
     for _ in islice(training.episodes(), config.episodes):
         pass
     shares = []
     for world in COVERS.values():
         test = Experiment(changed(config, world=world, vehicles=trial.worlds))
         worlds = [test.world(seed) for seed in VALIDATION_WORLDS[: trial.worlds]]
-        summaries = run_episodes(FleetNavigation(test.fleet(1), config.task), worlds, experiment.agent.exploit)
+        summaries = run_episodes(FleetNavigation(test.fleet(1), config.task), worlds, experiment.agent)
         shares.append(float(np.mean([summary.ending == "goal" for summary in summaries])))
     return shares
 

@@ -209,9 +209,15 @@ def test_preset_paper_is_the_defaults():
             "unknown key 'episode'; valid keys: agent, conditions, drive, episodes, physics, robot,",
         ),
         ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: front_distance, front_side_distance,"),
-        ({"agent": {"gamma": 0.1}}, "unknown key 'agent.gamma'; valid keys: discount, encoding, gradient_step,"),
+        (
+            {"agent": {"kind": "nnql", "gamma": 0.1}},
+            "unknown key 'agent.gamma'; valid keys: discount, encoding, gradient_step,",
+        ),
         ({"seed": -1}, "'seed': input should be greater than or equal to 0, not -1"),
-        ({"agent": {"discount": 1.5}}, "'agent.discount': input should be less than or equal to 1, not 1.5"),
+        (
+            {"agent": {"kind": "nnql", "discount": 1.5}},
+            "'agent.discount': input should be less than or equal to 1, not 1.5",
+        ),
     ],
 )
 def test_mistakes_in_a_run_config_are_named(values, message):

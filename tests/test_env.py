@@ -20,7 +20,7 @@ import nnql_bullet  # noqa: F401 (registers the environment)
 from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Navigation, Observation, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sensing import Scan
+from nnql_bullet.sensing import RAYS, Scan, sector_readings
 from nnql_bullet.sim.base import DriveOptions, Motion, Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.engines import contact_simulator
@@ -244,9 +244,9 @@ TOWARD = [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), 
 
 class TestObservations:
     SEEN = (
-        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, Property.SAFE),
-        Observation(np.array(NEAR), 20.0, -0.5, 0.2, Property.NON_SAFE),
-        Observation(np.array(NEARER), 1.0, 0.0, 0.0, Property.WINNING),
+        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, Property.SAFE, np.full(RAYS, 9.0)),
+        Observation(np.array(NEAR), 20.0, -0.5, 0.2, Property.NON_SAFE, np.full(RAYS, 5.0)),
+        Observation(np.array(NEARER), 1.0, 0.0, 0.0, Property.WINNING, np.full(RAYS, 1.0)),
     )
 
     def test_stacked_has_a_row_for_each_vehicle(self) -> None:
@@ -255,14 +255,16 @@ class TestObservations:
         assert many.target_distance.tolist() == [30.0, 20.0, 1.0]
         assert many.target_bearing.tolist() == [0.5, -0.5, 0.0]
         assert many.yaw_rate.tolist() == [-0.1, 0.2, 0.0]
+        assert many.ray_distances.tolist() == [[9.0] * RAYS, [5.0] * RAYS, [1.0] * RAYS]
         assert many.property.tolist() == [Property.SAFE, Property.NON_SAFE, Property.WINNING]
 
 
 class TestTransition:
     def test_the_first_observation_is_of_the_start(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
         world = world_of(start=Pose(10.0, 20.0, 0.5), target=(40.0, 60.0))
-        observation, scan = Navigation(Puppet([NEAR], [], vehicle), TaskOptions()).reset(world)
-        assert observation.readings.tolist() == scan.readings.tolist() == NEAR
+        observation = Navigation(Puppet([NEAR], [], vehicle), TaskOptions()).reset(world)
+        assert observation.readings.tolist() == NEAR
+        assert sector_readings(observation.ray_distances).tolist() == NEAR
         assert observation.target_distance == pytest.approx(50.0)
         assert observation.target_bearing == pytest.approx(atan2(40.0, 30.0) - 0.5)
         assert observation.yaw_rate == 0.0
@@ -273,7 +275,7 @@ class TestTransition:
         first, second = navigation.step(0), navigation.step(1)
         assert second.s_tm1 is first.s_t
         assert (first.a_tm1, second.a_tm1) == (0, 1)
-        assert first.s_t.readings.tolist() == first.scan.readings.tolist() == NEAR
+        assert first.s_t.readings.tolist() == sector_readings(first.s_t.ray_distances).tolist() == NEAR
 
     @pytest.mark.parametrize(
         ("before", "after", "flags", "term", "reward"),

@@ -63,8 +63,8 @@ class TestSimulatorsSeenThroughFaults:
         config = RunConfig(world=str(small_world), simulator="twin", conditions=Conditions(sensors=faults), vehicles=3)
         experiment = Experiment(config)
         worlds = [experiment.world(seed) for seed in range(4)]
-        many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent.exploit)
-        alone = [run_episode(experiment.navigation, world, experiment.agent.exploit) for world in worlds]
+        many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent)
+        alone = [run_episode(experiment.navigation, world, experiment.agent) for world in worlds]
         assert many == alone
 
     def test_what_is_seen_is_the_same_until_the_vehicle_moves(

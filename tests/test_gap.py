@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from nnql_bullet.agents import make_agent
-from nnql_bullet.agents.nnql import NnqlOptions
+from nnql_bullet.agents.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.env import TOWARD_TARGET, Navigation, Observations
 from nnql_bullet.evaluation.causes import apart, departures, explain, parting
@@ -21,7 +20,7 @@ from nnql_bullet.evaluation.gap import Pair, differences, divergence, outcome_ma
 from nnql_bullet.evaluation.statistics import mcnemar, share
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
-from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.sim.base import DriveOptions, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.twin import TwinSimulator
@@ -39,8 +38,8 @@ def recorded(simulator: Simulator, world: WorldSpec, actions: list[int]) -> Reco
     def policy(observations: Observations) -> np.ndarray[Any, Any]:
         return np.array([next(waiting, STRAIGHT)])
 
-    recorder = Recorder(simulator.vehicle, make_agent(NnqlOptions(), 0))
-    run_episode(Navigation(simulator, TaskOptions(max_steps=len(actions))), world, policy, watcher=recorder)
+    recorder = Recorder(simulator.vehicle, Nnql(NnqlOptions(), 0))
+    run_episode(Navigation(simulator, TaskOptions(max_steps=len(actions))), world, Reflex(policy), watcher=recorder)
     simulator.close()
     return recorder.recording()
 
@@ -196,7 +195,7 @@ class TestCauses:
 
 
 def summary(ending: str, duration: float = 10.0, clearance: float = 1.0) -> EpisodeSummary:
-    return EpisodeSummary(0, ending, 20, duration, 2 * duration, clearance, 0.0, 3, 0.0, {})
+    return EpisodeSummary(0, ending, 20, duration, 2 * duration, clearance, 2.0, 1.0, 0.0, 3, 0.0, {})
 
 
 def pair(first: str, second: str, apart: list[float], parted: float = math.inf, **second_with: float) -> Pair:

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import softmax
 
-from nnql_bullet.agents import NnqlOptions, make_agent
+from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.agents.nnql import Nnql, boltzmann, encode, nearest_turns
 from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
 from nnql_bullet.task import GOES_ON, REWARD_TERMS, Property
 
@@ -25,7 +26,7 @@ all_readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 
 def observed(readings=BEFORE, state=Property.NON_SAFE, target_bearing=0.3):
     """What one vehicle sees."""
-    return stacked([Observation(np.array(readings), 50.0, target_bearing, 0.0, state)])
+    return stacked([Observation(np.array(readings), 50.0, target_bearing, 0.0, state, np.full(RAYS, 10.0))])
 
 
 def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
@@ -604,7 +605,7 @@ def test_observations_are_not_changed():
 
 
 def test_learning_is_reproducible():
-    agents = [make_agent(NnqlOptions(), 9) for _ in range(2)]
+    agents = [Nnql(NnqlOptions(), 9) for _ in range(2)]
     for agent in agents:
         for action in (0, 4, 2, 2, 1):
             agent.learn(transition(action, reward=0.1 * action))

@@ -14,14 +14,13 @@ import pytest
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from nnql_bullet.agents import make_agent
-from nnql_bullet.agents.nnql import NnqlOptions
+from nnql_bullet.agents.nnql import Nnql, NnqlOptions
 from nnql_bullet.env import Navigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_learning_curve, draw_trajectory
-from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
@@ -41,14 +40,14 @@ def record(vehicle: VehicleSpec) -> Record:
 
     def make(world: WorldSpec, *actions: int, max_steps: int = 500) -> tuple[Recording, EpisodeSummary]:
         simulator = BulletSimulator(vehicle, DriveOptions(), PHYSICS["fast"])
-        recorder = Recorder(vehicle, make_agent(NnqlOptions(), 0))
+        recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
         script = cycle(actions)
 
         def policy(observations: Observations) -> NDArray[np.int64]:
             return np.array([next(script)])
 
         navigation = Navigation(simulator, TaskOptions(max_steps=max_steps))
-        summary = run_episode(navigation, world, policy, watcher=recorder)
+        summary = run_episode(navigation, world, Reflex(policy), watcher=recorder)
         simulator.close()
         return recorder.recording(policy="script", physics="fast"), summary
 
@@ -321,6 +320,8 @@ def training(endings: str) -> list[TrainingEpisode]:
             duration=5.0,
             path_length=10.0,
             clearance=0.5,
+            mean_clearance=2.0,
+            lateral_acceleration=1.0,
             heading_error=0.0,
             non_safe_steps=3,
             episode_return=1.0,

@@ -22,7 +22,8 @@ import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents import Agent, make_agent
+from nnql_bullet.agents import Learner
+from nnql_bullet.agents.nnql import Nnql
 from nnql_bullet.env import FleetNavigation, Navigation, Observations, Transition, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
@@ -48,7 +49,7 @@ class Parts:
     """A training and what it is made of."""
 
     experiment: Experiment
-    agent: Agent
+    agent: Learner
     fleet: Fleet
     training: Training
 
@@ -60,7 +61,7 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
 
     def make(
         vehicles: int,
-        agent: Callable[[Agent], Agent] = lambda agent: agent,
+        agent: Callable[[Learner], Learner] = lambda agent: agent,
         fleet: Callable[[Fleet], Fleet] = lambda fleet: fleet,
         max_steps: int = 40,
         simulator: str = "twin",
@@ -74,7 +75,7 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
         )
         experiment = Experiment(config)
         fleets.append(experiment.fleet(1))
-        inner, learner = fleet(fleets[-1]), agent(experiment.agent)
+        inner, learner = fleet(fleets[-1]), agent(experiment.learner)
         navigation = FleetNavigation(inner, config.task)
         return Parts(experiment, learner, inner, Training(learner, navigation, experiment.training_world, config.seed))
 
@@ -90,7 +91,7 @@ def same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> 
 class Spy:
     """An agent whose training is written down."""
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(self, agent: Learner) -> None:
         self._agent = agent
         self.asked: list[list[int]] = []
         """Which episodes the vehicles were in, at each step."""
@@ -154,14 +155,14 @@ def batch_of_one(t: Transition) -> Transitions:
 def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode], Arrays]:
     """The paper's online learning, written down anew: one vehicle, one step, one update."""
     config = experiment.config
-    agent = make_agent(config.agent, config.seed)
+    agent = Nnql(config.agent, config.seed)
     found = []
     with closing(TwinSimulator(experiment.vehicle, config.drive)) as simulator:
         navigation = Navigation(simulator, config.task)
         for episode in range(episodes):
             world = experiment.world(training_world_seed(config.seed, episode))
             uniforms = rng(config.seed, Stream.POLICY, episode).random(config.task.max_steps)
-            observation, _ = navigation.reset(world)
+            observation = navigation.reset(world)
             steps, errors = [], []
             while not steps or steps[-1].ending is None:
                 chance = uniforms[len(steps) : len(steps) + 1]
@@ -184,6 +185,8 @@ def summed_up(world_seed: int, steps: list[Transition]) -> EpisodeSummary:
         duration=sum(t.motion.duration for t in steps),
         path_length=sum(t.motion.path_length for t in steps),
         clearance=min(t.motion.clearance for t in steps),
+        mean_clearance=sum(t.motion.clearance for t in steps) / len(steps),
+        lateral_acceleration=max(abs(t.motion.path_length / t.motion.duration * t.motion.yaw_rate) for t in steps),
         heading_error=sqrt(sum(t.motion.heading_error**2 for t in steps) / len(steps)),
         non_safe_steps=sum(t.s_tm1.property.label == "NS" for t in steps),
         episode_return=sum(t.r_t for t in steps),
@@ -191,7 +194,10 @@ def summed_up(world_seed: int, steps: list[Transition]) -> EpisodeSummary:
     )
 
 
-NUMBERS = ("duration", "path_length", "clearance", "heading_error", "episode_return")
+NUMBERS = (
+    *("duration", "path_length", "clearance", "mean_clearance", "lateral_acceleration", "heading_error"),
+    "episode_return",
+)
 
 
 class TestOneVehicle:

@@ -134,7 +134,7 @@ def test_a_caster_in_a_steady_turn_settles_at_the_angle_of_the_circle():
 
 def test_a_run_can_be_trained_in_it():
     experiment = Experiment(RunConfig(simulator="twin"))
-    observation, _ = experiment.navigation.reset(experiment.world(0))
+    observation = experiment.navigation.reset(experiment.world(0))
     assert isinstance(experiment.simulator, TwinSimulator)
     (action,) = experiment.agent.exploit(stacked([observation])).tolist()
     assert experiment.navigation.step(action).motion.speed == 2.0

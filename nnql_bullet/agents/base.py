@@ -1,16 +1,46 @@
-"""What an agent is to the loop that runs it."""
+"""What an agent is to those that run it: one that drives, one that was taught, one that learns step by step."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet import paper
 from nnql_bullet.env import Observations, Transitions
 from nnql_bullet.geometry import Array
 
 
 class Agent(Protocol):
-    """Chooses among the environment's six actions for each of n vehicles, and learns from what comes of it."""
+    """Chooses among the environment's six actions for each of n vehicles. It is a `rollout.Driver`."""
+
+    def begin(self, vehicle: int, world_seed: int) -> None:
+        """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """The actions (n,) that the agent holds best for vehicles 0 to n - 1."""
+
+    def action_values(self, observations: Observations) -> Array:
+        """What it expects of the paper's five turns (n, 5); NaN where it did not ask itself."""
+
+
+@runtime_checkable
+class Taught(Agent, Protocol):
+    """An agent that drives by what it was taught, however that came about."""
+
+    def arrays(self) -> dict[str, Array]:
+        """Everything that learning changes, by name: what a checkpoint keeps."""
+
+    def load(self, arrays: dict[str, Array]) -> None:
+        """Takes back what `arrays` gave.
+
+        Raises:
+            UserError: If these are not arrays of such an agent.
+        """
+
+
+@runtime_checkable
+class Learner(Taught, Protocol):
+    """An agent that learns from every step, as Q-learning does."""
 
     def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
         """Actions (n,) for learning.
@@ -20,12 +50,6 @@ class Agent(Protocol):
             episodes: Which training episode each is in (n,), counted from 0.
             uniforms: All the chance there is: a number in [0, 1) for each (n,).
         """
-
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
-        """The actions (n,) that the agent holds best."""
-
-    def action_values(self, observations: Observations) -> Array:
-        """What it expects of the paper's five turns (n, 5); NaN where it did not ask itself."""
 
     def learn(self, transitions: Transitions) -> Array:
         """Learns from one step of n vehicles, at once.
@@ -37,12 +61,17 @@ class Agent(Protocol):
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Named numbers of a training episode for the log."""
 
-    def arrays(self) -> dict[str, Array]:
-        """Everything that learning changes, by name: what a checkpoint keeps."""
 
-    def load(self, arrays: dict[str, Array]) -> None:
-        """Takes back what `arrays` gave.
+class Memoryless:
+    """The part of an agent that remembers nothing of a vehicle."""
 
-        Raises:
-            UserError: If these are not arrays of such an agent.
-        """
+    def begin(self, vehicle: int, world_seed: int) -> None:
+        """There is nothing to forget."""
+
+
+class Rule(Memoryless):
+    """The parts that agents share which compare no values of turns, and by default remember nothing."""
+
+    def action_values(self, observations: Observations) -> Array:
+        """It has none: NaN (n, 5)."""
+        return np.full((len(observations.property), len(paper.TURNS)), np.nan)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
+from nnql_bullet.agents.base import Memoryless
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions, heading_change
 from nnql_bullet.errors import UserError
@@ -60,7 +61,7 @@ class NnqlOptions:
             )
 
 
-class Nnql:
+class Nnql(Memoryless):
     """The 8-6-5 network: sigmoid hidden units, linear outputs (targets reach -0.6), one Q-value a turn."""
 
     def __init__(self, options: NnqlOptions, seed: int) -> None:

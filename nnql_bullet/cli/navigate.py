@@ -63,7 +63,7 @@ def navigate(
     config = experiment.config
     spec = experiment.world(seed)
     recorder = Recorder(experiment.vehicle, experiment.agent)
-    summary = run_episode(experiment.navigation, spec, experiment.agent.exploit, watcher=recorder)
+    summary = run_episode(experiment.navigation, spec, experiment.agent, watcher=recorder)
     given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
     name = [spec.name, str(seed), *([sim] if sim != "bullet" else [])]
     name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]

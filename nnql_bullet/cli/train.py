@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from nnql_bullet.agents import Agent
+from nnql_bullet.agents import Learner
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
@@ -84,12 +84,13 @@ def train(
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
         resolved = load_config(name, {**changes, "vehicles": vehicles})
         experiment, state = Experiment(resolved), None
+        experiment.taught  # noqa: B018 (refuses rules)
         experiment.training_world(0)  # what is wrong with world or robot shows before anything is written
         run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
     with closing(experiment.fleet(workers)) as fleet:
-        agent = experiment.agent
+        agent = experiment.learner
         navigation = FleetNavigation(fleet, c.task)
         training = loop.Training(agent, navigation, experiment.training_world, c.seed)
         where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
@@ -121,7 +122,7 @@ def train(
     return 130
 
 
-def _run(run: Run, agent: Agent, training: loop.Training) -> bool:
+def _run(run: Run, agent: Learner, training: loop.Training) -> bool:
     """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
 
     Raises:

@@ -153,7 +153,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
     experiment = _experiment(task.run, task.world, task.side, task.fault)
     trials = []
     for seed in task.seeds:
-        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit)
+        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent)
         trials.append(Trial(task.run, task.side, task.fault, summary))
     return trials
 
@@ -167,7 +167,7 @@ def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> E
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
     recorder = Recorder(experiment.vehicle, experiment.agent)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent.exploit, watcher=recorder)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
     c = experiment.config
     return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)
 

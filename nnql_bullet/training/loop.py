@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.agents import Agent
+from nnql_bullet.agents import Learner
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import EpisodeSummary, Tally
@@ -42,7 +42,7 @@ class Training:
     """
 
     def __init__(
-        self, agent: Agent, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
+        self, agent: Learner, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
     ) -> None:
         self._agent = agent
         self._navigation = navigation

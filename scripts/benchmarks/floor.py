@@ -67,7 +67,7 @@ def fast_over_floor(seeds: range, rounds: int, steps: int) -> float:
 
 def _recorded(experiment: Experiment, seed: int, most: int) -> Drive:
     world, navigation = experiment.world(seed), experiment.navigation
-    observation, _ = navigation.reset(world)
+    observation = navigation.reset(world)
     trace: list[Sample] = []
     commands: list[list[float]] = []
     motors = pybullet.setJointMotorControlArray

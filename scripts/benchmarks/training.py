@@ -25,7 +25,7 @@ def paper_training_s(simulator: Literal["twin", "bullet"], cores: int) -> float:
     experiment = Experiment(config)
     with closing(experiment.fleet(cores)) as fleet:
         navigation = FleetNavigation(fleet, config.task)
-        training = Training(experiment.agent, navigation, experiment.training_world, config.seed)
+        training = Training(experiment.learner, navigation, experiment.training_world, config.seed)
         for _ in islice(training.episodes(), config.episodes):
             pass
     return time.perf_counter() - begin
@@ -70,6 +70,6 @@ def nnql_steps() -> Iterator[int]:
     config = experiment.config
     navigation = FleetNavigation(experiment.fleet(1), config.task)
     taken = 0
-    for episode in Training(experiment.agent, navigation, experiment.training_world, config.seed).episodes():
+    for episode in Training(experiment.learner, navigation, experiment.training_world, config.seed).episodes():
         taken += episode.summary.steps
         yield taken
