@@ -139,6 +139,11 @@ class Experiment:
                 f"'{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
 
+    @property
+    def room(self) -> float:
+        """Half width of the path that every world has for the vehicle [m]."""
+        return self.vehicle.clear_radius + PATH_MARGIN
+
     def world(self, seed: int) -> WorldSpec:
         """The world of a seed.
 
@@ -147,7 +152,7 @@ class Experiment:
         """
         if seed < 0:
             raise UserError(f"world seed {seed}: world seeds are not negative")
-        world = self.worlds.draw(seed, self.vehicle.clear_radius + PATH_MARGIN)
+        world = self.worlds.draw(seed, self.room)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")

@@ -13,6 +13,7 @@ class Stream(IntEnum):
     POLICY = 2
     WEIGHTS = 3
     SENSOR_NOISE = 4
+    BOOTSTRAP = 5
 
 
 VALIDATION_WORLDS = range(0, 100_000)

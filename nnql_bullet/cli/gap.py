@@ -4,7 +4,7 @@ import json
 import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -13,16 +13,14 @@ from nnql_bullet.cli.work import run_all
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
+from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import make_executor
 from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import gap as report
 from nnql_bullet.runs import open_policy
-from nnql_bullet.seeding import TEST_WORLDS, VALIDATION_WORLDS
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.task import ENDINGS
-
-SPLITS = {"validation": VALIDATION_WORLDS, "test": TEST_WORLDS}
 
 
 def gap(
@@ -33,7 +31,7 @@ def gap(
     physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
     worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 100,
-    split: Annotated[Literal["validation", "test"], tyro.conf.arg(help_behavior_hint="")] = "validation",
+    split: Annotated[SplitName, tyro.conf.arg(help_behavior_hint="")] = "validation",
     faults: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
@@ -62,11 +60,9 @@ def gap(
         workers: Processes; default one a core. The result does not depend on it.
         out: Where the report goes; default runs/gap.
     """
-    if worlds < 1:
-        raise UserError(f"--worlds must be at least 1, not {worlds}")
     if against == sim:
         raise UserError(f"--against {against} is the engine itself; give another, or another --sim")
-    seeds = SPLITS[split][:worlds]
+    seeds = split_seeds(split, worlds)
     first, second = Side(against, physics), Side(sim, physics)
     _check(runs, world, (first, second), seeds[0])
     folder = out or Path("runs") / "gap"

@@ -14,6 +14,7 @@ from nnql_bullet import __version__
 from nnql_bullet.cli.console import complain, say
 from nnql_bullet.cli.doctor import doctor
 from nnql_bullet.cli.envelope import envelope
+from nnql_bullet.cli.evaluate import evaluate
 from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.navigate import navigate
@@ -25,6 +26,7 @@ from nnql_bullet.sim.base import WorkerDied
 VERBS: dict[str, Callable[..., int]] = {
     "train": train,
     "navigate": navigate,
+    "evaluate": evaluate,
     "gap": gap,
     "fidelity": fidelity,
     "envelope": envelope,

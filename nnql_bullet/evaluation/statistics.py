@@ -1,8 +1,12 @@
 """Intervals and tests, by SciPy."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from scipy.stats import binomtest
+import numpy as np
+from scipy.stats import binomtest, bootstrap, trim_mean
+
+from nnql_bullet.geometry import Array
 
 
 class Share(NamedTuple):
@@ -36,3 +40,40 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """
     discordant = only_first + only_second
     return float(binomtest(only_first, discordant).pvalue) if discordant else 1.0
+
+
+RESAMPLES = 2000
+
+
+def interquartile_mean(scores: Array) -> float:
+    """Mean of the middle half of scores (n,); with fewer than four of them, of all."""
+    return float(trim_mean(scores, 0.25))
+
+
+def seeds_share(scores: Sequence[Array], generator: np.random.Generator) -> Share | None:
+    """Inter-quartile mean of success over training seeds, with a stratified bootstrap 95 % interval.
+
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (NeurIPS 2021): the runs of
+    each task are drawn anew, with replacement, within that task.
+
+    Args:
+        scores: Of each task, the share of successes of every training seed (n,).
+        generator: Of the bootstrap.
+
+    Returns:
+        Nothing for a single seed, which says nothing of the spread.
+    """
+    if min(map(len, scores)) < 2:
+        return None
+    value = interquartile_mean(np.concatenate(scores))
+    if all(np.ptp(task) == 0 for task in scores):  # nothing that could vary
+        return Share(value, value, value)
+    result = bootstrap(
+        tuple(scores),
+        lambda *drawn, axis=-1: trim_mean(np.concatenate(drawn, axis), 0.25, axis),
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=generator,
+    )
+    interval = result.confidence_interval
+    return Share(value, float(interval.low), float(interval.high))

@@ -32,7 +32,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
     whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
     draw_world(whole, recording)
-    _draw_path(whole, recording)
+    draw_path(whole, recording)
     whole.set(
         xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]"
     )
@@ -101,7 +101,8 @@ def draw_world(axes: Axes, recording: Recording) -> None:
     axes.plot(world["start"]["x"], world["start"]["y"], "o", color=INK, ms=5, zorder=5)
 
 
-def _draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
+def draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
+    """The path coloured by safe and non-safe, with outlines of the vehicle, and where it ended."""
     points = recording.sample_pose[:, :2]
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
@@ -118,7 +119,7 @@ def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
     """The tightest moment, enlarged."""
     x, y, _ = recording.state_pose[int(np.argmin(recording.clearance)) + 1]
     draw_world(axes, recording)
-    _draw_path(axes, recording, detail=2.0)
+    draw_path(axes, recording, detail=2.0)
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.set_title("the tightest moment", fontsize=10)
 

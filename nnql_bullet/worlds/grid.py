@@ -12,8 +12,10 @@ from nnql_bullet.worlds.spec import WorldSpec
 CELL = 0.2
 """Side of a cell [m]."""
 
-_DIAGONAL = hypot(CELL, CELL)
-_GROWTH = np.array([0.0, 0.0, _DIAGONAL / 2, _DIAGONAL / 2, 0.0, 0.0])
+DIAGONAL = hypot(CELL, CELL)
+"""Of a cell [m]."""
+GROWTH = np.array([0.0, 0.0, DIAGONAL / 2, DIAGONAL / 2, 0.0, 0.0])
+"""What the rows of boxes grow by, so that none is too thin to take a cell."""
 
 Cell = tuple[int, int]
 """Row along y, column along x."""
@@ -27,17 +29,18 @@ def is_solvable(world: WorldSpec, clearance: float) -> bool:
     is at least `clearance` away from anywhere in it.
     """
     shape = floor(world.depth / CELL + 1e-9), floor(world.width / CELL + 1e-9)
-    start, target = _cell_of(world.start.x, world.start.y), _cell_of(*world.target)
+    start, target = cell_of(world.start.x, world.start.y), cell_of(*world.target)
     if not all(0 <= cell[axis] < shape[axis] for cell in (start, target) for axis in (0, 1)):
         return False
-    boxes = world.solids[: len(world.obstacles)] + _GROWTH
+    boxes = world.solids[: len(world.obstacles)] + GROWTH
     # Between cell centres; points of the two cells may each be half a diagonal nearer.
-    reach = clearance + _DIAGONAL
+    reach = clearance + DIAGONAL
     # From the target, which most worlds have nearer to a corner: what is more often shut in is sooner searched.
     return bool(_are_joined(target, start, shape, boxes, reach))
 
 
-def _cell_of(x: float, y: float) -> Cell:
+def cell_of(x: float, y: float) -> Cell:
+    """The cell that a point [m] lies in."""
     return floor(y / CELL), floor(x / CELL)
 
 
@@ -96,5 +99,5 @@ def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float)
                 if not seen[row, column]:
                     seen[row, column] = True
                     to_go = (row - end[0]) ** 2 + (column - end[1]) ** 2
-                    heappush(heap, (to_go, (row, column), room - _DIAGONAL))
+                    heappush(heap, (to_go, (row, column), room - DIAGONAL))
     return False

@@ -1,0 +1,219 @@
+"""Policies through worlds: what is to be driven, in pieces that are kept, and the driving."""
+
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from nnql_bullet import __version__
+from nnql_bullet.env import FleetNavigation
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.parts import part_name
+from nnql_bullet.evaluation.policies import Policy
+from nnql_bullet.evaluation.splits import BLOCK, SplitName, check_frozen, load_frozen, split_seeds
+from nnql_bullet.experiment import Experiment, SimulatorName
+from nnql_bullet.recording import Recorder, Recording
+from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
+from nnql_bullet.runs import open_policy
+from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
+from nnql_bullet.worlds.paths import Difficulty, difficulty
+
+
+@dataclass(frozen=True, slots=True)
+class Tier:
+    """Worlds of one file."""
+
+    file: str
+    """A shipped world or a TOML file."""
+    name: str
+    cover: float | None
+    """Share of the arena under boxes that the file asks for, where it scatters boxes and nothing else."""
+    seeds: range
+    digests: tuple[str, ...]
+    """Of the worlds."""
+    frozen: bool
+    """Whether they were checked to be the frozen ones."""
+
+    @property
+    def title(self) -> str:
+        """As it is printed."""
+        return self.name if self.cover is None else f"{100 * self.cover:g} % cover"
+
+    def block(self, first: int) -> range:
+        """Seeds of the worlds of one piece of work, the first of which is this one of the tier."""
+        return self.seeds[first : first + BLOCK]
+
+    def drawn(self, first: int) -> tuple[str, ...]:
+        """Seeds and hashes of the worlds of such a piece."""
+        return *map(str, self.block(first)), *self.digests[first : first + BLOCK]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """In what policies are driven."""
+
+    split: SplitName
+    simulator: SimulatorName
+    physics: PhysicsName
+
+    @property
+    def title(self) -> str:
+        """As it is printed."""
+        where = "the ideal twin" if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
+        return f"{self.split} worlds, {where}"
+
+
+def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
+    """Draws the first worlds of a split from each file, and checks them.
+
+    Args:
+        files: Shipped worlds or TOML files.
+        setting: Names the split.
+        worlds: How many of each.
+        policy: Any of those that will drive; its vehicle has to fit through.
+
+    Raises:
+        UserError: If a file is wrong or given twice, or its worlds are not what they were.
+    """
+    seeds, frozen = split_seeds(setting.split, worlds), load_frozen()
+    tiers: list[Tier] = []
+    for file in files:
+        experiment, _ = open_policy(Path(policy.path), {"world": file})
+        name, layout = experiment.worlds.name, experiment.worlds.file.layout
+        if name in [tier.name for tier in tiers]:
+            raise UserError(f"there are two worlds named '{name}'; give each once")
+        checked = check_frozen(file, setting.split, worlds, policy.room, experiment.world, frozen)
+        digests = tuple(experiment.world(seed).digest for seed in seeds)
+        cover = layout.cover if isinstance(layout, RandomBoxes) else None
+        tiers.append(Tier(file, name, cover, seeds, digests, checked))
+    return tiers
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTask:
+    """One policy through some worlds of a tier."""
+
+    policy: Policy
+    tier: Tier
+    setting: Setting
+    first: int
+    """Of the worlds, counted in the tier."""
+
+    @property
+    def size(self) -> int:
+        """How many worlds."""
+        return len(self.tier.block(self.first))
+
+    @property
+    def seed(self) -> int:
+        """Of the first world."""
+        return self.tier.seeds[self.first]
+
+    @property
+    def part(self) -> str:
+        """See `parts.Piece`."""
+        where = self.setting.simulator, self.setting.physics
+        return part_name("drives", self.policy.fingerprint, *where, *self.tier.drawn(self.first))
+
+
+def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
+    """All there is to drive, in pieces."""
+    return [
+        DriveTask(policy, tier, setting, first)
+        for policy in policies
+        for tier in tiers
+        for first in range(0, len(tier.seeds), BLOCK)
+    ]
+
+
+def drive(task: DriveTask) -> list[EpisodeSummary]:
+    """Drives a piece: the twin all worlds at once, contact physics one after another."""
+    seeds = task.tier.block(task.first)
+    if task.setting.simulator == "twin":
+        experiment = _experiment(task.policy.path, task.tier.file, task.setting, len(seeds))
+        with closing(experiment.fleet(workers=1)) as fleet:
+            navigation = FleetNavigation(fleet, experiment.config.task)
+            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.agent)
+    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
+    return [run_episode(experiment.navigation, experiment.world(seed), experiment.agent) for seed in seeds]
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyTask:
+    """How hard some worlds of a tier are."""
+
+    policy: Policy
+    """Whose vehicle has to fit through."""
+    tier: Tier
+    setting: Setting
+    first: int
+    """Of the worlds, counted in the tier."""
+
+    @property
+    def size(self) -> int:
+        """How many worlds."""
+        return len(self.tier.block(self.first))
+
+    @property
+    def seed(self) -> int:
+        """Of the first world."""
+        return self.tier.seeds[self.first]
+
+    @property
+    def part(self) -> str:
+        """See `parts.Piece`."""
+        return part_name("survey", self.policy.room, *self.tier.drawn(self.first))
+
+
+def survey(task: SurveyTask) -> list[Difficulty]:
+    """Looks at each world."""
+    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
+    seeds = task.tier.block(task.first)
+    return [difficulty(experiment.world(seed), experiment.room) for seed in seeds]
+
+
+def survey_tasks(policy: Policy, tiers: Sequence[Tier], setting: Setting) -> list[SurveyTask]:
+    """All worlds, in pieces."""
+    return [SurveyTask(policy, tier, setting, first) for tier in tiers for first in range(0, len(tier.seeds), BLOCK)]
+
+
+@dataclass(frozen=True, slots=True)
+class FilmTask:
+    """One drive that is driven again, to be recorded: simulators repeat themselves bit for bit."""
+
+    policy: Policy
+    tier: Tier
+    setting: Setting
+    seed: int
+    """Of the world."""
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.policy.name.replace('/', '_')}-{self.tier.name}-{self.seed}.npz"
+
+    @property
+    def replay(self) -> str:
+        """The command that drives it again, exactly."""
+        s = self.setting
+        where = "--sim twin" if s.simulator == "twin" else f"--sim {s.simulator} --physics {s.physics}"
+        return f"nnql-bullet navigate {self.policy.path} --world {self.tier.file} --seed {self.seed} {where}"
+
+
+def film(task: FilmTask) -> Recording:
+    """Records the drive."""
+    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
+    recorder = Recorder(experiment.vehicle, experiment.agent)
+    run_episode(experiment.navigation, experiment.world(task.seed), experiment.agent, watcher=recorder)
+    config = experiment.config
+    return recorder.recording(
+        policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__
+    )
+
+
+@lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
+def _experiment(policy: str, world: str, setting: Setting, vehicles: int) -> Experiment:
+    changes = {"world": world, "simulator": setting.simulator, "physics": setting.physics, "vehicles": vehicles}
+    return open_policy(Path(policy), changes)[0]

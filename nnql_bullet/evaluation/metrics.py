@@ -1,0 +1,173 @@
+"""What drives come to: outcomes with intervals, quality, and tests of one method against another."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from statistics import fmean
+
+import numpy as np
+
+from nnql_bullet.evaluation.drives import Setting, Tier
+from nnql_bullet.evaluation.policies import Policy
+from nnql_bullet.evaluation.statistics import Share, mcnemar, seeds_share, share
+from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.task import ENDINGS
+from nnql_bullet.worlds.paths import Difficulty
+
+EVERYWHERE = "all worlds"
+"""Stands for all tiers together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Several policies through the same worlds."""
+
+    setting: Setting
+    policies: Sequence[Policy]
+    tiers: Sequence[Tier]
+    difficulties: Mapping[str, Sequence[Difficulty]]
+    """Of the worlds of each tier, by its name."""
+    drives: Mapping[tuple[str, str], Sequence[EpisodeSummary]]
+    """By the names of policy and tier, in the order of the tier's worlds."""
+
+    @property
+    def methods(self) -> list[str]:
+        """In the order in which they were given."""
+        return list(dict.fromkeys(policy.method for policy in self.policies))
+
+    def of_method(self, method: str) -> list[Policy]:
+        """Its policies."""
+        return [policy for policy in self.policies if policy.method == method]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A method in the worlds of a tier, or in all of them."""
+
+    method: str
+    world: str
+    """Name of the tier, or `EVERYWHERE`."""
+    policies: int
+    """Training seeds."""
+    drives: int
+    outcomes: dict[str, Share]
+    """Of each ending, over all drives."""
+    over_seeds: Share | None
+    """Inter-quartile mean of success over training seeds, with its bootstrap interval; None with a single one."""
+    by_seed: tuple[float, ...]
+    """Success of each policy."""
+    spl: float
+    """Success weighted by path length (Anderson et al., arXiv 1807.06757): mean of success x shortest / driven."""
+    path_ratio: float
+    """Driven over shortest path, mean of the drives that arrive; NaN if none does."""
+    time: float
+    """To the target, mean of the drives that arrive; NaN if none does [s]."""
+    clearance: float
+    """Smallest of a drive, mean of the drives that arrive; NaN if none does [m]."""
+    mean_clearance: float
+    """Mean of a drive, mean over all [m]."""
+    lateral_acceleration: float
+    """Largest of a drive, mean over all [m/s2]."""
+    heading_error: float
+    """Root mean square of a drive, mean over all [rad]."""
+    non_safe: float
+    """Share of decisions that were taken in non-safe states."""
+
+
+def rows(evaluation: Evaluation) -> list[Row]:
+    """Every method in every tier and, if there are several, in all of them."""
+    e, found = evaluation, []
+    groups = [(tier.name, [tier]) for tier in e.tiers]
+    if len(e.tiers) > 1:
+        groups.append((EVERYWHERE, list(e.tiers)))
+    for method in e.methods:
+        for name, tiers in groups:
+            found.append(_row(e, method, name, tiers))
+    return found
+
+
+def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
+    policies = e.of_method(method)
+    drives = [
+        (summary, d.shortest_path)
+        for tier in tiers
+        for policy in policies
+        for summary, d in zip(e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
+    ]
+    summaries = [summary for summary, _ in drives]
+    endings = [summary.ending for summary in summaries]
+    arrived = [(summary, shortest) for summary, shortest in drives if summary.ending == "goal"]
+    scores = [np.array([_success(e.drives[policy.name, tier.name]) for policy in policies]) for tier in tiers]
+    return Row(
+        method=method,
+        world=world,
+        policies=len(policies),
+        drives=len(drives),
+        outcomes={ending: share(endings.count(ending), len(endings)) for ending in ENDINGS},
+        over_seeds=seeds_share(scores, rng(0, Stream.BOOTSTRAP)),
+        by_seed=tuple(np.mean(scores, axis=0).tolist()),
+        spl=sum(shortest / max(summary.path_length, shortest) for summary, shortest in arrived) / len(drives),
+        path_ratio=_mean([summary.path_length / shortest for summary, shortest in arrived]),
+        time=_mean([summary.duration for summary, _ in arrived]),
+        clearance=_mean([summary.clearance for summary, _ in arrived]),
+        mean_clearance=_mean([summary.mean_clearance for summary in summaries]),
+        lateral_acceleration=_mean([summary.lateral_acceleration for summary in summaries]),
+        heading_error=_mean([summary.heading_error for summary in summaries]),
+        non_safe=sum(summary.non_safe_steps for summary in summaries) / sum(summary.steps for summary in summaries),
+    )
+
+
+def _success(summaries: Sequence[EpisodeSummary]) -> float:
+    return fmean(summary.ending == "goal" for summary in summaries)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return fmean(values) if values else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two methods in the worlds of a tier, or in all of them.
+
+    Each policy of one is paired with one of the other, in order; a method with a single policy has it paired with each.
+    Drives of several policies through one world are not independent, so p is then too small.
+    """
+
+    world: str
+    first: str
+    second: str
+    pairs: int
+    only_first: int
+    """Pairs in which the first alone arrived."""
+    only_second: int
+    p_value: float
+    """McNemar's exact test."""
+
+
+def comparisons(evaluation: Evaluation) -> list[Comparison]:
+    """Every method against every other, in every tier and in all of them together."""
+    e, found = evaluation, []
+    groups = [(tier.name, [tier]) for tier in e.tiers]
+    if len(e.tiers) > 1:
+        groups.append((EVERYWHERE, list(e.tiers)))
+    for world, tiers in groups:
+        for first, second in combinations(e.methods, 2):
+            pairs = [
+                (one.ending == "goal", other.ending == "goal")
+                for tier in tiers
+                for a, b in _paired(e.of_method(first), e.of_method(second))
+                for one, other in zip(e.drives[a.name, tier.name], e.drives[b.name, tier.name], strict=True)
+            ]
+            only_first, only_second = pairs.count((True, False)), pairs.count((False, True))
+            p_value = mcnemar(only_first, only_second)
+            found.append(Comparison(world, first, second, len(pairs), only_first, only_second, p_value))
+    return found
+
+
+def _paired(first: Sequence[Policy], second: Sequence[Policy]) -> list[tuple[Policy, Policy]]:
+    if len(first) == 1:
+        return [(first[0], other) for other in second]
+    if len(second) == 1:
+        return [(one, second[0]) for one in first]
+    return list(zip(first, second, strict=False))

@@ -1,0 +1,103 @@
+"""The policies of an evaluation: read, named, and told which are one method with several training seeds."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nnql_bullet.agents import Taught
+from nnql_bullet.config import to_values
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.runs import open_policy
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What drives."""
+
+    path: str
+    """As it was given: a run folder, a policy file, a rule, or a TOML file."""
+    name: str
+    """Short, and no other policy's."""
+    method: str
+    """What it shares with policies that differ from it by their training seed alone."""
+    kind: str
+    """Of its agent."""
+    seed: int
+    """It was trained with; 0 for rules."""
+    episodes: int
+    """It was trained for; 0 for rules."""
+    room: float
+    """Half width of the path that every world has for its vehicle [m]."""
+    fingerprint: str
+    """Hash of what it learned and of the configuration that it drives with."""
+
+
+def open_policies(paths: Sequence[Path]) -> list[Policy]:
+    """Reads policies.
+
+    Raises:
+        UserError: If one cannot be read or is given twice, or vehicles differ in size: the same seeds would then be
+            different worlds.
+    """
+    given = [str(path) for path in paths]
+    twice = [path for path in given if given.count(path) > 1]
+    if twice:
+        raise UserError(f"{twice[0]}: is given twice; give each policy once")
+    opened = [open_policy(path, {}) for path in paths]
+    experiments = [experiment for experiment, _ in opened]
+    odd = [path for path, its in zip(given, experiments, strict=True) if its.room != experiments[0].room]
+    if odd:
+        raise UserError(
+            f"{given[0]} and {odd[0]} drive vehicles of different size, so worlds differ; evaluate them apart"
+        )
+    names = _short_names(given)
+    recipes = [_recipe(experiment) for experiment in experiments]
+    methods: dict[str, str] = {}
+    for recipe in recipes:
+        alike = [name for name, its in zip(names, recipes, strict=True) if its == recipe]
+        method = alike[0].rstrip("0123456789").rstrip("-_./ ") if len(alike) > 1 else alike[0]
+        taken = [name for its, name in methods.items() if its != recipe]
+        methods[recipe] = method if method and method not in taken else alike[0]
+    return [
+        Policy(
+            path=path,
+            name=name,
+            method=methods[recipe],
+            kind=experiment.config.agent.kind,
+            seed=experiment.config.seed,
+            episodes=episodes,
+            room=experiment.room,
+            fingerprint=_fingerprint(experiment),
+        )
+        for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
+    ]
+
+
+def _short_names(paths: Sequence[str]) -> list[str]:
+    """The last parts of paths, as many as tell them apart."""
+    parts = [Path(path.removesuffix(".toml")).parts for path in paths]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(its[-count:]) for its in parts]
+        if len(set(names)) == len(names):
+            return names
+    return list(paths)
+
+
+def _recipe(experiment: Experiment) -> str:
+    """All of a configuration but the training seed."""
+    return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
+
+
+def _fingerprint(experiment: Experiment) -> str:
+    config, agent = to_values(experiment.config), experiment.agent
+    driving = {key: config[key] for key in ("seed", "robot", "conditions", "drive", "task", "agent")}
+    whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
+    for name, values in sorted(agent.arrays().items()) if isinstance(agent, Taught) else ():
+        whole.update(name.encode())
+        whole.update(np.ascontiguousarray(values).tobytes())
+    return whole.hexdigest()[:16]

@@ -1,0 +1,339 @@
+"""An evaluation as text and pictures."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator
+
+from nnql_bullet import __version__
+from nnql_bullet.evaluation.drives import FilmTask
+from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
+from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.recording import Recording
+from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_path, draw_world, save_figure
+from nnql_bullet.reports.tables import csv_text, finite, markdown_table
+from nnql_bullet.task import ENDINGS
+
+COLOURS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT}
+LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
+MARKS = "osD^vPX"
+
+
+def success(row: Row) -> Share:
+    """What is shown as a method's success: over training seeds where there are several, else over drives."""
+    return row.over_seeds or row.outcomes["goal"]
+
+
+def titles(evaluation: Evaluation) -> dict[str, str]:
+    """Of tiers and of all of them, by name."""
+    return {**{tier.name: tier.title for tier in evaluation.tiers}, EVERYWHERE: EVERYWHERE}
+
+
+def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows: success in percent with its interval, methods down and tiers across."""
+    shown = [name for name in titles(evaluation) if any(row.world == name for row in rows)]
+    by_place = {(row.method, row.world): row for row in rows}
+    header = ("method", "seeds", *(titles(evaluation)[name] for name in shown))
+    body = [
+        (
+            method,
+            str(by_place[method, shown[0]].policies),
+            *(str(success(by_place[method, name])) for name in shown),
+        )
+        for method in evaluation.methods
+    ]
+    return header, body
+
+
+QUALITY = (
+    "method",
+    *("worlds", "goal %", "collision %", "timeout %", "SPL", "path ratio", "time [s]"),
+    *("clearance [m]", "mean clearance [m]", "lateral acceleration [m/s2]", "non-safe steps %"),
+)
+
+
+def quality_row(row: Row, title: str) -> tuple[str, ...]:
+    """The cells of `QUALITY`."""
+    return (
+        row.method,
+        title,
+        *(str(row.outcomes[ending]) for ending in ENDINGS),
+        f"{row.spl:.3f}",
+        *(_or_none(row.path_ratio, ".3f"), _or_none(row.time, ".1f"), _or_none(row.clearance, ".2f")),
+        f"{row.mean_clearance:.2f}",
+        f"{row.lateral_acceleration:.2f}",
+        f"{100 * row.non_safe:.1f}",
+    )
+
+
+def _or_none(value: float, form: str) -> str:
+    return f"{value:{form}}" if isfinite(value) else "-"
+
+
+ABOUT_INTERVALS = (
+    "Success in percent: with several training seeds the inter-quartile mean over them and its stratified bootstrap "
+    "95 % interval, else the share of drives and its Wilson 95 % interval."
+)
+
+
+def evaluation_markdown(
+    evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
+) -> str:
+    """The report."""
+    e = evaluation
+    named = titles(e)
+    first = e.methods[0]
+    lines = [
+        f"# {len(e.methods)} methods through the same worlds",
+        "",
+        f"{e.setting.title}; {_worlds(e)}. nnql-bullet {__version__}.",
+        "",
+        ABOUT_INTERVALS,
+        "",
+        markdown_table(*success_table(e, rows)),
+        "",
+        "![how drives ended](outcomes.png)",
+        "",
+        *(["![success against cover](cover.png)", ""] if len(_covers(e)) > 1 else []),
+        "## Quality",
+        "",
+        "Outcomes are over all drives, with Wilson intervals. SPL is success weighted by path length (arXiv "
+        "1807.06757), against the shortest path of a disc as large as the circle around the vehicle; path ratio, time "
+        "and clearance are means over the drives that arrive, the rest over all.",
+        "",
+        markdown_table(QUALITY, [quality_row(row, named[row.world]) for row in rows]),
+        "",
+        "## The worlds",
+        "",
+        markdown_table(
+            ("worlds", "seeds", "cover %", "shortest path [m]", "tortuosity", "closest obstacle [m]", "visibility [m]"),
+            [_difficulty_row(e, tier.name) for tier in e.tiers],
+        ),
+        "",
+        "Means; the last three along the shortest path.",
+        "",
+    ]
+    if len(e.methods) > 1:
+        against = [c for c in comparisons if first in (c.first, c.second)]
+        lines += [
+            f"## Against {first}",
+            "",
+            f"Pairs of drives through the same world that {first} alone survived, or the other alone; McNemar's exact "
+            "test. Drives of several policies through one world are not independent: with several seeds p is too "
+            "small.",
+            "",
+            markdown_table(
+                ("worlds", "method", "pairs", f"only {first} arrives", "only it arrives", "p"),
+                [
+                    (named[c.world], c.second, c.pairs, c.only_first, c.only_second, f"{c.p_value:.2g}")
+                    for c in against
+                    if c.first == first
+                ],
+            ),
+            "",
+        ]
+    if films:
+        lines += [
+            "## Failures",
+            "",
+            "The first of each method in each kind of world.",
+            "",
+            "![failures](failures.png)",
+            "",
+            "Each is driven again, exactly, by:",
+            "",
+            "```",
+            *(task.replay for task in films),
+            "```",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _worlds(e: Evaluation) -> str:
+    count = len(e.tiers[0].seeds)
+    known = [tier.title for tier in e.tiers if not tier.frozen]
+    free = f" ({', '.join(known)}: not frozen)" if known else ""
+    return f"{count} worlds each of {', '.join(tier.title for tier in e.tiers)}{free}"
+
+
+def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
+    (tier,) = [tier for tier in e.tiers if tier.name == name]
+    worlds = e.difficulties[name]
+    return (
+        tier.title,
+        f"{tier.seeds[0]} to {tier.seeds[-1]}",
+        f"{100 * fmean(world.cover for world in worlds):.1f}",
+        f"{fmean(world.shortest_path for world in worlds):.1f}",
+        f"{fmean(world.tortuosity for world in worlds):.3f}",
+        f"{fmean(world.closest_obstacle for world in worlds):.2f}",
+        f"{fmean(world.visibility for world in worlds):.1f}",
+    )
+
+
+def evaluation_values(
+    evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
+) -> dict[str, Any]:
+    """The same as plain values, for JSON."""
+    e = evaluation
+    return {
+        "version": __version__,
+        "split": e.setting.split,
+        "simulator": e.setting.simulator,
+        "physics": e.setting.physics,
+        "endings": list(ENDINGS),
+        "policies": [asdict(policy) for policy in e.policies],
+        "tiers": [
+            {
+                "file": tier.file,
+                "name": tier.name,
+                "title": tier.title,
+                "cover": tier.cover,
+                "frozen": tier.frozen,
+                "worlds": [
+                    {"seed": seed, "digest": digest, **asdict(its)}
+                    for seed, digest, its in zip(tier.seeds, tier.digests, e.difficulties[tier.name], strict=True)
+                ],
+            }
+            for tier in e.tiers
+        ],
+        "rows": [finite(asdict(row)) for row in rows],
+        "comparisons": [asdict(comparison) for comparison in comparisons],
+        "failures": [
+            {
+                "policy": task.policy.name,
+                "world": task.tier.name,
+                "seed": task.seed,
+                "recording": f"failures/{task.name}",
+                "replay": task.replay,
+            }
+            for task in films
+        ],
+    }
+
+
+def results_csv(rows: Sequence[Row]) -> str:
+    """A line for each method in each kind of world."""
+    return csv_text([_flat(row) for row in rows])
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    plain = finite(asdict(row))
+    outcomes, over_seeds = plain.pop("outcomes"), plain.pop("over_seeds")
+    plain["by_seed"] = " ".join(map(str, row.by_seed))
+    for name, interval in (*outcomes.items(), ("over_seeds", over_seeds)):
+        for part, value in zip(("", "_low", "_high"), interval or (None,) * 3, strict=True):
+            plain[name + part] = value
+    return plain
+
+
+def episodes_csv(evaluation: Evaluation) -> str:
+    """A line for each drive."""
+    e, records = evaluation, []
+    for policy in e.policies:
+        for tier in e.tiers:
+            drives = zip(e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
+            for summary, difficulty in drives:
+                values = asdict(summary)
+                terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
+                where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
+                records.append({**where, **values, **terms, "shortest_path": difficulty.shortest_path})
+    return csv_text(records)
+
+
+def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
+    """How drives ended: a panel for each tier, a bar for each method, with the interval of success."""
+    e = evaluation
+    figure = Figure(figsize=(1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7), layout="constrained")
+    panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
+    places = np.arange(len(e.methods))[::-1]
+    for axes, tier in zip(panels, e.tiers, strict=True):
+        its = [row for row in rows if row.world == tier.name]
+        left = np.zeros(len(its))
+        for ending, colour in COLOURS.items():
+            widths = np.array([100 * row.outcomes[ending].value for row in its])
+            axes.barh(places, widths, left=left, color=colour, height=0.7, label=ending)
+            left += widths
+        for place, row in zip(places, its, strict=True):
+            shown = success(row)
+            axes.plot([100 * shown.low, 100 * shown.high], [place] * 2, color=INK, lw=1.4, solid_capstyle="butt")
+            axes.text(102, place, f"{100 * shown.value:.0f}", va="center", fontsize=8, color=INK)
+        axes.set(xlim=(0, 118), xlabel="drives [%]")
+        axes.xaxis.set_major_locator(FixedLocator([0, 50, 100]))
+        axes.set_title(tier.title, fontsize=10, color=INK)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(places, e.methods)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.suptitle(f"{e.setting.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
+    save_figure(figure, path)
+
+
+def _covers(e: Evaluation) -> list[tuple[float, str]]:
+    """Covers in rising order, with the names of their tiers."""
+    return sorted((tier.cover, tier.name) for tier in e.tiers if tier.cover is not None)
+
+
+def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
+    """Success against cover, a line for each method; nothing with fewer than two covers."""
+    e, covers = evaluation, _covers(evaluation)
+    if len(covers) < 2:
+        return
+    figure = Figure(figsize=(8.4, 5.2), layout="constrained")
+    axes = figure.add_subplot()
+    by_place = {(row.method, row.world): success(row) for row in rows}
+    last = covers[-1][1]
+    ranked = sorted(e.methods, key=lambda method: -by_place[method, last].value)
+    apart = 0.06 * min(b - a for (a, _), (b, _) in pairwise(covers))
+    for number, method in enumerate(ranked):
+        shares = [by_place[method, name] for _, name in covers]
+        x = np.array([100 * (cover + apart * (number - (len(ranked) - 1) / 2) / len(ranked)) for cover, _ in covers])
+        value, low, high = 100 * np.array(shares).T
+        colour, mark = LINES[number % len(LINES)], MARKS[number % len(MARKS)]
+        axes.plot(x, value, color=colour, lw=1.8, marker=mark, ms=5.5, mew=0, label=method)
+        axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
+    axes.set(xlabel="arena under boxes [%]", ylabel="success [%]", ylim=(-2, 102))
+    axes.set_xticks([100 * cover for cover, _ in covers])
+    axes.grid(color="#e9ecef", lw=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside right center", frameon=False, fontsize=9)
+    axes.set_title(f"{e.setting.title}; lines: 95 % intervals", fontsize=10, color=INK)
+    save_figure(figure, path)
+
+
+def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> None:
+    """Paths of drives that failed: methods down, kinds of worlds across; nothing without any.
+
+    Args:
+        films: Drives; of each method at most one in each kind of world is drawn.
+        path: Of the picture.
+    """
+    if not films:
+        return
+    methods = list(dict.fromkeys(task.policy.method for task, _ in films))
+    tiers = list(dict.fromkeys(task.tier.name for task, _ in films))
+    figure = Figure(figsize=(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6), layout="constrained")
+    grid = figure.subplots(len(methods), len(tiers), squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for task, recording in films:
+        axes, world = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)], recording.about["world"]
+        draw_world(axes, recording)
+        draw_path(axes, recording, 0.6)
+        axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
+        axes.set_title(f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", fontsize=7.5, color=INK)
+    handles = [
+        Line2D([], [], color=SAFE, lw=1.6, label="safe"),
+        Line2D([], [], color=NON_SAFE, lw=1.6, label="non-safe"),
+        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=9, label="collision"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    save_figure(figure, path)
