@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions
-from nnql_bullet.agents.nnql import Nnql, boltzmann, encode, nearest_turns
+from nnql_bullet.agents.nnql import Nnql, encode
+from nnql_bullet.agents.q_learning import boltzmann, nearest_turns
 from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS

@@ -1,13 +1,15 @@
 """What an agent is to those that run it: one that drives, one that was taught, one that learns step by step."""
 
+from abc import ABC, abstractmethod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import Observations, Transitions
+from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions
 from nnql_bullet.geometry import Array
+from nnql_bullet.task import Property
 
 
 class Agent(Protocol):
@@ -75,3 +77,31 @@ class Rule(Memoryless):
     def action_values(self, observations: Observations) -> Array:
         """It has none: NaN (n, 5)."""
         return np.full((len(observations.property), len(paper.TURNS)), np.nan)
+
+
+class TurnChooser(Memoryless, ABC):
+    """The parts of an agent that values the paper's five turns, and is asked in non-safe states only (III.C)."""
+
+    @abstractmethod
+    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+        """Q(s, a) of the five turns (k, 5) for those k of n vehicles that are asked (n,)."""
+
+    @staticmethod
+    def asks(observations: Observations) -> NDArray[np.bool_]:
+        """Which vehicles ask (n,)."""
+        return np.asarray(observations.property != Property.SAFE)
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
+        actions = np.full(len(observations.property), TOWARD_TARGET)
+        asked = self.asks(observations)
+        if asked.any():
+            actions[asked] = self.values(observations, asked).argmax(axis=-1)
+        return actions
+
+    def action_values(self, observations: Observations) -> Array:
+        """Q(s, a) of the five turns (n, 5); NaN in safe states, where it is not asked."""
+        values = np.full((len(observations.property), len(paper.TURNS)), np.nan)
+        asked = self.asks(observations)
+        values[asked] = self.values(observations, asked)
+        return values

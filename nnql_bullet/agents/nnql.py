@@ -1,44 +1,28 @@
 """Neural-network Q-learning (NNQL), the paper's method (II.D, II.E, III)."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.base import Memoryless
+from nnql_bullet.agents.q_learning import Positive, QLearning, QLearningOptions, nearest_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions, heading_change
+from nnql_bullet.env import Observations, Transitions, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.task import Property
-
-Positive = Annotated[float, Field(gt=0)]
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
 
 
 @options
-class NnqlOptions:
+class NnqlOptions(QLearningOptions):
     """The paper's numbers and, with their reasons, the choices it leaves open.
 
     Percentages are successes at 10 % cover in a kinematic study that came before this program, one factor at a time.
     """
 
     kind: Literal["nnql"] = "nnql"
-    learning_rate: UnitInterval = paper.LEARNING_RATE
-    """alpha of eq. (2)."""
-    discount: UnitInterval = paper.DISCOUNT
-    """gamma of eq. (2)."""
-    temperature_max: Positive = paper.TEMPERATURE_MAX
-    """T of eq. (3) in the first episode."""
-    temperature_min: Positive = paper.TEMPERATURE_MIN
-    """T of eq. (3) from the last scheduled episode on."""
-    schedule_episodes: Annotated[int, Field(ge=2)] = paper.EPISODES
-    """Episodes over which the temperature falls, linearly: only its ends are given. It does not follow the number of
-    episodes asked for, so that a run can be stopped and gone on with."""
     encoding: Literal["proximity", "distance"] = "proximity"
     """What the network sees of a reading d. "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,
     after the letter of II.B, 0 when nothing is seen, which makes "free" and "touching" neighbours (41 against 97 %)."""
@@ -53,16 +37,11 @@ class NnqlOptions:
     output_weights: Positive = 0.1
     """Initial weights into the output layer are uniform within +- this: Q-values start near zero (II.D)."""
 
-    def __post_init__(self) -> None:
-        """Refuses temperatures in the wrong order."""
-        if self.temperature_min > self.temperature_max:
-            raise ValueError(
-                f"temperature_min {self.temperature_min:g} is above temperature_max {self.temperature_max:g}"
-            )
 
-
-class Nnql(Memoryless):
+class Nnql(QLearning):
     """The 8-6-5 network: sigmoid hidden units, linear outputs (targets reach -0.6), one Q-value a turn."""
+
+    options: NnqlOptions
 
     def __init__(self, options: NnqlOptions, seed: int) -> None:
         self.options = options
@@ -79,35 +58,10 @@ class Nnql(Memoryless):
             weights[name] = generator.uniform(-limit, limit, weights[name].shape)
         self.load(weights)
 
-    def temperature(self, episodes: NDArray[np.int64]) -> Array:
-        """T of eq. (3) in training episodes (n,), counted from 0."""
-        o = self.options
-        progress = np.minimum(episodes / (o.schedule_episodes - 1), 1.0)
-        return np.asarray(o.temperature_max + (o.temperature_min - o.temperature_max) * progress)
-
-    def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
-        """Toward the target in a safe state (III.C), else by the Boltzmann distribution."""
-        actions = np.full(len(uniforms), TOWARD_TARGET)
-        asked = observations.property != Property.SAFE
-        if asked.any():
-            probabilities = boltzmann(self._values(observations.readings[asked]), self.temperature(episodes[asked]))
-            cumulated = probabilities.cumsum(axis=-1)
-            actions[asked] = (cumulated / cumulated[:, -1:] <= uniforms[asked, None]).sum(axis=-1)
-        return actions
-
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
-        """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
-        actions = np.full(len(observations.property), TOWARD_TARGET)
-        asked = observations.property != Property.SAFE
-        if asked.any():
-            actions[asked] = self._values(observations.readings[asked]).argmax(axis=-1)
-        return actions
-
-    def action_values(self, observations: Observations) -> Array:
-        """Q(s, a) of the five turns (n, 5); NaN in safe states, where the network is not asked."""
-        values = np.full((len(observations.property), len(paper.TURNS)), np.nan)
-        asked = observations.property != Property.SAFE
-        values[asked] = self._values(observations.readings[asked])
+    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+        """What the network puts out."""
+        with torch.no_grad():
+            values: Array = self.network(self._encoded(observations.readings[asked])).numpy()
         return values
 
     def learn(self, transitions: Transitions) -> Array:
@@ -118,7 +72,7 @@ class Nnql(Memoryless):
         """
         t, o = transitions, self.options
         td_errors = np.full(len(t.r_t), np.nan)
-        taught = np.flatnonzero(t.active & (o.learn_in_safe_states | (t.s_tm1.property != Property.SAFE)))
+        taught = np.flatnonzero(t.active & (o.learn_in_safe_states | self.asks(t.s_tm1)))
         if len(taught) == 0:
             return td_errors
         turns = nearest_turns(heading_change(t.a_tm1[taught], t.s_tm1.target_bearing[taught]))
@@ -136,10 +90,6 @@ class Nnql(Memoryless):
         td_errors[taught] = td_error.numpy()
         return td_errors
 
-    def diagnostics(self, episode: int) -> dict[str, float]:
-        """The temperature."""
-        return {"temperature": float(self.temperature(np.array(episode)))}
-
     def arrays(self) -> dict[str, Array]:
         """Weights W1 and W2 and their biases."""
         return {name: value.numpy().copy() for name, value in self.network.state_dict().items()}
@@ -152,12 +102,6 @@ class Nnql(Memoryless):
             raise UserError("these are not the weights of an NNQL network of 8-6-5 units")
         self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
 
-    def _values(self, readings: Array) -> Array:
-        """Q(s, a) (n, 5) of readings (n, 8) [m]."""
-        with torch.no_grad():
-            values: Array = self.network(self._encoded(readings)).numpy()
-        return values
-
     def _encoded(self, readings: Array) -> torch.Tensor:
         return torch.from_numpy(encode(readings, self.options.encoding))
 
@@ -168,14 +112,3 @@ def encode(readings: Array, encoding: str) -> Array:
     if encoding == "proximity":
         return nearness
     return np.where(readings < paper.SENSOR_RANGE, 1.0 - nearness, 0.0)
-
-
-def boltzmann(values: Array, temperature: Array) -> Array:
-    """Probabilities (n, 5) of eq. (3) for values (n, 5) and temperatures (n,)."""
-    weights = np.exp((values - values.max(axis=-1, keepdims=True)) / temperature[:, None])
-    return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
-
-
-def nearest_turns(heading_changes: Array) -> NDArray[np.int64]:
-    """The paper's turns closest to heading changes (n,) [rad], by number (n,)."""
-    return np.asarray(np.abs(np.array(paper.TURNS) - heading_changes[:, None]).argmin(axis=-1))
