@@ -11,9 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, bearing, distance, wrap_angles
-from nnql_bullet.sensing import RAYS, Scan, sector_readings
+from nnql_bullet.sensing import RAYS, Scan
 from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property, TaskOptions, ending, reward_terms, state_property
+from nnql_bullet.task import (
+    ENDINGS,
+    GOES_ON,
+    REWARD_TERMS,
+    Property,
+    TaskOptions,
+    ending,
+    readings_of,
+    reward_terms,
+    state_property,
+)
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
@@ -98,12 +108,14 @@ class Navigation:
 
     def _observe(self, pose: Pose, yaw_rate: float, scan: Scan, motion: Motion | None) -> Observation:
         touching, at_target = (motion.touching, motion.at_target) if motion else (False, False)
+        before = self._observation.property if motion else Property.SAFE
+        readings = readings_of(scan.distances, self.task)
         return Observation(
-            readings=scan.readings,
+            readings=readings,
             target_distance=distance(pose, *self._world.target),
             target_bearing=bearing(pose, *self._world.target),
             yaw_rate=yaw_rate,
-            property=Property(int(state_property(scan.readings, touching, at_target, self.task))),
+            property=Property(int(state_property(readings, touching, at_target, self.task, before))),
             ray_distances=scan.distances,
         )
 
@@ -186,7 +198,8 @@ class FleetNavigation:
         self._target[vehicles] = [world.target for world in worlds.values()]
         self._steps[vehicles] = 0
         nothing = np.zeros(len(vehicles), np.bool_)
-        self._observe(vehicles, poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing)
+        safe = np.full(len(vehicles), Property.SAFE)
+        self._observe(vehicles, poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing, safe)
 
     def step(self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None) -> Transitions:
         """Carries out one decision of each vehicle.
@@ -201,7 +214,8 @@ class FleetNavigation:
         motions, ray_distances = self.fleet.advance(heading_change(actions, s_tm1.target_bearing), active)
         m = Motions(*(getattr(motions, field.name).copy() for field in fields(Motions)))
         v = np.flatnonzero(active)
-        self._observe(v, m.pose[v], m.yaw_rate[v], ray_distances[v], m.touching[v], m.at_target[v])
+        before = s_tm1.property[v]
+        self._observe(v, m.pose[v], m.yaw_rate[v], ray_distances[v], m.touching[v], m.at_target[v], before)
         s_t = self._observations
         self._steps += active
         terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task)
@@ -225,16 +239,17 @@ class FleetNavigation:
         ray_distances: Array,
         touching: NDArray[np.bool_],
         at_target: NDArray[np.bool_],
+        before: NDArray[np.int64],
     ) -> None:
         """Takes down what some vehicles see now, in a record of its own: earlier ones stay as they were."""
-        readings = sector_readings(ray_distances)
+        readings = readings_of(ray_distances, self.task)
         dx, dy = (self._target[vehicles] - poses[:, :2]).T
         seen = Observations(
             readings=readings,
             target_distance=np.hypot(dx, dy),
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
-            property=state_property(readings, touching, at_target, self.task),
+            property=state_property(readings, touching, at_target, self.task, before),
             ray_distances=ray_distances.copy(),
         )
         if len(vehicles) < self.fleet.size:

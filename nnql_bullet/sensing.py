@@ -35,6 +35,11 @@ def scan_from(distances: Array) -> Scan:
     return Scan(distances, sector_readings(distances))
 
 
+def middle_readings(distances: Array) -> Array:
+    """Readings (..., 8) [m] of ray distances (..., 72) [m] where a sector has but the ray in its middle."""
+    return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
+
+
 def sector_readings(distances: Array) -> Array:
     """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the smallest of its rays."""
     nearest: Array = _nearest(distances.reshape(-1, RAYS_PER_SECTOR))

@@ -5,7 +5,7 @@ They take one vehicle or many: `(...)` in a shape is () or (n,).
 
 from enum import IntEnum
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings
 
 Properties = int | NDArray[np.int64]
 Events = bool | NDArray[np.bool_]
@@ -61,6 +61,13 @@ class TaskOptions:
     other_distance: Distance = 0.0
     """... or any other sector below this [m]. Watching all eight alike cost 22 points in a
     kinematic study that came before this program; 0 is off."""
+    hysteresis: Distance = 0.0
+    """How much farther off things have to be for a non-safe state to become safe again [m]."""
+    sector_reading: Literal["nearest", "middle"] = "nearest"
+    """What a sensor reads, of "one region of a range of 45 degrees" (II.A): the nearest of its rays, or its middle one,
+    which passes obstacles by."""
+    closer: Literal["smallest", "mean"] = "smallest"
+    """What "getting closer to the obstacles" (II.C) means: this of the eight readings fell."""
     reward_non_safe_to_safe: float = 0.4
     """Illegible in the paper. 0.2 / 0.4 / 1.0 gave 95 / 97 / 96 % in that study: the evidence does not decide."""
     max_steps: Annotated[int, Field(ge=1)] = paper.STEPS_PER_EPISODE
@@ -87,18 +94,40 @@ class TaskOptions:
         return rewards
 
 
-def is_safe(readings: Array, task: TaskOptions) -> NDArray[np.bool_]:
-    """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...)."""
-    return np.asarray((readings >= task.thresholds).all(axis=-1))
+def readings_of(ray_distances: Array, task: TaskOptions) -> Array:
+    """The eight readings (..., 8) [m] of ray distances (..., 72) [m]."""
+    return middle_readings(ray_distances) if task.sector_reading == "middle" else sector_readings(ray_distances)
+
+
+def is_safe(readings: Array, task: TaskOptions, before: Properties = Property.SAFE) -> NDArray[np.bool_]:
+    """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...).
+
+    Args:
+        readings: [m]
+        task: Says below what a reading is not.
+        before: `Property` (...) of the states before, for the hysteresis.
+    """
+    raised = task.hysteresis * np.equal(before, Property.NON_SAFE)[..., None]
+    return np.asarray((readings >= np.where(task.thresholds > 0, task.thresholds + raised, 0.0)).all(axis=-1))
 
 
 _PROPERTY = np.array([[Property.NON_SAFE, Property.SAFE], [Property.WINNING] * 2, [Property.FAILURE] * 2])
 
 
-def state_property(readings: Array, touching: Events, at_target: Events, task: TaskOptions) -> NDArray[np.int64]:
-    """`Property` (...) of states with these readings (..., 8) [m] and these events (...) on the way there."""
+def state_property(
+    readings: Array, touching: Events, at_target: Events, task: TaskOptions, before: Properties = Property.SAFE
+) -> NDArray[np.int64]:
+    """`Property` (...) of states with these readings (..., 8) [m] and these events (...) on the way there.
+
+    Args:
+        readings: [m]
+        touching: Whether an obstacle or wall was touched.
+        at_target: Whether the target was reached.
+        task: Says what is safe.
+        before: `Property` (...) of the states that they come from; that of a start is as good as safe.
+    """
     event = np.maximum(np.multiply(touching, 2), at_target)
-    return np.asarray(_PROPERTY[event, is_safe(readings, task).astype(np.int64)])
+    return np.asarray(_PROPERTY[event, is_safe(readings, task, before).astype(np.int64)])
 
 
 _TERM = np.array(
@@ -115,11 +144,9 @@ _TERM = np.stack([_TERM, np.where(_TERM == _AWAY, _CLOSER, _TERM)], axis=-1)  # 
 def reward_terms(
     before: Properties, after: Properties, readings_before: Array, readings_after: Array, task: TaskOptions
 ) -> Array:
-    """The reward of steps as the terms `REWARD_TERMS` (..., 6), of which at most one is not zero (II.C).
-
-    "Getting closer to the obstacles" is read as: the smallest of the eight readings fell.
-    """
-    closer = np.less(readings_after.min(axis=-1), readings_before.min(axis=-1)).astype(np.int64)
+    """The reward of steps as the terms `REWARD_TERMS` (..., 6), of which at most one is not zero (II.C)."""
+    near = np.min if task.closer == "smallest" else np.mean
+    closer = np.less(near(readings_after, axis=-1), near(readings_before, axis=-1)).astype(np.int64)
     return np.asarray(task.rewards[_TERM[before, after, closer]])
 
 

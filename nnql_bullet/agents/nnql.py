@@ -1,10 +1,11 @@
 """Neural-network Q-learning (NNQL), the paper's method (II.D, II.E, III)."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.q_learning import Positive, QLearning, QLearningOptions, nearest_turns
@@ -23,6 +24,8 @@ class NnqlOptions(QLearningOptions):
     """
 
     kind: Literal["nnql"] = "nnql"
+    hidden_units: Annotated[int, Field(ge=1)] = paper.HIDDEN_UNITS
+    """Of the network."""
     encoding: Literal["proximity", "distance"] = "proximity"
     """What the network sees of a reading d. "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,
     after the letter of II.B, 0 when nothing is seen, which makes "free" and "touching" neighbours (41 against 97 %)."""
@@ -47,9 +50,9 @@ class Nnql(QLearning):
         self.options = options
         with torch.random.fork_rng(devices=[]):  # torch draws weights of its own, from the global generator
             self.network = torch.nn.Sequential(
-                torch.nn.Linear(paper.SECTORS, paper.HIDDEN_UNITS, dtype=torch.float64),
+                torch.nn.Linear(paper.SECTORS, options.hidden_units, dtype=torch.float64),
                 torch.nn.Sigmoid(),
-                torch.nn.Linear(paper.HIDDEN_UNITS, len(paper.TURNS), dtype=torch.float64),
+                torch.nn.Linear(options.hidden_units, len(paper.TURNS), dtype=torch.float64),
             )
         generator = rng(seed, Stream.WEIGHTS)
         ranges = {"0.weight": options.hidden_weights, "2.weight": options.output_weights}
@@ -99,7 +102,8 @@ class Nnql(QLearning):
         mine = {name: value.shape for name, value in self.arrays().items()}
         theirs = {name: value.shape for name, value in arrays.items()}
         if mine != theirs or not all(np.isfinite(value).all() for value in arrays.values()):
-            raise UserError("these are not the weights of an NNQL network of 8-6-5 units")
+            units = f"{paper.SECTORS}-{self.options.hidden_units}-{len(paper.TURNS)}"
+            raise UserError(f"these are not the weights of an NNQL network of {units} units")
         self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
 
     def _encoded(self, readings: Array) -> torch.Tensor:

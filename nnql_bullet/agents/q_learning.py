@@ -1,6 +1,6 @@
 """The paper's Q-learning (II.D, III), whatever holds the Q-values: its numbers, and how it explores."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,11 @@ class QLearningOptions:
     """T of eq. (3) in the first episode."""
     temperature_min: Positive = paper.TEMPERATURE_MIN
     """T of eq. (3) from the last scheduled episode on."""
+    schedule: Literal["linear", "exponential"] = "linear"
+    """How the temperature falls: only its ends are given."""
     schedule_episodes: Annotated[int, Field(ge=2)] = paper.EPISODES
-    """Episodes over which the temperature falls, linearly: only its ends are given. It does not follow the number of
-    episodes asked for, so that a run can be stopped and gone on with."""
+    """Episodes over which it falls. It does not follow the number of episodes asked for, so that a run can be stopped
+    and gone on with."""
 
     def __post_init__(self) -> None:
         """Refuses temperatures in the wrong order."""
@@ -51,6 +53,8 @@ class QLearning(TurnChooser):
         """T of eq. (3) in training episodes (n,), counted from 0."""
         o = self.options
         progress = np.minimum(episodes / (o.schedule_episodes - 1), 1.0)
+        if o.schedule == "exponential":
+            return np.asarray(o.temperature_max * (o.temperature_min / o.temperature_max) ** progress)
         return np.asarray(o.temperature_max + (o.temperature_min - o.temperature_max) * progress)
 
     def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:

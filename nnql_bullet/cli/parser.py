@@ -17,6 +17,7 @@ from nnql_bullet.cli.envelope import envelope
 from nnql_bullet.cli.evaluate import evaluate
 from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
+from nnql_bullet.cli.ledger import ledger
 from nnql_bullet.cli.navigate import navigate
 from nnql_bullet.cli.train import train
 from nnql_bullet.cli.work import WorkFailed
@@ -27,6 +28,7 @@ VERBS: dict[str, Callable[..., int]] = {
     "train": train,
     "navigate": navigate,
     "evaluate": evaluate,
+    "ledger": ledger,
     "gap": gap,
     "fidelity": fidelity,
     "envelope": envelope,

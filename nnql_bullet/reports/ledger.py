@@ -1,0 +1,201 @@
+"""The ledger of open choices as text and a picture."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from nnql_bullet import __version__
+from nnql_bullet.evaluation.ledger import TIERS, Budget, Choice, Entry
+from nnql_bullet.reports.plots import BOX, COLLISION, GOAL, INK, SAFE, TIMEOUT, save_figure
+from nnql_bullet.reports.tables import csv_text, markdown_table
+
+COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}
+LOWER, HIGHER = TIERS
+"""The tiers, by how much they ask for."""
+
+
+def ledger_markdown(entries: Sequence[Entry], budget: Budget) -> str:
+    """The report."""
+    lines = [
+        "# What the paper leaves open",
+        "",
+        f"{about(budget)} nnql-bullet {__version__}.",
+        "",
+        "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is that "
+        "of success over both kinds of worlds, paired by seed, from the default's; an alternative is better or worse "
+        "where its 95 % interval leaves zero out. With so many alternatives, one or two will do so by chance.",
+        "",
+        "![the ledger](ledger.png)",
+        "",
+        markdown_table(
+            (
+                "choice",
+                "section",
+                "alternative",
+                *(f"{title}" for title in TIERS.values()),
+                "difference, points",
+                "evidence",
+            ),
+            [_row(entry) for entry in entries],
+        ),
+        "",
+        "## What it decides",
+        "",
+        *(f"- {choice.question}: {decision(choice, entries)}" for choice in _choices(entries)),
+        "",
+        "Not varied: linear outputs (targets reach -0.6, which no sigmoid does); what belongs to the vehicle and its "
+        "task, as the turn toward the target within its limits, its size, the start heading, the target's radius, and "
+        "walls that are sensed like obstacles.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def about(budget: Budget) -> str:
+    """What was done."""
+    where = "the ideal twin" if budget.simulator == "twin" else f"{budget.simulator} contact physics"
+    return (
+        f"Each alternative departs from the preset `paper` in one thing: {budget.seeds} trainings of {budget.episodes} "
+        f"episodes with {budget.vehicles} vehicles in {where}, each then driven greedily through {budget.worlds} "
+        "validation worlds of each kind."
+    )
+
+
+def decision(choice: Choice, entries: Sequence[Entry]) -> str:
+    """What the evidence says of a choice's default."""
+    its = [entry for entry in entries if entry.choice is choice]
+    (default,) = [entry.alternative.label for entry in its if entry.verdict == "default"]
+    better = [entry for entry in its if entry.verdict == "better"]
+    undecided = [entry.alternative.label for entry in its if entry.verdict == "undecided"]
+    stated = " (stated by the paper, so it stays)" if choice.stated else ""
+    if better:
+        best = max(better, key=lambda entry: entry.difference.value)
+        return f"{best.alternative.label} is better than {default} by {_points(best)} points{stated}"
+    if undecided:
+        return f"{default}; nothing is better, and the evidence does not tell it from {_listed(undecided)}{stated}"
+    return f"{default}, and every alternative is worse"
+
+
+def _listed(labels: Sequence[str]) -> str:
+    return " or ".join(labels) if len(labels) < 3 else f"{', '.join(labels[:-1])} or {labels[-1]}"
+
+
+def _choices(entries: Sequence[Entry]) -> list[Choice]:
+    return list({entry.choice.name: entry.choice for entry in entries}.values())
+
+
+def _points(entry: Entry) -> str:
+    return " to ".join(f"{100 * number:+.1f}" for number in entry.difference[1:])
+
+
+def _row(entry: Entry) -> tuple[object, ...]:
+    stated = ", stated" if entry.choice.stated else ""
+    return (
+        entry.choice.question,
+        f"{entry.choice.section}{stated}",
+        entry.alternative.label,
+        *(shown(entry, world) for world in TIERS),
+        "" if entry.verdict == "default" else f"{100 * entry.difference.value:+.1f} ({_points(entry)})",
+        entry.verdict,
+    )
+
+
+def shown(entry: Entry, world: str) -> str:
+    """Success in a tier, in percent."""
+    interval = entry.success[world]
+    return str(interval) if interval else f"{100 * entry.by_seed[world][0]:.1f}"
+
+
+def ledger_values(entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
+    """The same as plain values, for JSON."""
+    return {
+        "version": __version__,
+        **asdict(budget),
+        "tiers": TIERS,
+        "entries": [
+            {
+                "choice": entry.choice.name,
+                "question": entry.choice.question,
+                "section": entry.choice.section,
+                "stated": entry.choice.stated,
+                "alternative": entry.alternative.label,
+                "changes": entry.alternative.changes,
+                "success": {world: interval and list(interval) for world, interval in entry.success.items()},
+                "by_seed": entry.by_seed,
+                "difference": list(entry.difference),
+                "verdict": entry.verdict,
+            }
+            for entry in entries
+        ],
+    }
+
+
+def ledger_csv(entries: Sequence[Entry]) -> str:
+    """A line for each alternative, tier and training seed."""
+    return csv_text(
+        [
+            {
+                "choice": entry.choice.name,
+                "alternative": entry.alternative.label,
+                "verdict": entry.verdict,
+                "world": world,
+                "seed": seed,
+                "success": success,
+            }
+            for entry in entries
+            for world, successes in entry.by_seed.items()
+            for seed, success in enumerate(successes)
+        ]
+    )
+
+
+def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
+    """Success of every alternative with its interval, choice by choice; dots are training seeds."""
+    gaps = np.cumsum([0.0] + [0.7 * (a.choice is not b.choice) for a, b in pairwise(entries)])
+    places = -(np.arange(len(entries)) + gaps)
+    figure = Figure(figsize=(11.0, 0.23 * float(-places[-1]) + 1.9), layout="constrained")
+    panels = figure.subplots(1, len(TIERS), sharey=True)
+    for axes, (world, title) in zip(panels, TIERS.items(), strict=True):
+        for place, entry in zip(places.tolist(), entries, strict=True):
+            colour = COLOURS[entry.verdict]
+            seeds = 100 * np.array(entry.by_seed[world])
+            axes.plot(seeds, np.full(len(seeds), place), "o", color=BOX, ms=3.0, mew=0, zorder=2)
+            interval = entry.success[world]
+            if interval:
+                axes.plot([100 * interval.low, 100 * interval.high], [place] * 2, color=colour, lw=1.8, zorder=3)
+                axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
+            if entry.verdict == "default":
+                axes.axhspan(place - 0.42, place + 0.42, color="#f1f3f5", lw=0, zorder=0)
+        axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 0.8), xlabel="success [%]")
+        axes.set_title(title, fontsize=10, color=INK)
+        axes.grid(axis="x", color="#e9ecef", lw=0.8)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    panels[0].set_yticks(places, [entry.alternative.label for entry in entries], fontsize=8)
+    for choice in _choices(entries):
+        first = next(k for k, entry in enumerate(entries) if entry.choice is choice)
+        star = " *" if choice.stated else ""
+        panels[0].text(
+            -0.56,
+            places[first],
+            f"{choice.question}{star}",
+            transform=panels[0].get_yaxis_transform(),
+            fontsize=8.5,
+            va="center",
+            ha="left",
+            color=SAFE,
+        )
+    handles = [
+        Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
+    ]
+    handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    title = f"{budget.seeds} trainings each; inter-quartile mean, 95 % interval; * the paper states it"
+    figure.suptitle(title, fontsize=10, color=INK)
+    save_figure(figure, path)
