@@ -92,7 +92,7 @@ def evaluation_markdown(
     named = titles(e)
     first = e.methods[0]
     lines = [
-        f"# {len(e.methods)} methods through the same worlds",
+        "# Methods through the same worlds",
         "",
         f"{e.setting.title}; {_worlds(e)}. nnql-bullet {__version__}.",
         "",
@@ -323,11 +323,15 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
     figure = Figure(figsize=(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6), layout="constrained")
     grid = figure.subplots(len(methods), len(tiers), squeeze=False)
     for axes in grid.flat:
-        axes.set_axis_off()
+        axes.set_visible(False)
     for task, recording in films:
         axes, world = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)], recording.about["world"]
+        axes.set_visible(True)
         draw_world(axes, recording)
         draw_path(axes, recording, 0.6)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.spines[:].set_visible(False)
         axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
         axes.set_title(f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", fontsize=7.5, color=INK)
     handles = [
