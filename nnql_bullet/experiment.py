@@ -154,7 +154,7 @@ class Experiment:
             raise UserError(f"world seed {seed}: world seeds are not negative")
         world = self.worlds.draw(seed, self.room)
         start = world.start
-        if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids) <= 0:
+        if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
         return world
 

@@ -327,7 +327,7 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
     for task, recording in films:
         axes, world = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)], recording.about["world"]
         axes.set_visible(True)
-        draw_world(axes, recording)
+        draw_world(axes, recording, recording.state_time[-1])
         draw_path(axes, recording, 0.6)
         axes.set_xticks([])
         axes.set_yticks([])
