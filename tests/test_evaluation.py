@@ -29,7 +29,7 @@ TWIN = Setting("validation", "twin", "reference")
 
 
 def policy(name: str, method: str, seed: int = 0) -> Policy:
-    return Policy(name, name, method, "nnql", seed, 100, 0.8, "f" + name)
+    return Policy(name, name, method, "nnql", seed, 100, 89, "It drives.", 0.8, "f" + name)
 
 
 def summary(ending: str, path_length: float = 100.0, seed: int = 0) -> EpisodeSummary:
@@ -128,7 +128,12 @@ class TestPolicies:
 
     def test_a_rule_is_its_own_method(self) -> None:
         (found,) = open_policies([Path("straight")])
-        assert (found.name, found.method, found.kind, found.episodes) == ("straight", "straight", "straight", 0)
+        assert (found.name, found.method, found.kind) == ("straight", "straight", "straight")
+        assert (found.episodes, found.learned) == (0, 0)
+
+    def test_a_network_has_its_weights(self, tiny_run: Path) -> None:
+        (found,) = open_policies([tiny_run])
+        assert (found.episodes, found.learned) == (12, 8 * 6 + 6 + 6 * 5 + 5)
 
     def test_policies_that_differ_by_seed_alone_are_one_method(
         self, tmp_path: Path, small_config: Path, run_cli: RunCli

@@ -111,6 +111,13 @@ def evaluation_markdown(
         "",
         markdown_table(QUALITY, [quality_row(row, named[row.world]) for row in rows]),
         "",
+        "## The methods",
+        "",
+        markdown_table(
+            ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
+            [_method_row(e, method) for method in e.methods],
+        ),
+        "",
         "## The worlds",
         "",
         markdown_table(
@@ -163,6 +170,14 @@ def _worlds(e: Evaluation) -> str:
     known = [tier.title for tier in e.tiers if not tier.frozen]
     free = f" ({', '.join(known)}: not frozen)" if known else ""
     return f"{count} worlds each of {', '.join(tier.title for tier in e.tiers)}{free}"
+
+
+def _method_row(e: Evaluation, method: str) -> tuple[object, ...]:
+    policies = e.of_method(method)
+    learned = sorted({policy.learned for policy in policies})
+    numbers = str(learned[0]) if len(learned) == 1 else f"{learned[0]} to {learned[-1]}"
+    one = policies[0]
+    return method, f"`{one.kind}`", one.about, len(policies), one.episodes or "-", numbers
 
 
 def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
