@@ -10,9 +10,11 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, Learner, Taught, make_agent
+from nnql_bullet.agents.genetic import Genetic
 from nnql_bullet.agents.nnql import NnqlOptions
+from nnql_bullet.agents.sb3_dqn import Sb3Dqn
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
-from nnql_bullet.env import Navigation
+from nnql_bullet.env import FleetNavigation, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import training_world_seed
@@ -23,6 +25,9 @@ from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.training.base import Trainer
+from nnql_bullet.training.evolution import Evolution
+from nnql_bullet.training.loop import Training
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
@@ -223,3 +228,13 @@ class Experiment:
         if not isinstance(self.taught, Learner):
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
         return self.taught
+
+    def trainer(self, navigation: FleetNavigation) -> Trainer:
+        """What trains the agent."""
+        if isinstance(self.agent, Genetic):
+            return Evolution(self.agent, navigation, self.training_world, self.config.seed)
+        if isinstance(self.agent, Sb3Dqn):
+            from nnql_bullet.training.sb3 import DqnTraining
+
+            return DqnTraining(self.agent, navigation, self.training_world, self.config.seed)
+        return Training(self.learner, navigation, self.training_world, self.config.seed)

@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from nnql_bullet.agents import Learner
+from nnql_bullet.agents import Taught
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
@@ -21,7 +21,7 @@ from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, open_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sim.engines import PhysicsName
-from nnql_bullet.training import loop
+from nnql_bullet.training.base import Trainer
 
 SAVE_EVERY = 5.0
 """Seconds from one checkpoint to the next."""
@@ -90,9 +90,8 @@ def train(
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
     with closing(experiment.fleet(workers)) as fleet:
-        agent = experiment.learner
-        navigation = FleetNavigation(fleet, c.task)
-        training = loop.Training(agent, navigation, experiment.training_world, c.seed)
+        agent = experiment.taught
+        training = experiment.trainer(FleetNavigation(fleet, c.task))
         where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
         several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
         try:
@@ -122,7 +121,7 @@ def train(
     return 130
 
 
-def _run(run: Run, agent: Learner, training: loop.Training) -> bool:
+def _run(run: Run, agent: Taught, training: Trainer) -> bool:
     """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
 
     Raises:
