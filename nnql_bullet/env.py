@@ -138,8 +138,7 @@ MOST_YAW_RATE = 10.0
 
 
 def as_numbers(observations: Observation | Observations) -> NDArray[np.float32]:
-    """Observations as numbers (..., 11): the eight readings [m], the target's distance [m] and bearing [rad], the yaw
-    rate [rad/s]."""
+    """Observations as float32 (..., 11): the eight readings, target distance, target bearing, yaw rate (clipped)."""
     o = observations
     numbers = np.empty((*o.readings.shape[:-1], paper.SECTORS + 3), np.float32)
     numbers[..., : paper.SECTORS] = o.readings

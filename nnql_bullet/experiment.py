@@ -26,7 +26,6 @@ from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer
-from nnql_bullet.training.evolution import Evolution
 from nnql_bullet.training.loop import Training
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
@@ -58,6 +57,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     # Another agent in the paper's place, all else being equal.
     **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
+    # A search learns from whole episodes where the others learn from steps, so it is given more of them.
+    "genetic": {"episodes": 20 * paper.EPISODES, "agent": {"kind": "genetic"}},
 }
 
 
@@ -230,11 +231,26 @@ class Experiment:
         return self.taught
 
     def trainer(self, navigation: FleetNavigation) -> Trainer:
-        """What trains the agent."""
-        if isinstance(self.agent, Genetic):
-            return Evolution(self.agent, navigation, self.training_world, self.config.seed)
-        if isinstance(self.agent, Sb3Dqn):
-            from nnql_bullet.training.sb3 import DqnTraining
+        """What trains the agent, in the way of its kind.
 
-            return DqnTraining(self.agent, navigation, self.training_world, self.config.seed)
-        return Training(self.learner, navigation, self.training_world, self.config.seed)
+        Raises:
+            UserError: If it is a rule, or what its training needs is not installed.
+        """
+        agent, world_of, seed = self.taught, self.training_world, self.config.seed
+        if isinstance(agent, Genetic):
+            try:
+                from nnql_bullet.training.evolution import Evolution
+            except ImportError:
+                raise _missing("DEAP", "baselines") from None
+            return Evolution(agent, navigation, world_of, seed)
+        if isinstance(agent, Sb3Dqn):
+            try:
+                from nnql_bullet.training.sb3 import DqnTraining
+            except ImportError:
+                raise _missing("stable-baselines3", "sb3") from None
+            return DqnTraining(agent, navigation, world_of, seed)
+        return Training(self.learner, navigation, world_of, seed)
+
+
+def _missing(library: str, extra: str) -> UserError:
+    return UserError(f"{library} is not installed; install it with: pip install 'nnql-bullet[{extra}]'")

@@ -39,6 +39,8 @@ class GeneticOptions:
     """In which each of them is tried, the same for all of a generation."""
     elites: Annotated[int, Field(ge=1)] = 5
     """The fittest so many live on unchanged, and are tried again in the worlds of the next generation."""
+    prior: Annotated[float, Field(ge=0)] = 8.0
+    """Tries with average success that are added to those of each genome, in all generations that it lived through."""
     tournament: Annotated[int, Field(ge=1)] = 3
     """A parent is the fittest of so many drawn at random."""
     blend: Annotated[float, Field(ge=0)] = 0.3

@@ -1,6 +1,6 @@
 """Tabular Q-learning, which the paper holds its network against (III)."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +84,12 @@ class QTable(QLearning):
         visited = int(self._visited.sum())
         return {**super().diagnostics(episode), "states": visited, "table_share": visited / self.options.states}
 
-    def arrays(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """The states that it has learned in (k,), and their Q-values (k, 5); all others are zero."""
         states = np.flatnonzero(self._visited)
         return {"states": states, "values": self._table[states]}
 
-    def load(self, arrays: dict[str, Array]) -> None:
+    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Replaces the table."""
         try:
             states, values = arrays["states"], arrays["values"]

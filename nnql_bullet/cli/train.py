@@ -53,19 +53,21 @@ def train(
         nnql-bullet train --config literal --seed 3 --out runs/mine
         nnql-bullet train --vehicles 64 --out runs/quick
         nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
+        nnql-bullet train --config genetic --vehicles 200 --sim twin
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
-        config: Preset (paper, literal) or TOML file; default paper.
+        config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), q_table (a
+            table instead of the network), genetic (a search over its weights) or sb3_dqn (DQN of stable-baselines3).
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
-        episodes: Training episodes in all; default 1000.
+        episodes: Training episodes in all; default 1000, with genetic 20000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
         workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
         out: Run folder; default runs/CONFIG-SEED.
-        resume: Go on with the run in this folder, bit for bit as if it had never stopped.
+        resume: Go on with the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
         overwrite: Start anew in a folder that holds a run already.
     """
     if resume is not None:

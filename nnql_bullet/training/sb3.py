@@ -60,7 +60,7 @@ class DqnTraining:
     def _train(self) -> Iterator[tuple[TrainingEpisode, dict[str, Array]]]:
         """Trains from the beginning; yields each episode as it finishes, with the weights of then."""
         o = self._agent.options
-        vehicles = FleetVecEnv(self._navigation, self._world_of, o.scaled)
+        vehicles = FleetVecEnv(self._navigation, self._world_of)
         n = vehicles.num_envs
         together = max(o.steps_per_update // n, 1)
         with fenced(rng(self._seed, Stream.WEIGHTS)):
@@ -84,7 +84,7 @@ class DqnTraining:
             generator = rng(self._seed, Stream.POLICY, update)
             dqn.action_space.seed(int(generator.integers(2**32)))
             with fenced(generator):
-                dqn.learn(1, log_interval=None, reset_num_timesteps=False)  # until the next update
+                dqn.learn(1, reset_num_timesteps=False)  # until the next update
             weights = {name: value.numpy().copy() for name, value in dqn.q_net.q_net.state_dict().items()}
             for number, summary in vehicles.finished:
                 yield TrainingEpisode(number, summary, {"exploration": dqn.exploration_rate}), weights
@@ -97,10 +97,9 @@ class FleetVecEnv(VecEnv):
     As in `Training`, it takes the next episode that nobody has begun.
     """
 
-    def __init__(self, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], scaled=True) -> None:
+    def __init__(self, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec]) -> None:
         self._navigation = navigation
         self._world_of = world_of
-        self.scaled = scaled
         n = navigation.fleet.size
         self._tally = Tally(n)
         self._episode = np.zeros(n, np.int64)
@@ -123,7 +122,7 @@ class FleetVecEnv(VecEnv):
         """Carries out one decision of each vehicle."""
         t = self._navigation.step(self._actions)
         self._tally.add(t)
-        seen, over = inputs(t.s_t, self.scaled), self._tally.over
+        seen, over = inputs(t.s_t), self._tally.over
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(over).tolist()
         for vehicle in ended:
@@ -140,7 +139,7 @@ class FleetVecEnv(VecEnv):
             self._tally.begin(vehicle, worlds[vehicle].seed)
             self._next_episode += 1
         self._navigation.reset(worlds)
-        return inputs(self._navigation.observations, self.scaled)
+        return inputs(self._navigation.observations)
 
     def close(self) -> None:
         """Nothing: the fleet is not its own."""
