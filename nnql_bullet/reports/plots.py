@@ -16,7 +16,7 @@ from nnql_bullet import paper
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, moved
 from nnql_bullet.recording import Recording
-from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.training.base import TrainingEpisode
 
 SAFE, NON_SAFE, COLLISION = "#1f77b4", "#e8590c", "#c92a2a"
 GOAL, TIMEOUT = "#2b8a3e", "#868e96"
