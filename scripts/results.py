@@ -1,8 +1,8 @@
 """Trains every method over its seeds, drives all of them and every rule through the test worlds, and fills results/.
 
-Learning methods are trained in the ideal twin, one vehicle at a time as in the paper unless their own recipe says
-otherwise; everything is tested in contact physics on the split `test`, which nothing is chosen on. What is trained and
-driven is kept in --out, so the same command goes on after an interrupt. The ledger of open choices is a part of it.
+Learning methods are trained in the ideal twin. Everything is tested in contact physics on the split `test`, which
+nothing is chosen on, and in the twin through more of the same worlds. What is trained and driven is kept in --out, so
+the same command goes on after an interrupt. The ledger of open choices is a part of it.
 
     python scripts/results.py                    # as in the README
     python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
@@ -23,12 +23,20 @@ from nnql_bullet.agents import RULES
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
 
-SEEDS = {"paper": 10, "literal": 10, "q_table": 5, "genetic": 5, "sb3_dqn": 5}
-"""Training seeds of each preset."""
+METHODS = {
+    "paper": (10, []),
+    "literal": (10, []),
+    "q_table": (5, []),
+    "genetic": (5, ["--vehicles", "200"]),  # that changes nothing but the time
+    "sb3_dqn": (3, ["--vehicles", "16"]),
+}
+"""Presets, with the number of their training seeds and what else `train` is told."""
 COVERS = "5,10,15,20"
 WORLDS = "traps,aisles,moving"
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
-"""Files of the report that go into results/."""
+"""Files of a report that go into results/."""
+LEDGER = ("ledger.md", "ledger.json", "ledger.csv", "ledger.png")
+"""Of the ledger."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,7 @@ def train(trial: Trial) -> None:
         arguments = ["--resume", str(trial.run)]
     else:
         arguments = ["--config", trial.preset, "--seed", str(trial.seed), "--sim", "twin", "--out", str(trial.run)]
+        arguments += METHODS[trial.preset][1]
     said = io.StringIO()
     with redirect_stdout(said), redirect_stderr(said):
         code = run(["train", *arguments, "--workers", "1"])
@@ -68,7 +77,9 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of seeds and worlds")
-    parser.add_argument("--worlds", type=int, default=50, help="test worlds of each kind")
+    parser.add_argument("--worlds", type=int, default=50, help="test worlds of each kind in contact physics")
+    parser.add_argument("--twin-worlds", type=int, default=300, help="and in the twin")
+    parser.add_argument("--ledger-seeds", type=int, default=10, help="trainings of each alternative of the ledger")
     parser.add_argument("--physics", default="fast", help="of the test")
     parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")
     parser.add_argument("--workers", type=int, default=2, help="trainings and drives at a time")
@@ -81,29 +92,30 @@ def main() -> None:
         parser.error(str(error))
     out = a.out
     out.mkdir(parents=True, exist_ok=True)
-    seeds = {preset: max(1, round(count * a.scale)) for preset, count in SEEDS.items()}
-    trials = [Trial(preset, seed, out) for preset, count in seeds.items() for seed in range(count)]
+    counts = {preset: max(1, round(count * a.scale)) for preset, (count, _) in METHODS.items()}
+    trials = [Trial(preset, seed, out) for preset, count in counts.items() for seed in range(count)]
     for outcome in track(executor.map(train, trials), "training", total=len(trials)):
         if outcome.error:
             sys.exit(f"{outcome.task.run}: {outcome.error.message}")
-    where = ["--split", "test", "--worlds", str(max(1, round(a.worlds * a.scale))), "--physics", a.physics]
     spread = ["--executor", a.executor, "--workers", str(a.workers)]
     policies = [*(str(trial.run) for trial in trials), *RULES]
-    tiers = ["--cover", COVERS, "--world", WORLDS]
-    ledger = ["--seeds", str(max(1, round(10 * a.scale)))]
-    for arguments in (
-        ["ledger", *ledger, *spread, "--out", str(out / "ledger")],
-        ["evaluate", *policies, *tiers, *where, *spread, "--out", str(out / "evaluate")],
+    test = ["evaluate", *policies, "--cover", COVERS, "--world", WORLDS, "--split", "test", *spread]
+    scaled = {
+        name: str(max(1, round(number * a.scale)))
+        for name, number in (("seeds", a.ledger_seeds), ("worlds", a.worlds), ("twin", a.twin_worlds))
+    }
+    for name, arguments, kept in (
+        ("ledger", ["ledger", "--seeds", scaled["seeds"], *spread], LEDGER),
+        ("twin", [*test, "--sim", "twin", "--worlds", scaled["twin"]], KEPT),
+        ("contact", [*test, "--physics", a.physics, "--worlds", scaled["worlds"]], KEPT),
     ):
-        code = run(arguments)
+        code = run([*arguments, "--out", str(out / name)])
         if code:
             sys.exit(code)
-    a.results.mkdir(exist_ok=True)
-    for name in KEPT:
-        shutil.copy(out / "evaluate" / name, a.results / name)
-    for name in ("ledger.md", "ledger.json", "ledger.csv", "ledger.png"):
-        shutil.copy(out / "ledger" / name, a.results / name)
-    print(f"results: {a.results / 'evaluation.md'}, {a.results / 'ledger.md'}")
+        (a.results / name).mkdir(parents=True, exist_ok=True)
+        for file in kept:
+            shutil.copy(out / name / file, a.results / name / file)
+    print(f"results: {a.results}/contact/evaluation.md, {a.results}/twin/evaluation.md, {a.results}/ledger/ledger.md")
 
 
 if __name__ == "__main__":
