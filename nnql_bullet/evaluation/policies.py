@@ -72,7 +72,7 @@ def open_policies(paths: Sequence[Path]) -> list[Policy]:
             seed=experiment.config.seed,
             episodes=episodes,
             room=experiment.room,
-            fingerprint=_fingerprint(experiment),
+            fingerprint=fingerprint(experiment),
         )
         for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
     ]
@@ -93,7 +93,8 @@ def _recipe(experiment: Experiment) -> str:
     return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
 
 
-def _fingerprint(experiment: Experiment) -> str:
+def fingerprint(experiment: Experiment) -> str:
+    """Hash of what a policy learned and of the configuration that it drives with, wherever it drives."""
     config, agent = to_values(experiment.config), experiment.agent
     driving = {key: config[key] for key in ("seed", "robot", "conditions", "drive", "task", "agent")}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())

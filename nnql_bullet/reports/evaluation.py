@@ -16,14 +16,25 @@ from matplotlib.ticker import FixedLocator
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
+from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Share
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_path, draw_world, save_figure
+from nnql_bullet.reports.plots import (
+    COLLISION,
+    GOAL,
+    INK,
+    LINES,
+    NON_SAFE,
+    SAFE,
+    TIMEOUT,
+    draw_path,
+    draw_world,
+    save_figure,
+)
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
 from nnql_bullet.task import ENDINGS
 
 COLOURS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT}
-LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
 MARKS = "osD^vPX"
 
 
@@ -120,6 +131,13 @@ def evaluation_markdown(
         "",
         "Means; the last three along the shortest path.",
         "",
+        "## The policies",
+        "",
+        markdown_table(
+            ("method", "agent", "policies", "training episodes"),
+            [_method_row(e.of_method(method)) for method in e.methods],
+        ),
+        "",
     ]
     if len(e.methods) > 1:
         against = [c for c in comparisons if first in (c.first, c.second)]
@@ -165,6 +183,11 @@ def _worlds(e: Evaluation) -> str:
     return f"{count} worlds each of {', '.join(tier.title for tier in e.tiers)}{free}"
 
 
+def _method_row(policies: Sequence[Policy]) -> tuple[object, ...]:
+    paths = ", ".join(f"`{policy.path}`" for policy in policies)
+    return policies[0].method, policies[0].kind, paths, ", ".join(dict.fromkeys(str(its.episodes) for its in policies))
+
+
 def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
     (tier,) = [tier for tier in e.tiers if tier.name == name]
     worlds = e.difficulties[name]
@@ -186,6 +209,7 @@ def evaluation_values(
     e = evaluation
     return {
         "version": __version__,
+        "command": e.command,
         "split": e.setting.split,
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,
