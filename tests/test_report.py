@@ -91,7 +91,7 @@ def call(*arguments: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path, small_world: Path) -> Iterator[Path]:
+def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path) -> Iterator[Path]:
     """A working folder with two runs of one recipe, evaluated beside a rule, and the gap of the first. Read only.
 
     Their vehicles have 60 steps, so that no world of 100 m is crossed: there are failures.
@@ -102,8 +102,8 @@ def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path, small_wor
         for seed in (0, 1):
             training = ("--sim", "twin", "--episodes", 8, "--config", small_config, "--seed", seed)
             call("train", *training, "--out", f"runs/tiny-{seed}")
-        driving = ("--worlds", 3, "--sim", "twin", "--executor", "inline")
-        call("evaluate", "runs/tiny-0", "runs/tiny-1", "straight", "--world", f"{small_world},paper,cover_10", *driving)
+        driving = ("--worlds", 2, "--sim", "twin", "--executor", "inline")
+        call("evaluate", "runs/tiny-0", "runs/tiny-1", "straight", "--cover", "5,10", *driving)
         call("gap", "runs/tiny-0", "--worlds", 2, "--physics", "fast", "--no-faults", "--workers", 1)
         call("report", "runs/tiny-0", "runs/tiny-1")
         yield folder
