@@ -145,6 +145,20 @@ def stacked(observations: Sequence[Observation]) -> Observations:
     )
 
 
+MOST_YAW_RATE = 10.0
+"""A larger one is told as this [rad/s]."""
+
+
+def as_numbers(observations: Observation | Observations) -> NDArray[np.float32]:
+    """Observations as float32 (..., 11): the eight readings, target distance, target bearing, yaw rate (clipped)."""
+    o = observations
+    numbers = np.empty((*o.readings.shape[:-1], paper.SECTORS + 3), np.float32)
+    numbers[..., : paper.SECTORS] = o.readings
+    numbers[..., -3], numbers[..., -2] = o.target_distance, o.target_bearing
+    numbers[..., -1] = np.clip(o.yaw_rate, -MOST_YAW_RATE, MOST_YAW_RATE)
+    return numbers
+
+
 @dataclass(frozen=True, slots=True)
 class Transitions:
     """One step of each of n vehicles: see `Transition`. The rows of those that stood by mean nothing."""

@@ -10,9 +10,11 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, Learner, Taught, make_agent
+from nnql_bullet.agents.genetic import Genetic
 from nnql_bullet.agents.nnql import NnqlOptions
+from nnql_bullet.agents.sb3_dqn import Sb3Dqn
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
-from nnql_bullet.env import Navigation
+from nnql_bullet.env import FleetNavigation, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import training_world_seed
@@ -23,6 +25,8 @@ from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.training.base import Trainer
+from nnql_bullet.training.loop import Training
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
@@ -53,6 +57,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     # Another agent in the paper's place, all else being equal.
     **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
+    # A search learns from whole episodes where the others learn from steps, so it is given more of them.
+    "genetic": {"episodes": 20 * paper.EPISODES, "agent": {"kind": "genetic"}},
 }
 
 
@@ -154,7 +160,7 @@ class Experiment:
             raise UserError(f"world seed {seed}: world seeds are not negative")
         world = self.worlds.draw(seed, self.room)
         start = world.start
-        if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids) <= 0:
+        if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
         return world
 
@@ -228,3 +234,28 @@ class Experiment:
         if not isinstance(self.taught, Learner):
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
         return self.taught
+
+    def trainer(self, navigation: FleetNavigation) -> Trainer:
+        """What trains the agent, in the way of its kind.
+
+        Raises:
+            UserError: If it is a rule, or what its training needs is not installed.
+        """
+        agent, world_of, seed = self.taught, self.training_world, self.config.seed
+        if isinstance(agent, Genetic):
+            try:
+                from nnql_bullet.training.evolution import Evolution
+            except ImportError:
+                raise _missing("DEAP", "baselines") from None
+            return Evolution(agent, navigation, world_of, seed)
+        if isinstance(agent, Sb3Dqn):
+            try:
+                from nnql_bullet.training.sb3 import DqnTraining
+            except ImportError:
+                raise _missing("stable-baselines3", "sb3") from None
+            return DqnTraining(agent, navigation, world_of, seed)
+        return Training(self.learner, navigation, world_of, seed)
+
+
+def _missing(library: str, extra: str) -> UserError:
+    return UserError(f"{library} is not installed; install it with: pip install 'nnql-bullet[{extra}]'")

@@ -20,7 +20,7 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 FORMAT = "nnql-bullet recording 1"
 
@@ -66,8 +66,18 @@ class Recording:
 
     @property
     def obstacles(self) -> tuple[OrientedBox, ...]:
-        """The world's boxes."""
+        """The world's boxes that stand still."""
         return tuple(OrientedBox(**box) for box in self.about["world"]["obstacles"])
+
+    @property
+    def patrols(self) -> tuple[Patrol, ...]:
+        """The world's boxes that move."""
+        kept = self.about["world"].get("patrols", ())  # older recordings know of none
+        return tuple(Patrol(OrientedBox(**p["box"]), tuple(p["end"]), p["speed"], p["phase"]) for p in kept)
+
+    def boxes_at(self, time: float) -> tuple[OrientedBox, ...]:
+        """All of them, those that move where they were then [s]."""
+        return self.obstacles + tuple(patrol.at(time) for patrol in self.patrols)
 
     @property
     def footprint(self) -> OrientedBox:

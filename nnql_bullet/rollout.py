@@ -1,6 +1,6 @@
 """What an episode comes to, and one episode that can be watched."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -182,15 +182,26 @@ def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], drive
     Returns:
         What they came to, in the order of `worlds`.
     """
+    summaries = dict(finished_episodes(navigation, worlds, driver))
+    return [summaries[i] for i in range(len(worlds))]
+
+
+def finished_episodes(
+    navigation: FleetNavigation, worlds: Sequence[WorldSpec], driver: Driver
+) -> Iterator[tuple[int, EpisodeSummary]]:
+    """Drives an episode in each world, as many at a time as there are vehicles; they begin in the order of `worlds`.
+
+    Yields:
+        The place in `worlds` of each episode that finishes, and what it came to.
+    """
     n = navigation.fleet.size
     tally, place = Tally(n), np.full(n, -1)
-    summaries: dict[int, EpisodeSummary] = {}
     waiting = iter(range(len(worlds)))
-    while len(summaries) < len(worlds):
+    while True:
         free = np.flatnonzero((place < 0) | tally.over).tolist()
         for vehicle in free:
             if place[vehicle] >= 0:
-                summaries[int(place[vehicle])] = tally.summary(vehicle)
+                yield int(place[vehicle]), tally.summary(vehicle)
             place[vehicle] = next(waiting, -1)
         begun = {vehicle: worlds[place[vehicle]] for vehicle in free if place[vehicle] >= 0}
         for vehicle, world in begun.items():
@@ -198,9 +209,9 @@ def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], drive
             driver.begin(vehicle, world.seed)
         navigation.reset(begun)
         active = place >= 0
-        if active.any():
-            tally.add(navigation.step(driver.exploit(navigation.observations), active))
-    return [summaries[i] for i in range(len(worlds))]
+        if not active.any():
+            return
+        tally.add(navigation.step(driver.exploit(navigation.observations), active))
 
 
 def _alone(t: Transition) -> Transitions:

@@ -24,8 +24,8 @@ from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
 from nnql_bullet.files import write_text
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
-from nnql_bullet.training.loop import Training, TrainingEpisode
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
@@ -60,7 +60,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
 
-    def save(self, agent: Taught, training: Training) -> None:
+    def save(self, agent: Taught, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
         Raises:
@@ -112,9 +112,9 @@ class State:
     """What a checkpoint holds."""
 
     learned: dict[str, NDArray[Any]]
-    """For `Agent.load`."""
+    """For `Taught.load`."""
     under_way: dict[str, NDArray[Any]]
-    """For `Training.load`."""
+    """For `Trainer.load`."""
 
 
 def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:

@@ -28,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, FleetNavigation, Observation, Observations
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
 from nnql_bullet.seeding import TRAINING_WORLDS
@@ -36,7 +36,6 @@ from nnql_bullet.sim.base import Simulator
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
 from nnql_bullet.worlds.spec import WorldSpec
 
-MOST_YAW_RATE = 10.0
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `GOES_ON` is its last
 _LABELS = np.array([*(state.label for state in Property), None], dtype=object)
 _NOBODY = -1
@@ -60,10 +59,7 @@ def _vectors(
     observations: Observation | Observations, space: gymnasium.spaces.Space[NDArray[np.float32]]
 ) -> NDArray[np.float32]:
     """Observations as the rows (..., 11) that the module's table describes."""
-    o = observations
-    numbers = np.empty((*o.readings.shape[:-1], paper.SECTORS + 3), np.float32)
-    numbers[..., : paper.SECTORS] = o.readings
-    numbers[..., -3], numbers[..., -2], numbers[..., -1] = o.target_distance, o.target_bearing, o.yaw_rate
+    numbers = as_numbers(observations)
     return np.clip(numbers, space.low, space.high, out=numbers)  # type: ignore[attr-defined]
 
 

@@ -21,7 +21,6 @@ from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.experiment import Experiment, RunConfig, changed
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
-from nnql_bullet.training.loop import Training
 
 COVERS = {"5 %": "paper", "10 %": "cover_10"}
 
@@ -40,7 +39,7 @@ def successes(trial: Trial) -> list[float]:
     config = RunConfig(simulator="twin", vehicles=trial.vehicles, seed=trial.seed)
     experiment = Experiment(config)
     navigation = FleetNavigation(experiment.fleet(1), config.task)
-    training = Training(experiment.learner, navigation, experiment.training_world, config.seed)
+    training = experiment.trainer(navigation)
     for _ in islice(training.episodes(), config.episodes):
         pass
     shares = []

@@ -25,7 +25,7 @@ from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 DRIVE = DriveOptions()
 SIZE = 6
@@ -74,17 +74,21 @@ def alone(kind: str, vehicle: VehicleSpec) -> Iterator[Simulator]:
 
 @pytest.fixture(scope="module")
 def worlds(world_of: Callable[..., WorldSpec]) -> list[WorldSpec]:
-    """From none to hundreds of boxes, other starts, a contact and a target in the second control period."""
+    """From none to hundreds of boxes, boxes that move, other starts, a contact and a target in the second period."""
     start = Pose(40.0, 60.0, 2.5)
     ahead = moved(OrientedBox(3.0, 0.1, 0.3, 1.0, 0.4), start)
+    crossing = Patrol(OrientedBox(38.0, 58.0, 0.5, 0.4, 0.7), (36.0, 70.0), 0.9, 0.1)
+    crossing_back = [Patrol(OrientedBox(12.0 + k, 9.0, 0.3, 0.6, 0.1 * k), (13.0 + k, 12.5), 1.0, 0.2) for k in (3, 4)]
     return [
         load_world("cover_20").draw(3, 0.8),
         world_of(),
         load_world("cover_10").draw(1, 0.8),
         world_of(ahead, start=start),
         world_of(start=start, target=(start.x + 3.5 * cos(start.yaw), start.y + 3.5 * sin(start.yaw))),
-        replace(load_world("paper").draw(2, 0.8), start=Pose(10.0, 12.0, -0.3)),
+        replace(load_world("paper").draw(2, 0.8), start=Pose(10.0, 12.0, -0.3), patrols=(crossing, *crossing_back)),
         load_world("cover_20").draw(4, 0.8),
+        load_world("moving").draw(4, 0.8),
+        replace(world_of(start=start), patrols=(crossing, *crossing_back)),
     ]
 
 
@@ -232,9 +236,12 @@ class TestTwinFleet:
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], worlds: list[WorldSpec]
     ) -> None:
         full, sparse = worlds[0], world_of(OrientedBox(103.0, 100.2, 0.2, 0.2))
-        assert len(full.solids) > 20 > len(sparse.solids)
+        assert len(full.solids) > 30 > len(sparse.solids)
         drive = np.array([0.3, -0.3]), np.ones(2, np.bool_)
-        calls = [{0: sparse, 1: world_of()}, drive, {1: full}, drive, {0: full, 1: sparse}, drive, drive]
+        busy = replace(sparse, patrols=load_world("moving").draw(0, 0.8).patrols)
+        few = replace(full, patrols=busy.patrols[:2])
+        calls = [{0: sparse, 1: world_of()}, drive, {1: few}, drive, {0: full, 1: sparse}, drive, drive]
+        calls += [{0: busy}, drive, {1: few}, drive, {0: sparse}, drive, drive, {0: few, 1: busy}, drive]
         with closing(TwinFleet(vehicle, DRIVE, 2)) as fleet, closing(TwinSimulator(vehicle, DRIVE)) as alone:
             for diary in driven(fleet, calls):
                 assert diary.answers == answers_alone(alone, diary.calls)
@@ -264,6 +271,7 @@ class Scene:
     radius: float
     speed: float
     turns: tuple[float, ...]
+    patrols: tuple[Patrol, ...] = ()
 
 
 VEHICLE = load_vehicle("tricycle")
@@ -279,6 +287,16 @@ scenes = st.builds(
     st.floats(0.1, 2.0),
     st.floats(0.2, 4.0),
     st.lists(st.floats(-1.3, 1.3), min_size=1, max_size=4).map(tuple),
+    st.lists(
+        st.builds(
+            Patrol,
+            st.builds(OrientedBox, near, near, st.floats(0.05, 1.0), st.floats(0.05, 1.0), st.floats(-pi, pi)),
+            st.tuples(near, near),
+            st.floats(0.1, 3.0),
+            st.floats(0.0, 1.0),
+        ).filter(lambda patrol: hypot(patrol.end[0] - patrol.box.x, patrol.end[1] - patrol.box.y) > 0.1),
+        max_size=3,
+    ).map(tuple),
 )
 FAR = (60.0, 60.0)
 
@@ -297,6 +315,26 @@ def distances(poses: Array, solids: list[shapely.Polygon]) -> Array:
     return np.asarray(shapely.distance(np.array(footprints(poses))[:, None], np.array(solids)[None]).min(axis=1))
 
 
+def distances_to_patrols(poses: Array, commands: int, patrols: tuple[Patrol, ...]) -> Array:
+    """From the footprint at each pose (n, 3), a command apart from so many on, to the nearest patrol then (n,)."""
+    nearest = []
+    for k, footprint in enumerate(footprints(poses), commands):
+        gone = [patrol.speed * k / COMMAND_RATE for patrol in patrols]
+        nearest.append(min(map(footprint.distance, map(patrol_after, patrols, gone)), default=np.inf))
+    return np.array(nearest)
+
+
+def patrol_after(patrol: Patrol, way: float) -> shapely.Polygon:
+    """A patrol that has gone so far [m]: it takes what is left of its way from one end to the other, and so on."""
+    ends = np.array([(patrol.box.x, patrol.box.y), patrol.end])
+    length = float(np.hypot(*(ends[1] - ends[0])))
+    way += 2 * length * patrol.phase
+    while way >= length:
+        way, ends = way - length, ends[::-1]
+    x, y = ends[0] + way / length * (ends[1] - ends[0])
+    return shapely.Polygon(replace(patrol.box, x=x, y=y).corners())
+
+
 def unicycle(pose: Array, turn: Array, stride: float) -> Array:
     """Poses (k + 1, 3) after each command, if the heading since `pose` goes like `turn` (k + 1,)."""
     middles = pose[2] + (turn[1:] + turn[:-1]) / 2
@@ -311,12 +349,12 @@ def follows(scene: Scene, world: WorldSpec) -> Iterator[tuple[Array, int, bool, 
     All distances are taken, after every command, by shapely.
     """
     solids = [shapely.Polygon(box.corners()) for box in world.obstacles + world.walls]
-    pose, rate = np.array([MIDDLE, MIDDLE, 0.0]), 0.0
+    pose, rate, commands = np.array([MIDDLE, MIDDLE, 0.0]), 0.0, 0
     times = np.arange(61) / COMMAND_RATE
     for change in scene.turns:
         rates, headings = sample_turn(plan_turn(rate, change, VEHICLE.limits), times)
         path = unicycle(pose, headings, scene.speed / COMMAND_RATE)
-        clear = distances(path, solids)
+        clear = np.minimum(distances(path, solids), distances_to_patrols(path, commands, world.patrols))
         off = np.hypot(path[:, 0] - world.target[0], path[:, 1] - world.target[1]) - scene.radius
         if clear[0] == 0 or ((clear > 0) & (clear < 1e-9)).any() or (np.abs(off) < 1e-9).any():
             raise Doubtful
@@ -326,14 +364,22 @@ def follows(scene: Scene, world: WorldSpec) -> Iterator[tuple[Array, int, bool, 
         yield path[: last + 1], last, touching, bool(off[last] <= 0) and not touching, smallest, change - headings[last]
         if touching or off[last] <= 0:
             return
-        pose, rate = path[last], float(rates[last])
+        pose, rate, commands = path[last], float(rates[last]), commands + last
 
 
 def check(scene: Scene) -> list[str]:
     """Compares the fleet with brute force; gives what ended the scene."""
     boxes = tuple(moved(box, Pose(MIDDLE, MIDDLE, 0.0)) for box in scene.boxes)
     target = (MIDDLE + scene.target[0], MIDDLE + scene.target[1])
-    world = WorldSpec("scene", 0, 200.0, 200.0, boxes, Pose(MIDDLE, MIDDLE, 0.0), target, scene.radius, 1.5)
+    patrols = tuple(
+        replace(
+            patrol,
+            box=moved(patrol.box, Pose(MIDDLE, MIDDLE, 0.0)),
+            end=(MIDDLE + patrol.end[0], MIDDLE + patrol.end[1]),
+        )
+        for patrol in scene.patrols
+    )
+    world = WorldSpec("scene", 0, 200.0, 200.0, boxes, Pose(MIDDLE, MIDDLE, 0.0), target, scene.radius, 1.5, patrols)
     with closing(TwinFleet(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
         fleet.reset({0: world})
         for change, expected in zip(scene.turns, follows(scene, world), strict=False):
@@ -380,6 +426,35 @@ class TestAgainstBruteForce:
             if hypot(*target) > 0.8:
                 ends += check(Scene(tuple(clear), target, 0.7, float(generator.uniform(0.5, 3.0)), turns)) or ["none"]
         assert min(ends.count(end) for end in ("contact", "target", "none")) >= 5
+
+    def test_many_scenes_with_boxes_that_move(self) -> None:
+        generator = np.random.default_rng(1)
+        ends: list[str] = []
+        for _ in range(80):
+            drawn = generator.uniform((-6, -6, 0.05, 0.05, -pi), (6, 6, 0.6, 0.6, pi), (3, 5)).tolist()
+            to = generator.uniform(-6, 6, (3, 2)).tolist()
+            fast = generator.uniform((0.1, 0.0), (3.0, 1.0), (3, 2)).tolist()
+            patrols = tuple(Patrol(OrientedBox(*b), (x, y), *f) for b, (x, y), f in zip(drawn, to, fast, strict=True))
+            turns, target = generator.uniform(-1.3, 1.3, 4).tolist(), generator.uniform(-4, 4, 2).tolist()
+            try:
+                scene = Scene(
+                    (), (target[0], target[1]), 1.0, float(generator.uniform(0.5, 3.0)), tuple(turns), patrols
+                )
+                ends += check(scene) or ["none"]
+            except Doubtful:
+                continue
+        assert min(ends.count(end) for end in ("contact", "target", "none")) >= 5
+
+    @pytest.mark.parametrize("speed", [0.31, 1.07, 2.9])
+    @pytest.mark.parametrize("gap", [1.4, 1.9, 2.4, 2.9, 3.9])
+    def test_from_a_box_close_behind_to_one_that_comes(self, gap: float, speed: float) -> None:
+        """Each comes nearer to the other."""
+        front = VEHICLE.footprint.x + VEHICLE.footprint.half_length
+        rear = VEHICLE.footprint.x - VEHICLE.footprint.half_length
+        behind = OrientedBox(rear - 0.6, 0.0, 0.5, 0.5)
+        comes = Patrol(OrientedBox(front + gap + 0.1, 0.0, 0.1, 3.0), (front + gap - 20.0, 0.0), speed, 0.0)
+        ends = check(Scene((behind,), FAR, 1.0, 2.0, (0.0, 0.0, 0.0, 0.0), (comes,)))
+        assert ends == ["contact"]
 
     @pytest.mark.parametrize("gap", [1.21, 1.51, 1.91])
     def test_from_a_box_close_behind_to_one_ahead(self, gap: float) -> None:

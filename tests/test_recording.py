@@ -26,10 +26,10 @@ from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import TrainingEpisode
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 BLUE, ORANGE, RED, GREEN = "1f77b4", "e8590c", "c92a2a", "2b8a3e"  # safe, non-safe, collision, goal
-GREY, YELLOW = "adb5bd", "fab005"  # box, vehicle
+GREY, VIOLET, YELLOW = "adb5bd", "b197fc", "fab005"  # box, box that moves, vehicle
 
 Record = Callable[..., tuple[Recording, EpisodeSummary]]
 
@@ -75,6 +75,15 @@ def immediate(record: Record, world_of: Callable[..., WorldSpec]) -> tuple[Recor
     return record(world_of(box, side=40.0, start=Pose(6.0, 10.0, 0.0), target=(36.0, 36.0)), 0)
 
 
+@pytest.fixture(scope="module")
+def patrolled(record: Record, world_of: Callable[..., WorldSpec]) -> tuple[Recording, EpisodeSummary]:
+    """A drive between boxes that move, one of which ends it."""
+    crossing = Patrol(OrientedBox(13.0, 5.0, 1.0, 0.7, 0.4), (13.0, 17.0), 0.8, 0.25)
+    comes = Patrol(OrientedBox(34.0, 10.0, 0.8, 1.0), (10.0, 10.0), 0.5, 0.0)
+    world = world_of(OrientedBox(20.0, 20.0, 1.0, 1.0), side=40.0, start=Pose(6.0, 10.0, 0.0), target=(36.0, 36.0))
+    return record(replace(world, patrols=(crossing, comes)), 0)
+
+
 @pytest.fixture
 def saved(goal: tuple[Recording, EpisodeSummary], tmp_path: Path) -> Path:
     path = tmp_path / "trajectory.npz"
@@ -83,7 +92,7 @@ def saved(goal: tuple[Recording, EpisodeSummary], tmp_path: Path) -> Path:
 
 
 class TestFile:
-    @pytest.mark.parametrize("which", ["goal", "collision", "immediate"])
+    @pytest.mark.parametrize("which", ["goal", "collision", "immediate", "patrolled"])
     def test_round_trip(self, request: pytest.FixtureRequest, tmp_path: Path, which: str) -> None:
         recording: Recording = request.getfixturevalue(which)[0]
         recording.save(tmp_path / "one.npz")
@@ -144,6 +153,33 @@ class TestFile:
         r = goal[0]
         assert r.obstacles == (OrientedBox(18.0, 14.0, 2.0, 1.0, 0.3),)
         assert r.footprint == OrientedBox(0.35, 0.0, 0.55, 0.325)
+
+    def test_it_knows_where_boxes_that_move_were(
+        self, patrolled: tuple[Recording, EpisodeSummary], tmp_path: Path
+    ) -> None:
+        patrolled[0].save(tmp_path / "patrolled.npz")
+        r = load_recording(tmp_path / "patrolled.npz")
+        assert r.obstacles == (OrientedBox(20.0, 20.0, 1.0, 1.0),)
+        assert r.patrols == (
+            Patrol(OrientedBox(13.0, 5.0, 1.0, 0.7, 0.4), (13.0, 17.0), 0.8, 0.25),
+            Patrol(OrientedBox(34.0, 10.0, 0.8, 1.0), (10.0, 10.0), 0.5, 0.0),
+        )
+        # By hand: half-way there at first, at the end after 7.5 s, on the way back at 10 s.
+        standing, crossing, comes = r.boxes_at(10.0)
+        assert standing == r.obstacles[0]
+        assert crossing == OrientedBox(13.0, pytest.approx(17.0 - 0.8 * 2.5), 1.0, 0.7, 0.4)
+        assert comes == OrientedBox(pytest.approx(29.0), 10.0, 0.8, 1.0)
+        assert r.about["ending"] == "collision"
+        # What it ran into was there: its front edge is at that of the box.
+        (_, _, comes) = r.boxes_at(r.state_time[-1])
+        assert r.state_pose[-1, 0] + 0.9 == pytest.approx(comes.x - 0.8, abs=0.03)
+
+    def test_a_recording_from_before_there_were_any_has_none(
+        self, goal: tuple[Recording, EpisodeSummary], tmp_path: Path
+    ) -> None:
+        world = {key: value for key, value in goal[0].about["world"].items() if key != "patrols"}
+        replace(goal[0], about={**goal[0].about, "world": world}).save(tmp_path / "old.npz")
+        assert load_recording(tmp_path / "old.npz").patrols == ()
 
     def test_action_values_are_missing_where_the_agent_did_not_ask(
         self, collision: tuple[Recording, EpisodeSummary]
@@ -294,6 +330,35 @@ class TestTrajectoryPicture:
         draw_trajectory(replace(recording, about={**recording.about, "world": world}), tmp_path / "without.png")
         with_box, without = (count(pixels(tmp_path / f"{name}.png"), GREY) for name in ("with", "without"))
         assert with_box > without + 500
+
+    def test_boxes_that_move_are_drawn_with_their_tracks(
+        self, patrolled: tuple[Recording, EpisodeSummary], tmp_path: Path
+    ) -> None:
+        recording = patrolled[0]
+        world = {**recording.about["world"], "patrols": []}
+        draw_trajectory(recording, tmp_path / "with.png")
+        draw_trajectory(replace(recording, about={**recording.about, "world": world}), tmp_path / "without.png")
+        with_them, without = (pixels(tmp_path / f"{name}.png") for name in ("with", "without"))
+        assert count(with_them, VIOLET) > 500
+        assert count(without, VIOLET) == 0
+        assert count(with_them, GREY) == pytest.approx(count(without, GREY), rel=0.1)
+
+    def test_the_inset_shows_them_where_they_were_at_the_tightest_moment(
+        self, record: Record, world_of: Callable[..., WorldSpec], tmp_path: Path
+    ) -> None:
+        """One comes as near as 1 m just when it passes, and is 7 m farther off when the drive ends."""
+        passed = Patrol(OrientedBox(16.0, 13.0, 1.5, 1.5), (16.0, 31.0), 1.0, 31 / 36)
+        world = world_of(side=40.0, start=Pose(6.0, 10.0, 0.0), target=(32.0, 10.0))
+        recording, summary = record(replace(world, patrols=(passed,)), 0)
+        assert summary.ending == "goal"
+        assert 1.0 < summary.clearance < 1.5
+        (end,) = recording.boxes_at(recording.state_time[-1])
+        assert end.y == pytest.approx(13.0 + 7.0, abs=0.1)
+        draw_trajectory(recording, tmp_path / "passing.png")
+        picture = pixels(tmp_path / "passing.png")
+        inset = picture[: picture.shape[0] // 2, 2 * picture.shape[1] // 3 :]
+        assert count(inset, VIOLET) > 2000
+        assert count(inset, YELLOW) > 500
 
     def test_a_collision_at_once_can_be_drawn(
         self, immediate: tuple[Recording, EpisodeSummary], tmp_path: Path

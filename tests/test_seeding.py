@@ -1,10 +1,22 @@
+import random
+from contextlib import suppress
 from itertools import pairwise
 
+import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nnql_bullet.seeding import TEST_WORLDS, TRAINING_WORLDS, VALIDATION_WORLDS, Stream, rng, training_world_seed
+from nnql_bullet.seeding import (
+    TEST_WORLDS,
+    TRAINING_WORLDS,
+    VALIDATION_WORLDS,
+    Stream,
+    fenced,
+    rng,
+    training_world_seed,
+)
 
 seeds = st.integers(0, 2**63)
 episodes = st.integers(0, 10**6)
@@ -70,3 +82,49 @@ def test_training_worlds_differ_from_episode_to_episode_and_from_run_to_run():
 
 def test_training_worlds_are_reproducible():
     assert [training_world_seed(0, episode) for episode in range(3)] == [485152638, 400741349, 696120742]
+
+
+def drawn_globally():
+    """From Python's, NumPy's and torch's generators."""
+    return random.random(), np.random.random(), float(torch.rand(1))
+
+
+class TestFence:
+    def test_what_is_drawn_inside_follows_from_the_generator_alone(self):
+        found = []
+        for disturbance in (1, 2):
+            random.seed(disturbance)
+            with fenced(rng(3, Stream.POLICY, 5)):
+                found.append((drawn_globally(), drawn_globally()))
+        assert found[0] == found[1]
+        assert found[0][0] != found[0][1]
+        with fenced(rng(3, Stream.POLICY, 6)):
+            assert drawn_globally() != found[0][0]
+
+    @pytest.mark.parametrize("raises", [False, True])
+    def test_outside_everything_goes_on_as_if_nothing_had_been_drawn(self, raises):
+        random.seed(1)
+        np.random.seed(1)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(1)
+            expected = [drawn_globally(), drawn_globally()]
+            random.seed(1)
+            np.random.seed(1)
+            torch.manual_seed(1)
+            found = [drawn_globally()]
+            with suppress(ZeroDivisionError), fenced(rng(3, Stream.POLICY)):
+                drawn_globally()
+                if raises:
+                    raise ZeroDivisionError
+            found.append(drawn_globally())
+        assert found == expected
+
+    def test_fences_stand_inside_one_another(self):
+        with fenced(rng(1, Stream.POLICY)):
+            expected = [drawn_globally(), drawn_globally()]
+        with fenced(rng(1, Stream.POLICY)):
+            found = [drawn_globally()]
+            with fenced(rng(2, Stream.POLICY)):
+                drawn_globally()
+            found.append(drawn_globally())
+        assert found == expected

@@ -65,12 +65,13 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
         fleet: Callable[[Fleet], Fleet] = lambda fleet: fleet,
         max_steps: int = 40,
         simulator: str = "twin",
+        world: Path = small_world,
     ) -> Parts:
         config = RunConfig(
             seed=5,
             vehicles=vehicles,
             simulator=simulator,  # type: ignore[arg-type]
-            world=str(small_world),
+            world=str(world),
             task=TaskOptions(max_steps=max_steps),
         )
         experiment = Experiment(config)
@@ -329,6 +330,19 @@ class TestGoingOn:
         for stop in whole[0], whole[3]:
             assert_same(going_on(parts(3, fleet=noisy), stop, 8), whole[-1])
         assert whole[-1].done != stops(parts(3), 8)[-1].done
+
+    @pytest.mark.parametrize("simulator", ["twin", pytest.param("bullet", marks=pytest.mark.slow)])
+    def test_in_a_world_with_boxes_that_move(
+        self, parts: Callable[..., Parts], small_world: Path, tmp_path: Path, simulator: str
+    ) -> None:
+        """Replayed actions meet the same boxes at the same times."""
+        moving = tmp_path / "moving.toml"
+        table = "[patrols]\ncount = 5\nmax_side = 1.5\nmin_track = 4.0\nmax_track = 10.0\nclear_radius = 3.0\n"
+        moving.write_text(f'base = "{small_world}"\n{table}')
+        whole = stops(parts(3, simulator=simulator, world=moving), 8)
+        for stop in whole[0], whole[3]:
+            assert_same(going_on(parts(3, simulator=simulator, world=moving), stop, 8), whole[-1])
+        assert whole[-1].done != stops(parts(3, simulator=simulator), 8)[-1].done
 
     @pytest.mark.slow
     def test_in_contact_physics(self, parts: Callable[..., Parts]) -> None:

@@ -16,12 +16,17 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.worlds.grid import CELL, is_solvable
 from nnql_bullet.worlds.layouts import random_boxes
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, WorldFile, WorldSource, load_world
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 ROOM = 0.8
-SHIPPED = ("paper", "empty", "cover_2.5", "cover_7.5", "cover_10", "cover_15", "cover_20")
+PAPERS = ("paper", "empty", "cover_2.5", "cover_7.5", "cover_10", "cover_15", "cover_20")
+"""Shipped worlds that differ in nothing but their cover."""
+SHIPPED = (*PAPERS, "traps", "aisles", "moving")
 MEAN_BOX = 25.0  # sides from 2 m to 8 m
 DRAWN = [("paper", 0), ("paper", 1), ("paper", 100_000), ("cover_10", 0), ("cover_10", 1), ("cover_20", 0)]
+
+
+PATROL = Patrol(OrientedBox(10.0, 12.0, 1.0, 0.5, 0.2), (30.0, 12.0), 0.5, 0.25)
 
 
 @pytest.fixture(scope="module", params=DRAWN, ids=lambda drawn: f"{drawn[0]}-{drawn[1]}")
@@ -113,6 +118,15 @@ def is_solvable_on_the_whole_grid(world, room):
         ("cover_20", 0, "deb747aa5f27bc37"),
         ("cover_20", 140, "ecd15fddc998b6ca"),  # drawn twice: the target is shut in at first
         ("cover_20", 100_127, "da0f4762cc713113"),  # drawn twice: the start is shut in at first
+        ("traps", 0, "43c29f62c3b9dc46"),
+        ("traps", 1, "f19fa3806b8e3962"),
+        ("traps", 100_000, "32eb7f690eb731f9"),
+        ("aisles", 0, "85511677436802fc"),
+        ("aisles", 1, "bac0eac418d619c9"),
+        ("aisles", 78, "f534f08d5eead01d"),  # drawn twice
+        ("moving", 0, "1c5845fa57a3994f"),
+        ("moving", 1, "af40b0865fe8a459"),
+        ("moving", 100_000, "6460b8ef1ea2ba18"),
     ],
 )
 def test_seeds_give_the_worlds_that_they_always_gave(name, seed, digest):
@@ -145,6 +159,12 @@ def test_different_seeds_give_different_worlds():
         {"width": 101.0},
         {"obstacles": (OrientedBox(50, 50, 1, 1, 0.2),)},
         {"obstacles": ()},
+        {"patrols": (PATROL,)},
+        {"patrols": (PATROL, PATROL)},
+        {"patrols": (replace(PATROL, speed=0.6),)},
+        {"patrols": (replace(PATROL, phase=0.26),)},
+        {"patrols": (replace(PATROL, end=(31.0, 12.0)),)},
+        {"patrols": (replace(PATROL, box=replace(PATROL.box, half_width=0.7)),)},
     ],
 )
 def test_digest_tells_worlds_apart_but_not_by_name_or_seed(change):
@@ -161,7 +181,8 @@ def test_digest_tells_worlds_apart_but_not_by_name_or_seed(change):
     }
     world = WorldSpec(**values)
     assert WorldSpec(**{**values, "name": "b", "seed": 2}).digest == world.digest
-    assert WorldSpec(**{**values, **change}).digest != world.digest
+    changed = WorldSpec(**{**values, **change})
+    assert len({changed.digest, world.digest, replace(world, patrols=(PATROL, PATROL, PATROL)).digest}) == 3
 
 
 def test_boxes_do_not_overlap(drawn):
@@ -324,7 +345,9 @@ def test_gap_is_passable_if_it_is_wide_enough(gap, passes):
 def test_random_world_too_crowded_to_cross_is_refused_after_many_attempts():
     layout = {"kind": "random_boxes", "cover": 0.25, "min_side": 3.0, "max_side": 3.0, "clear_radius": 2.1}
     source = source_of(width=16.0, depth=16.0, start=[3, 3], target=[13, 13], layout=layout)
-    with pytest.raises(UserError, match=rf"seed 0: no path .* in {MOST_ATTEMPTS} attempts; lower its cover"):
+    with pytest.raises(
+        UserError, match=rf"seed 0: no path .* in {MOST_ATTEMPTS} attempts; have its layout leave more room"
+    ):
         source.draw(0, 2.0)
 
 
@@ -354,7 +377,7 @@ def test_start_or_target_in_a_box_near_a_wall_or_outside_is_refused(values, what
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", PAPERS)
 def test_shipped_worlds_load_and_draw(name):
     source = load_world(name)
     world = source.draw(0, ROOM)
@@ -409,8 +432,8 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
     [
         (
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
-            r"unknown key 'widht'; valid keys: depth, layout, obstacle_height, start, start_yaw_degrees, target,"
-            r" target_radius, width",
+            r"unknown key 'widht'; valid keys: depth, layout, obstacle_height, patrols, start, start_yaw_degrees,"
+            r" target, target_radius, width",
         ),
         (
             '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',
@@ -425,8 +448,8 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
             '[layout]\nkind = "boxes"\nboxes = [{x = 1, y = 1, length = 1, width = 1, hight = 1}]\n',
             r"unknown key 'layout\.boxes\.0\.hight'; valid keys: length, width, x, y, yaw_degrees$",
         ),
-        ('[layout]\nkind = "maze"\n', r"'layout\.kind' must be one of: boxes, random_boxes$"),
-        ("[layout]\ncover = 0.1\n", r"'layout\.kind' must be one of: boxes, random_boxes$"),
+        ('[layout]\nkind = "maze"\n', r"'layout\.kind' must be one of: aisles, boxes, random_boxes, traps$"),
+        ("[layout]\ncover = 0.1\n", r"'layout\.kind' must be one of: aisles, boxes, random_boxes, traps$"),
         ("width = 3.0\n", r"key 'layout' is missing$"),
         ('[layout]\nkind = "random_boxes"\n', r"key 'layout\.cover' is missing$"),
         ('[layout]\nkind = "random_boxes"\ncover = 0.9\n', r"'layout\.cover': input should be less than or equal"),
@@ -435,7 +458,24 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
             r"'layout': min_side 9 is above max_side 8$",
         ),
         ("base = 3\n", r"'base' must be the name of a world$"),
-        ('base = "atlantis"\n', r"there is no file 'atlantis'; give a path .* one of: cover_10"),
+        ('base = "atlantis"\n', r"there is no file 'atlantis'; give a path .* one of: aisles, cover_10"),
+        (
+            '[layout]\nkind = "traps"\ncount = 3\nmin_depth = 20.0\n',
+            r"'layout': min_depth 20 is above max_depth 15$",
+        ),
+        ('[layout]\nkind = "traps"\ncount = 0\n', r"'layout\.count': input should be greater than or equal to 1"),
+        ('[layout]\nkind = "aisles"\nmin_rack = 20.0\n', r"'layout': min_rack 20 is above max_rack 9$"),
+        ('[layout]\nkind = "aisles"\ngap_chance = 1.5\n', r"'layout\.gap_chance': input should be less than or equal"),
+        (
+            'base = "paper"\n[patrols]\nnumber = 3\n',
+            r"unknown key 'patrols\.number'; valid keys: clear_radius, count, max",
+        ),
+        ('base = "paper"\n[patrols]\nmax_side = 2.0\n', r"key 'patrols\.count' is missing$"),
+        ('base = "paper"\n[patrols]\ncount = 3\nmax_speed = 1.2\n', r"'patrols\.max_speed': input should be less than"),
+        (
+            'base = "paper"\n[patrols]\ncount = 3\nmax_track = 5.0\n',
+            r"'patrols': min_track 10 is above max_track 5$",
+        ),
         ("width = \n", r"cannot be read as TOML"),
     ],
 )

@@ -10,7 +10,7 @@ import tyro
 from nnql_bullet.cli.console import complain, say
 from nnql_bullet.cli.work import run_kept
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.ledger import CHOICES, Budget, Choice, Tested, entries, task_of, train_and_test
+from nnql_bullet.evaluation.ledger import CHOICES, Budget, Choice, Counts, entries, task_of, train_and_test
 from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.executors import ExecutorKind, make_executor
@@ -65,12 +65,12 @@ def ledger(
     out.mkdir(parents=True, exist_ok=True)
     try:
         tested = run_kept(
-            where, "trainings", train_and_test, [trial[2] for trial in trials], Parts(out / "parts"), Tested
+            where, "trainings", train_and_test, [trial[2] for trial in trials], Parts(out / "parts"), Counts
         )
     except KeyboardInterrupt:
         complain(f"interrupted; trainings that are done are kept in {out / 'parts'}: the same command goes on")
         return 130
-    results: dict[tuple[str, str], list[list[Tested]]] = {}
+    results: dict[tuple[str, str], list[list[Counts]]] = {}
     for (name, label, _), its in zip(trials, tested, strict=True):
         results.setdefault((name, label), []).append(its)
     found = entries(choices, results)

@@ -44,7 +44,7 @@ def navigate(
 
     Args:
         run: Run folder, or a policy.safetensors.
-        world: Shipped world (paper, cover_2.5 ... cover_20) or TOML file; default that of the training.
+        world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training.
         seed: Of the world; default 0.
         sim: Contact physics (bullet, the default, or mujoco), whatever it was trained in, or the ideal vehicle (twin).
         physics: Solver settings of contact physics; default reference, the more exact.

@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from nnql_bullet.agents import Learner
+from nnql_bullet.agents import Taught
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
@@ -21,7 +21,7 @@ from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, open_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sim.engines import PhysicsName
-from nnql_bullet.training import loop
+from nnql_bullet.training.base import Trainer
 
 SAVE_EVERY = 5.0
 """Seconds from one checkpoint to the next."""
@@ -53,19 +53,21 @@ def train(
         nnql-bullet train --config literal --seed 3 --out runs/mine
         nnql-bullet train --vehicles 64 --out runs/quick
         nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
+        nnql-bullet train --config genetic --vehicles 200 --sim twin
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
-        config: Preset (paper, literal) or TOML file; default paper.
+        config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), q_table (a
+            table instead of the network), genetic (a search over its weights) or sb3_dqn (DQN of stable-baselines3).
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
-        episodes: Training episodes in all; default 1000.
+        episodes: Training episodes in all; default 1000, with genetic 20000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
         workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
         out: Run folder; default runs/CONFIG-SEED.
-        resume: Go on with the run in this folder, bit for bit as if it had never stopped.
+        resume: Go on with the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
         overwrite: Start anew in a folder that holds a run already.
     """
     if resume is not None:
@@ -90,9 +92,8 @@ def train(
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
     with closing(experiment.fleet(workers)) as fleet:
-        agent = experiment.learner
-        navigation = FleetNavigation(fleet, c.task)
-        training = loop.Training(agent, navigation, experiment.training_world, c.seed)
+        agent = experiment.taught
+        training = experiment.trainer(FleetNavigation(fleet, c.task))
         where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
         several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
         try:
@@ -122,7 +123,7 @@ def train(
     return 130
 
 
-def _run(run: Run, agent: Learner, training: loop.Training) -> bool:
+def _run(run: Run, agent: Taught, training: Trainer) -> bool:
     """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
 
     Raises:

@@ -88,12 +88,12 @@ def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Poli
     tiers: list[Tier] = []
     for file in files:
         experiment, _ = open_policy(Path(policy.path), {"world": file})
-        name, layout = experiment.worlds.name, experiment.worlds.file.layout
+        name, world = experiment.worlds.name, experiment.worlds.file
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = check_frozen(file, setting.split, worlds, policy.room, experiment.world, frozen)
         digests = tuple(experiment.world(seed).digest for seed in seeds)
-        cover = layout.cover if isinstance(layout, RandomBoxes) else None
+        cover = world.layout.cover if isinstance(world.layout, RandomBoxes) and not world.patrols else None
         tiers.append(Tier(file, name, cover, seeds, digests, checked))
     return tiers
 

@@ -284,7 +284,7 @@ class LedgerTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Tested:
+class Counts:
     """How drives of a trained policy ended in a tier, as counts."""
 
     world: str
@@ -311,7 +311,7 @@ def task_of(alternative: Alternative, seed: int, budget: Budget) -> LedgerTask:
     return LedgerTask(json.dumps(to_values(config), sort_keys=True), seed, budget.worlds)
 
 
-def train_and_test(task: LedgerTask) -> list[Tested]:
+def train_and_test(task: LedgerTask) -> list[Counts]:
     """Trains, then drives greedily through validation worlds, in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ledger")
     experiment = Experiment(config)
@@ -328,7 +328,7 @@ def train_and_test(task: LedgerTask) -> list[Tested]:
         with closing(test.fleet(workers=1)) as fleet:
             summaries = run_episodes(FleetNavigation(fleet, config.task), worlds, experiment.agent)
         endings = [summary.ending for summary in summaries]
-        found.append(Tested(world, *(endings.count(ending) for ending in ENDINGS)))
+        found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found
 
 
@@ -347,7 +347,7 @@ class Entry:
     verdict: Verdict
 
 
-def entries(choices: Sequence[Choice], results: Mapping[tuple[str, str], Sequence[Sequence[Tested]]]) -> list[Entry]:
+def entries(choices: Sequence[Choice], results: Mapping[tuple[str, str], Sequence[Sequence[Counts]]]) -> list[Entry]:
     """The ledger.
 
     Args:
@@ -377,7 +377,7 @@ def entries(choices: Sequence[Choice], results: Mapping[tuple[str, str], Sequenc
     return found
 
 
-def _scores(trainings: Sequence[Sequence[Tested]]) -> Array:
+def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     """Success of each training seed in each tier (tiers, seeds)."""
     return np.array([[t.goal / (t.goal + t.collision + t.timeout) for t in training] for training in trainings]).T
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from inspect import getdoc
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from nnql_bullet.agents import Taught
 from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.geometry import Array
 from nnql_bullet.runs import open_policy
 
 
@@ -31,6 +33,10 @@ class Policy:
     """It was trained with; 0 for rules."""
     episodes: int
     """It was trained for; 0 for rules."""
+    learned: int
+    """Numbers that it was taught: weights, or entries of a table; 0 for rules."""
+    about: str
+    """What its agent does, in a sentence."""
     room: float
     """Half width of the path that every world has for its vehicle [m]."""
     fingerprint: str
@@ -71,6 +77,8 @@ def open_policies(paths: Sequence[Path]) -> list[Policy]:
             kind=experiment.config.agent.kind,
             seed=experiment.config.seed,
             episodes=episodes,
+            learned=sum(values.size for values in _learned(experiment).values()),
+            about=(getdoc(type(experiment.agent)) or "").partition("\n")[0],
             room=experiment.room,
             fingerprint=fingerprint(experiment),
         )
@@ -88,6 +96,10 @@ def _short_names(paths: Sequence[str]) -> list[str]:
     return list(paths)
 
 
+def _learned(experiment: Experiment) -> dict[str, Array]:
+    return experiment.agent.arrays() if isinstance(experiment.agent, Taught) else {}
+
+
 def _recipe(experiment: Experiment) -> str:
     """All of a configuration but the training seed."""
     return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
@@ -95,10 +107,10 @@ def _recipe(experiment: Experiment) -> str:
 
 def fingerprint(experiment: Experiment) -> str:
     """Hash of what a policy learned and of the configuration that it drives with, wherever it drives."""
-    config, agent = to_values(experiment.config), experiment.agent
+    config = to_values(experiment.config)
     driving = {key: config[key] for key in ("seed", "robot", "conditions", "drive", "task", "agent")}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
-    for name, values in sorted(agent.arrays().items()) if isinstance(agent, Taught) else ():
+    for name, values in sorted(_learned(experiment).items()):
         whole.update(name.encode())
         whole.update(np.ascontiguousarray(values).tobytes())
     return whole.hexdigest()[:16]

@@ -16,7 +16,6 @@ from matplotlib.ticker import FixedLocator
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
-from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Share
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.plots import (
@@ -103,7 +102,7 @@ def evaluation_markdown(
     named = titles(e)
     first = e.methods[0]
     lines = [
-        f"# {len(e.methods)} methods through the same worlds",
+        "# Methods through the same worlds",
         "",
         f"{e.setting.title}; {_worlds(e)}. nnql-bullet {__version__}.",
         "",
@@ -122,6 +121,13 @@ def evaluation_markdown(
         "",
         markdown_table(QUALITY, [quality_row(row, named[row.world]) for row in rows]),
         "",
+        "## The methods",
+        "",
+        markdown_table(
+            ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
+            [_method_row(e, method) for method in e.methods],
+        ),
+        "",
         "## The worlds",
         "",
         markdown_table(
@@ -130,13 +136,6 @@ def evaluation_markdown(
         ),
         "",
         "Means; the last three along the shortest path.",
-        "",
-        "## The policies",
-        "",
-        markdown_table(
-            ("method", "agent", "policies", "training episodes"),
-            [_method_row(e.of_method(method)) for method in e.methods],
-        ),
         "",
     ]
     if len(e.methods) > 1:
@@ -183,9 +182,12 @@ def _worlds(e: Evaluation) -> str:
     return f"{count} worlds each of {', '.join(tier.title for tier in e.tiers)}{free}"
 
 
-def _method_row(policies: Sequence[Policy]) -> tuple[object, ...]:
-    paths = ", ".join(f"`{policy.path}`" for policy in policies)
-    return policies[0].method, policies[0].kind, paths, ", ".join(dict.fromkeys(str(its.episodes) for its in policies))
+def _method_row(e: Evaluation, method: str) -> tuple[object, ...]:
+    policies = e.of_method(method)
+    learned = sorted({policy.learned for policy in policies})
+    numbers = str(learned[0]) if len(learned) == 1 else f"{learned[0]} to {learned[-1]}"
+    one = policies[0]
+    return method, f"`{one.kind}`", one.about, len(policies), one.episodes or "-", numbers
 
 
 def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
@@ -347,11 +349,15 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
     figure = Figure(figsize=(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6), layout="constrained")
     grid = figure.subplots(len(methods), len(tiers), squeeze=False)
     for axes in grid.flat:
-        axes.set_axis_off()
+        axes.set_visible(False)
     for task, recording in films:
         axes, world = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)], recording.about["world"]
-        draw_world(axes, recording)
+        axes.set_visible(True)
+        draw_world(axes, recording, recording.state_time[-1])
         draw_path(axes, recording, 0.6)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.spines[:].set_visible(False)
         axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
         axes.set_title(f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", fontsize=7.5, color=INK)
     handles = [

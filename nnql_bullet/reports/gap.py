@@ -217,6 +217,8 @@ FLIPS_SHOWN = 6
 def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
     """Both paths of the first drives that ended differently, each in its world, and where they parted.
 
+    Boxes that move are where they were when the two parted.
+
     Args:
         gap: What was measured.
         folder: Of their recordings.
@@ -232,7 +234,7 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
     rows = -(-len(drives) // columns)
     figure = Figure(figsize=(4.0 * columns, 4.3 * rows + 0.4), layout="constrained")
     for axes, (pair, first, second) in zip(figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False):
-        draw_world(axes, first)
+        draw_world(axes, first, pair.explanation.time if pair.explanation else first.state_time[-1])
         for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
             axes.plot(*recording.sample_pose[:, :2].T, color=colour, lw=width, solid_capstyle="round", zorder=4)
             if recording.contact[-1]:

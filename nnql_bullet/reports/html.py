@@ -5,7 +5,7 @@ import os
 import platform
 import shlex
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -73,6 +73,8 @@ class Results:
     """Markdown."""
     absent: list[str]
     """The policies of the page that do not drive in it."""
+    methods: dict[str, list[str]]
+    """Those that do by what they are called in it, if it is an evaluation."""
     success: list[tuple[str, str, Share]]
     """Of those that do, if it is an evaluation: method, worlds, share."""
     failures: list[Failure]
@@ -97,13 +99,18 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
         driving = [there[policy.fingerprint] for policy in policies if policy.fingerprint in there]
         if not driving:
             return None
+        methods: dict[str, list[str]] = {}
+        for policy in policies:
+            if "method" in there.get(policy.fingerprint, {}):
+                methods.setdefault(there[policy.fingerprint]["method"], []).append(policy.name)
         return Results(
             folder=folder,
             version=values["version"],
             command=values["command"],
             text=text.read_text(encoding="utf-8"),
             absent=[policy.name for policy in policies if policy.fingerprint not in there],
-            success=_success(values, driving),
+            methods=methods,
+            success=_success(values, methods),
             failures=_failures(values, driving, folder),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -111,9 +118,8 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet {verb}") from None
 
 
-def _success(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, Share]]:
+def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Share]]:
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
-    methods = {policy.get("method") for policy in driving}
     found = []
     for row in values.get("rows", ()):
         if row["method"] in methods:

@@ -27,9 +27,9 @@ def ledger_markdown(entries: Sequence[Entry], budget: Budget) -> str:
         "",
         f"{about(budget)} nnql-bullet {__version__}.",
         "",
-        "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is that "
-        "of success over both kinds of worlds, paired by seed, from the default's; an alternative is better or worse "
-        "where its 95 % interval leaves zero out. With so many alternatives, one or two will do so by chance.",
+        "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is "
+        "that of success over both kinds of worlds, paired by seed, from the default's; an alternative is better or "
+        "worse where its 95 % interval leaves zero out. With so many alternatives, one or two will do so by chance.",
         "",
         "![the ledger](ledger.png)",
         "",
@@ -196,6 +196,6 @@ def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
     ]
     handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
-    title = f"{budget.seeds} trainings each; inter-quartile mean, 95 % interval; * the paper states it"
+    title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it"
     figure.suptitle(title, fontsize=10, color=INK)
     save_figure(figure, path)

@@ -1,6 +1,7 @@
 """Pictures of runs and recordings, drawn with Matplotlib's object interface: no display, no global figures."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,15 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.files import write_atomically
-from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, moved
 from nnql_bullet.recording import Recording
-from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.training.base import TrainingEpisode
 
 SAFE, NON_SAFE, COLLISION = "#1f77b4", "#e8590c", "#c92a2a"
 GOAL, TIMEOUT = "#2b8a3e", "#868e96"
 BOX, BOX_EDGE = "#adb5bd", "#495057"
+MOVING, MOVING_EDGE = "#b197fc", "#5f3dc4"
+VEHICLE = "#fab005"
 INK = "#212529"
 LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
 """Colours of things of one kind, in this order."""
@@ -30,12 +33,12 @@ OUTLINE_EVERY = 4.0
 
 
 def draw_trajectory(recording: Recording, path: Path) -> None:
-    """The world to scale, the path coloured by safe and non-safe, the vehicle at intervals."""
+    """The world to scale as it was at the end, the path coloured by safe and non-safe, the vehicle at intervals."""
     world = recording.about["world"]
     figure = Figure(figsize=(11.0, 7.4), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
     whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    draw_world(whole, recording)
+    draw_world(whole, recording, recording.state_time[-1])
     draw_path(whole, recording)
     whole.set(
         xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]"
@@ -51,6 +54,9 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
         Line2D([], [], marker="o", ls="", mfc=INK, mec=INK, label="start"),
         Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=10, label="target"),
     ]
+    if recording.patrols:
+        handles.insert(3, Patch(facecolor=MOVING, edgecolor=MOVING_EDGE, label="moving box, at the end"))
+        handles.insert(4, Line2D([], [], color=MOVING_EDGE, lw=0.8, ls="--", label="its track"))
     if recording.about["ending"] == "collision":
         handles.append(Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
@@ -126,13 +132,19 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
     save_figure(figure, path)
 
 
-def draw_world(axes: Axes, recording: Recording) -> None:
-    """Arena, boxes, start and target, to scale."""
+def draw_world(axes: Axes, recording: Recording, time: float) -> None:
+    """Arena, boxes, start and target, to scale; what moves where it was then [s], and its track from end to end."""
     world = recording.about["world"]
     width, depth = world["width"], world["depth"]
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc="#f8f9fa", ec=BOX_EDGE, lw=2.5))
     for box in recording.obstacles:
         axes.add_patch(Polygon(box.corners(), fc=BOX, ec=BOX_EDGE, lw=0.8))
+    for patrol in recording.patrols:
+        (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
+        axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
+        for box in (patrol.box, at_end):
+            axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
+        axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
     axes.add_patch(Circle(world["target"], world["target_radius"], fc="#ffe3e3", ec=COLLISION, lw=1.6))
     axes.plot(*world["target"], "+", color=COLLISION, ms=7)
     axes.plot(world["start"]["x"], world["start"]["y"], "o", color=INK, ms=5, zorder=5)
@@ -147,18 +159,31 @@ def draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
     for pose in _outlines(recording, OUTLINE_EVERY / detail):
         axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
     last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
-    axes.add_patch(Polygon(last.corners(), fc="#fab005", ec=INK, lw=0.8 * detail, zorder=6))
+    axes.add_patch(Polygon(last.corners(), fc=VEHICLE, ec=INK, lw=0.8 * detail, zorder=6))
     if recording.about["ending"] == "collision":
         axes.plot(last.x, last.y, "X", color=COLLISION, mec="white", ms=11, zorder=7)
 
 
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
     """The tightest moment, enlarged."""
-    x, y, _ = recording.state_pose[int(np.argmin(recording.clearance)) + 1]
-    draw_world(axes, recording)
+    moment = _tightest(recording)
+    vehicle = moved(recording.footprint, Pose(*recording.sample_pose[moment]))
+    x, y = vehicle.x, vehicle.y
+    draw_world(axes, recording, recording.sample_time[moment])
     draw_path(axes, recording, detail=2.0)
+    axes.add_patch(Polygon(vehicle.corners(), fc=VEHICLE, ec=INK, lw=1.6, zorder=5))
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set_title("the tightest moment", fontsize=10)
+    axes.set_title(f"the tightest moment, at {recording.sample_time[moment]:.1f} s", fontsize=10)
+
+
+def _tightest(recording: Recording) -> int:
+    """The sample that was closest to a box, in the control period that was closest to anything."""
+    step = int(np.argmin(recording.clearance))
+    begin, end = recording.state_time[step : step + 2] + 1e-9
+    within = np.flatnonzero((recording.sample_time > begin) & (recording.sample_time <= end))
+    footprint, times, poses = as_rows((recording.footprint,))[0], recording.sample_time, recording.sample_pose
+    gaps = [clearance_at(*poses[i], footprint, as_rows(recording.boxes_at(times[i]))) for i in within.tolist()]
+    return int(within[np.argmin(gaps)])
 
 
 def _bounds(axes: Axes) -> tuple[float, float, float, float]:

@@ -32,7 +32,7 @@ from nnql_bullet.sim.contact import (
 from nnql_bullet.vehicle.demand import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import WorldSpec, track_velocities
 
 
 @contextmanager
@@ -112,11 +112,6 @@ class BulletSimulator(ContactSimulator):
 
     # What it is probed with
 
-    def step(self) -> None:
-        """One physics step."""
-        bullet.stepSimulation(self.client)
-        self._steps += 1
-
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
         self._resist(self.vehicle.contact.rolling_friction)
@@ -195,6 +190,8 @@ class BulletSimulator(ContactSimulator):
         solids = world.obstacles + world.walls
         for first in range(0, len(solids), SHAPES_PER_COMPOUND):
             self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
+        self._half_height = world.obstacle_height / 2
+        self._patrols = [self._add_patrol(patrol.box) for patrol in world.patrols]
         self._add_vehicle(pose, speed, height)
 
     def _set_solver(self) -> None:
@@ -230,6 +227,17 @@ class BulletSimulator(ContactSimulator):
         )
         body = bullet.createMultiBody(0.0, shape, useMaximalCoordinates=True, physicsClientId=self.client)
         bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
+
+    def _add_patrol(self, box: OrientedBox) -> tuple[int, Quaternion]:
+        """A body that is to be told where it is, and how it is turned.
+
+        It is a multibody: of a plain rigid body without mass the engine takes no notice how fast it moves.
+        """
+        halves = [box.half_length, box.half_width, self._half_height]
+        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=self.client)
+        body = bullet.createMultiBody(0.0, shape, physicsClientId=self.client)
+        bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
+        return body, (0.0, 0.0, sin(box.yaw / 2), cos(box.yaw / 2))
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         vehicle = self.vehicle
@@ -290,17 +298,27 @@ class BulletSimulator(ContactSimulator):
     def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
         if self._resisted and not self.physics.resists_driven:
             self._resist(0.0)
-        motors, mode, step = bullet.setJointMotorControlArray, bullet.VELOCITY_CONTROL, bullet.stepSimulation
+        motors, mode = bullet.setJointMotorControlArray, bullet.VELOCITY_CONTROL
         body, client, wheels, torques = self.body, self.client, self._wheels, self._torques
+        step = self.step if watched else self._step
         for number, pair in enumerate(speeds, 1):
             motors(body, wheels, mode, targetVelocities=pair, forces=torques, physicsClientId=client)
-            for taken in range(1, steps + 1):
-                step(client)
+            for _ in range(steps):
+                step()
                 if watched and self.touching():
-                    self._steps += (number - 1) * steps + taken
                     return number, True
-        self._steps += len(speeds) * steps
         return len(speeds), False
+
+    def _step(self) -> None:
+        bullet.stepSimulation(self.client)
+        self._steps += 1
+
+    def _place_patrols(self) -> None:
+        """Says how fast they go, too, which the engine forgets whenever a place is set: a hit is as hard as that."""
+        places, velocities = self._movers[:, :2].tolist(), track_velocities(self._tracks, self.time()).tolist()
+        for (body, turned), (x, y), (vx, vy) in zip(self._patrols, places, velocities, strict=True):
+            bullet.resetBasePositionAndOrientation(body, [x, y, self._half_height], turned, self.client)
+            bullet.resetBaseVelocity(body, [vx, vy, 0.0], [0.0, 0.0, 0.0], self.client)
 
     def _frame(self) -> tuple[Vector, Quaternion]:
         frame: tuple[Vector, Quaternion] = bullet.getBasePositionAndOrientation(self.body, self.client)

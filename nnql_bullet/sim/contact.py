@@ -19,7 +19,7 @@ from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
 from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 CONTACT_MARGIN = 0.0005
 """How far apart things may be that an engine takes for touching [m]."""
@@ -57,7 +57,8 @@ class ContactSimulator(ABC):
     `release_wheels` and what comes after them, quantities named for what they are.
     """
 
-    _world: WorldSpec
+    _tracks: Array
+    """Of the patrols: rows (m, 6) of `WorldSpec.tracks`."""
     _com: Vector
     """Origin of `_frame` in the chassis frame [m]."""
 
@@ -78,8 +79,8 @@ class ContactSimulator(ABC):
         footprint = vehicle.footprint
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
-        # No point of the vehicle gets farther than this from one look to the next, slip included [m]: what is farther
-        # off cannot be touched in between.
+        # No point of the vehicle gets farther than this from one look to the next, slip included [m]: what stands still
+        # and is farther off cannot be touched in between.
         self._reach = 1.1 * fastest * SAMPLE_EVERY / COMMAND_RATE + CONTACT_MARGIN
         self._footprint = as_rows((footprint,))[0]
 
@@ -114,7 +115,7 @@ class ContactSimulator(ABC):
         wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
         way = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
         speeds = np.empty((SAMPLE_EVERY, 2))
-        constants, footprint, solids = self._constants, self._footprint, self._world.solids
+        constants, footprint, solids = self._constants, self._footprint, self._solids
         command, last, touching = 0, len(feed_forward), False
         while True:
             com, orientation = self._frame()
@@ -128,6 +129,8 @@ class ContactSimulator(ABC):
                 break
             carried_out, touching = run(speeds[:until_look].tolist(), self._steps_per_command, near)
             command += carried_out
+            if not near:
+                self._move_patrols()
         x, y, yaw, path_length, smallest, _ = way.tolist()
         (velocity_x, velocity_y, _), (_, _, yaw_rate) = self._velocities()
         self._clearance = clearance_at(x, y, yaw, footprint, solids)
@@ -168,25 +171,29 @@ class ContactSimulator(ABC):
             height: Of the wheels above the ground [m].
             ground: Whether there is any.
         """
-        self._world = world
         self._turn_rate = 0.0
         self._steps = 0
+        self._tracks, self._solids = world.tracks, world.solids_at(0.0)
+        self._movers = self._solids[len(world.solids) :]  # the same numbers, not a copy
         self._build(world, pose, speed, height, ground)
+        self._move_patrols()
         self._sensor = np.subtract(self.vehicle.sensor, self._com)
         self._clearance = self._look()[3]
         ahead, _, up = self._com
         drive, (target_x, target_y) = self.drive, world.target
         control = drive.speed, drive.heading_gain, self.vehicle.track, self.vehicle.wheel_radius
-        self._constants = np.array((ahead, up, self._reach, *control, target_x, target_y, world.target_radius))
+        reach = self._reach + max((p.speed for p in world.patrols), default=0.0) * SAMPLE_EVERY / COMMAND_RATE
+        self._constants = np.array((ahead, up, reach, *control, target_x, target_y, world.target_radius))
 
     def run(self, seconds: float) -> None:
         """Physics steps for so long, to the nearest step."""
         for _ in range(round(seconds / self.time_step)):
             self.step()
 
-    @abstractmethod
     def step(self) -> None:
-        """One physics step."""
+        """One physics step, which ends with the patrols where they are by then."""
+        self._step()
+        self._move_patrols()
 
     def command_wheels(self, left: float, right: float) -> None:
         """Has the wheel-speed controllers track these speeds [rad/s] within the torque limit, until told otherwise."""
@@ -270,6 +277,14 @@ class ContactSimulator(ABC):
     # What else an engine fills in
 
     @abstractmethod
+    def _step(self) -> None:
+        """One physics step, counted, in which the patrols stay where they were."""
+
+    @abstractmethod
+    def _place_patrols(self) -> None:
+        """Puts each patrol where its row of `_movers` says."""
+
+    @abstractmethod
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
         """See `place`; also sets `_com`."""
 
@@ -277,7 +292,8 @@ class ContactSimulator(ABC):
     def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
         """Carries out wheel commands, with some physics steps after each.
 
-        Where contact is possible each step is checked, and the first contact ends it.
+        Where contact is possible each step is checked, and the first contact ends it; where it is not, the patrols may
+        stay where they were.
 
         Returns:
             How many commands were carried out, and whether there was contact.
@@ -296,6 +312,12 @@ class ContactSimulator(ABC):
                     return number, True
         return len(speeds), False
 
+    def _move_patrols(self) -> None:
+        """Brings the patrols to where they are now."""
+        if len(self._tracks):
+            follow_tracks(self._tracks, self.time(), self._movers)
+            self._place_patrols()
+
     @abstractmethod
     def _frame(self) -> tuple[Vector, Quaternion]:
         """Where a point fixed to the chassis is [m], and how the chassis is turned."""
@@ -313,7 +335,7 @@ class ContactSimulator(ABC):
         (x, y, _), (qx, qy, qz, qw) = self._frame()
         ahead, _, up = self._com
         x, y, yaw = _rear_axle(x, y, qx, qy, qz, qw, ahead, up)
-        return x, y, yaw, clearance_at(x, y, yaw, self._footprint, self._world.solids)
+        return x, y, yaw, clearance_at(x, y, yaw, self._footprint, self._solids)
 
 
 @numba.njit(cache=True)
@@ -345,8 +367,8 @@ def _follow(
 ) -> tuple[bool, bool, int]:
     """Looks where the vehicle is, and steers until the next look.
 
-    From one look to the next no point of the vehicle moves farther than the reach, so the clearance is worked out only
-    where it may have fallen to the reach, or below the smallest.
+    From one look to the next no point of the vehicle and of a solid get nearer to each other by more than the reach, so
+    the clearance is worked out only where it may have fallen to the reach, or below the smallest.
 
     Args:
         com: Origin of the engine's frame [m].
@@ -359,7 +381,7 @@ def _follow(
         speeds: Filled with left and right wheel speeds (k, 2) [rad/s] of the commands until the next look.
         constants: Of the simulator, see `ContactSimulator.place`.
         footprint: A row (6,) of `as_rows`.
-        solids: Rows (n, 6) of `as_rows`.
+        solids: Rows (n, 6) of `as_rows`, as they are now.
 
     Returns:
         Whether contact is possible before the next look, whether the target is reached, and how many commands there are

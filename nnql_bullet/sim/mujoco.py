@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.sim.base import DriveOptions, Sample
 from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion, Vector
 from nnql_bullet.vehicle.demand import GRAVITY
@@ -104,20 +104,6 @@ class MujocoSimulator(ContactSimulator):
         self._position = self._velocity = self._shafts = np.empty(0)
 
     # What it is probed with
-
-    def step(self) -> None:
-        """One physics step."""
-        model, data = self._model, self._data
-        self._shafts[:] = self._commanded
-        mujoco.mj_forward(model, data)
-        contact = data.contact
-        if _slides(contact.efc_address, contact.dim, contact.friction, data.efc_force):
-            self._let_slide()
-        mujoco.mj_Euler(model, data)
-        self._steps += 1
-        if self._twisted:
-            data.xfrc_applied[self._chassis] = 0.0
-            self._twisted = False
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
@@ -221,6 +207,7 @@ class MujocoSimulator(ContactSimulator):
                 plane = mujoco.mjtGeom.mjGEOM_PLANE
                 spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0], contype=0, conaffinity=WHEEL)
             _add_solids(spec, world)
+            _add_patrols(spec, world)
             return spec.compile()
         except ValueError as error:
             reason = " ".join(str(error).split())
@@ -238,13 +225,30 @@ class MujocoSimulator(ContactSimulator):
     def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
         if not self._driven:
             self._hold(drives=self.vehicle.wheel_torque, joints=0.0)
+        step = self.step if watched else self._step
         for number, pair in enumerate(speeds, 1):
             self._commanded = pair
             for _ in range(steps):
-                self.step()
+                step()
                 if watched and self.touching():
                     return number, True
         return len(speeds), False
+
+    def _step(self) -> None:
+        model, data = self._model, self._data
+        self._shafts[:] = self._commanded
+        mujoco.mj_forward(model, data)
+        contact = data.contact
+        if _slides(contact.efc_address, contact.dim, contact.friction, data.efc_force):
+            self._let_slide()
+        mujoco.mj_Euler(model, data)
+        self._steps += 1
+        if self._twisted:
+            data.xfrc_applied[self._chassis] = 0.0
+            self._twisted = False
+
+    def _place_patrols(self) -> None:
+        self._data.mocap_pos[:, :2] = self._movers[:, :2]
 
     def _let_slide(self) -> None:
         """Solves the step anew, where contacts slide, for the accelerations that Coulomb's law has them end with.
@@ -276,6 +280,8 @@ class MujocoSimulator(ContactSimulator):
         return (vx, vy, vz), (wx, wy, wz)
 
     def _cast(self, begins: Array, ends: Array) -> Array:
+        if len(self._tracks):
+            mujoco.mj_kinematics(self._model, self._data)  # else rays see patrols where the last step began
         count, furthest = len(begins), paper.SENSOR_RANGE
         directions = (ends - begins).ravel() / furthest
         distances, hits = np.empty(count), np.empty(count, np.int32)
@@ -368,17 +374,29 @@ def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
 
 
 def _add_solids(spec: Any, world: WorldSpec) -> None:
-    half_height = world.obstacle_height / 2
     for box in world.obstacles + world.walls:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[box.half_length, box.half_width, half_height],
-            pos=[box.x, box.y, half_height],
-            quat=[cos(box.yaw / 2), 0.0, 0.0, sin(box.yaw / 2)],
-            contype=0,
-            conaffinity=CHASSIS,
-            group=OBSTACLE,
-        )
+        _add_box(spec.worldbody, box, world.obstacle_height / 2, pos=[box.x, box.y, world.obstacle_height / 2])
+
+
+def _add_patrols(spec: Any, world: WorldSpec) -> None:
+    """Bodies that are told where they are. The engine takes them to stand: it feels how deep they hit, not how fast."""
+    half_height = world.obstacle_height / 2
+    for patrol in world.patrols:
+        body = spec.worldbody.add_body(mocap=True, pos=[patrol.box.x, patrol.box.y, half_height])
+        _add_box(body, patrol.box, half_height, pos=[0.0, 0.0, 0.0])
+
+
+def _add_box(body: Any, box: OrientedBox, half_height: float, pos: list[float]) -> None:
+    """A box as obstacles are, somewhere in a body."""
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[box.half_length, box.half_width, half_height],
+        pos=pos,
+        quat=[cos(box.yaw / 2), 0.0, 0.0, sin(box.yaw / 2)],
+        contype=0,
+        conaffinity=CHASSIS,
+        group=OBSTACLE,
+    )
 
 
 @numba.njit(cache=True)

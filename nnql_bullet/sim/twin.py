@@ -1,8 +1,8 @@
 """The ideal twin: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
 
 A vehicle follows the yaw-rate profile exactly, as a unicycle of constant speed (Siegwart and Nourbakhsh, Autonomous
-Robots, 3.2). Its footprint collides as the oriented box it is, looked at after every wheel command. The kernels step
-many vehicles in as many worlds on all cores, and allocate nothing.
+Robots, 3.2). Its footprint collides as the oriented box it is, looked at after every wheel command, with whatever moves
+where it is by then. The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
 """
 
 import logging
@@ -25,7 +25,7 @@ from nnql_bullet.sensing import RAYS, Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Motions, Sample, whole_steps
 from nnql_bullet.vehicle.drive import sample_profile, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 SHARE = 16
 """Vehicles that are worth a thread of their own."""
@@ -64,9 +64,16 @@ class _State(NamedTuple):
     clearance: Array
     """At `pose` (n,) [m]."""
     solids: Array
-    """Rows of `as_rows`, of which each world fills the first (n, most, 6)."""
+    """Rows of `as_rows`, of which each world fills the first (n, most, 6): first what stands still, then the patrols
+    where they are now."""
     solid_count: NDArray[np.int64]
     """(n,)"""
+    tracks: Array
+    """Of the patrols: rows of `WorldSpec.tracks`, likewise (n, most, 6)."""
+    track_count: NDArray[np.int64]
+    """(n,)"""
+    clock: NDArray[np.int64]
+    """Wheel commands since the reset (n,)."""
     target: Array
     """x, y, radius (n, 3) [m]."""
 
@@ -82,6 +89,8 @@ class _Period(NamedTuple):
     """Poses after each command (n, k + 1, 3)."""
     near: Array
     """Room for the solids that may come close (n, most, 6)."""
+    near_tracks: Array
+    """Room for the tracks of those that move (n, most, 6)."""
     commands: NDArray[np.int64]
     """How many were carried out (n,)."""
     clearance: Array
@@ -137,16 +146,21 @@ class TwinFleet:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed."""
-        self._make_room(max((len(world.solids) for world in worlds.values()), default=0))
+        solids = {i: world.solids_at(0.0) for i, world in worlds.items()}
+        self._make_room(
+            max((len(rows) for rows in solids.values()), default=0),
+            max((len(world.tracks) for world in worlds.values()), default=0),
+        )
         state = self._state
         for i, world in worlds.items():
-            start, count = world.start, len(world.solids)
+            start, count, moving = world.start, len(solids[i]), len(world.tracks)
             state.pose[i] = start.x, start.y, start.yaw
             state.yaw_rate[i] = 0.0
-            state.solids[i, :count] = world.solids
-            state.solid_count[i] = count
+            state.clock[i] = 0
+            state.solids[i, :count], state.solid_count[i] = solids[i], count
+            state.tracks[i, :moving], state.track_count[i] = world.tracks, moving
             state.target[i] = *world.target, world.target_radius
-            state.clearance[i] = clearance_at(*state.pose[i].tolist(), self._constants.footprint, world.solids)
+            state.clearance[i] = clearance_at(*state.pose[i].tolist(), self._constants.footprint, solids[i])
         vehicles = np.array(list(worlds), dtype=np.int64)
         self._share(_scan, vehicles, self._constants, state, self._period)
         return state.pose[vehicles], self._period.ray_distances[vehicles]
@@ -179,14 +193,14 @@ class TwinFleet:
         for future in waiting:
             future.result()
 
-    def _make_room(self, most: int) -> None:
-        """Lets each world have so many solids."""
-        room = self._state.solids.shape[1]
-        if most > room:
-            grown = np.zeros((self.size, most, 6))
-            grown[:, :room] = self._state.solids
-            self._state = self._state._replace(solids=grown)
-            self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
+    def _make_room(self, solids: int, tracks: int) -> None:
+        """Lets each world have so many of them."""
+        if solids > self._state.solids.shape[1]:
+            self._state = self._state._replace(solids=_grown(self._state.solids, solids))
+            self._period = self._period._replace(near=np.zeros((self.size, solids, 6)))
+        if tracks > self._state.tracks.shape[1]:
+            self._state = self._state._replace(tracks=_grown(self._state.tracks, tracks))
+            self._period = self._period._replace(near_tracks=np.zeros((self.size, tracks, 6)))
 
 
 class TwinSimulator:
@@ -265,6 +279,9 @@ def _empty_state(size: int) -> _State:
         clearance=np.zeros(size),
         solids=np.zeros((size, 0, 6)),
         solid_count=np.zeros(size, np.int64),
+        tracks=np.zeros((size, 0, 6)),
+        track_count=np.zeros(size, np.int64),
+        clock=np.zeros(size, np.int64),
         target=np.zeros((size, 3)),
     )
 
@@ -275,12 +292,20 @@ def _empty_period(size: int, commands: int) -> _Period:
         headings=np.zeros((size, commands + 1)),
         path=np.zeros((size, commands + 1, 3)),
         near=np.zeros((size, 0, 6)),
+        near_tracks=np.zeros((size, 0, 6)),
         commands=np.zeros(size, np.int64),
         clearance=np.zeros(size),
         heading_error=np.zeros(size),
         event=np.zeros(size, np.int64),
         ray_distances=np.zeros((size, RAYS)),
     )
+
+
+def _grown(rows: Array, most: int) -> Array:
+    """Rows (n, fewer, 6) with room for more (n, most, 6)."""
+    grown = np.zeros((len(rows), most, 6))
+    grown[:, : rows.shape[1]] = rows
+    return grown
 
 
 @cache
@@ -337,14 +362,23 @@ def _advance_one(i: int, heading_change: float, constants: _Constants, state: _S
         path[k, 0] = path[k - 1, 0] + constants.stride * c
         path[k, 1] = path[k - 1, 1] + constants.stride * s
         path[k, 2] = yaw + headings[k]
-    # No point of the footprint goes farther than this from one command to the next.
+    # No point of the footprint and of a solid get nearer to each other by more than this from one command to the next.
     quickest = max(abs(start_rate), abs(peak))
     hop = constants.stride + quickest / COMMAND_RATE * constants.farthest
-    near = _near(i, hop * (len(path) - 1), constants, state, period)
-    last, event, smallest, left = _follow(path, state.target[i], state.clearance[i], hop, constants.footprint, near)
+    moving = state.track_count[i]
+    if moving > 0:
+        hop += _fastest(state.tracks[i, :moving]) / COMMAND_RATE
+    near, tracks = _near(i, hop * (len(path) - 1), constants, state, period)
+    last, event, smallest, left = _follow(
+        path, state.target[i], state.clearance[i], hop, constants.footprint, near, tracks, state.clock[i]
+    )
     state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
     state.yaw_rate[i] = rates[last]
     state.clearance[i] = left
+    state.clock[i] += last
+    if moving > 0:
+        standing, count = state.solid_count[i] - moving, state.solid_count[i]
+        follow_tracks(state.tracks[i, :moving], state.clock[i] / COMMAND_RATE, state.solids[i, standing:count])
     period.commands[i] = last
     period.clearance[i] = smallest
     period.heading_error[i] = wrap_angle(heading_change - headings[last])
@@ -352,28 +386,48 @@ def _advance_one(i: int, heading_change: float, constants: _Constants, state: _S
 
 
 @numba.njit(cache=True)
-def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> Array:
-    """Solids that may be nearest at some time of the control period, in which nothing moves farther than `travel` [m].
+def _fastest(tracks: Array) -> float:
+    """The highest speed on tracks (m, 6) [m/s]; 0 where there are none."""
+    fastest = 0.0
+    for track in tracks:
+        fastest = max(fastest, 2.0 * track[4] * np.hypot(track[2], track[3]))
+    return fastest
 
-    Meanwhile the nearest may get farther off by that much, and another as much nearer.
+
+@numba.njit(cache=True)
+def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> tuple[Array, Array]:
+    """Solids that may be nearest at some time of the control period, and the tracks of the last of them, which move.
+
+    Meanwhile the nearest may get farther off by `travel` [m], and another as much nearer.
     """
     footprint, (x, y, yaw) = constants.footprint, state.pose[i]
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
     reach = state.clearance[i] + 2 * travel + np.hypot(footprint[2], footprint[3])
-    near: Array = period.near[i]
-    count = 0
+    near, tracks = period.near[i], period.near_tracks[i]
+    count, moving, standing = 0, 0, state.solid_count[i] - state.track_count[i]
     for j in range(state.solid_count[i]):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
             for column in range(6):  # a whole row at once takes seconds to compile
                 near[count, column] = state.solids[i, j, column]
             count += 1
-    return near[:count]
+            if j >= standing:
+                for column in range(6):
+                    tracks[moving, column] = state.tracks[i, j - standing, column]
+                moving += 1
+    return near[:count], tracks[:moving]
 
 
 @numba.njit(cache=True)
 def _follow(
-    path: Array, target: Array, clearance: float, hop: float, footprint: Array, solids: Array
+    path: Array,
+    target: Array,
+    clearance: float,
+    hop: float,
+    footprint: Array,
+    solids: Array,
+    tracks: Array,
+    clock: int,
 ) -> tuple[int, int, float, float]:
     """Follows a path (k + 1, 3) up to the first contact or the target.
 
@@ -383,14 +437,17 @@ def _follow(
         path: Poses.
         target: x, y, radius [m].
         clearance: At the path's start [m].
-        hop: Farthest that any point of the footprint goes from one pose to the next [m].
+        hop: By how much a point of the footprint and one of a solid may get nearer to each other from one pose to the
+            next [m].
         footprint: A row (6,) in the vehicle's frame.
         solids: Rows (n, 6) of `as_rows`.
+        tracks: Of the last of them, which are moved along (m, 6).
+        clock: Commands up to the path's start.
 
     Returns:
         Index of the last pose reached, what ended it, the smallest clearance on the way and that at the end [m].
     """
-    last, event = len(path) - 1, _GOES_ON
+    last, event, movers = len(path) - 1, _GOES_ON, solids[len(solids) - len(tracks) :]
     to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
     for k in range(1, len(path) if to_target <= hop * last else 0):
         if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
@@ -399,15 +456,18 @@ def _follow(
     smallest = now = clearance
     if clearance <= hop * last:
         for k in range(1, last + 1):
+            follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
             now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
             smallest = min(smallest, now)
             if now <= 0.0:
                 return k, _TOUCHING, 0.0, 0.0
         return last, event, smallest, now
+    follow_tracks(tracks, (clock + last) / COMMAND_RATE, movers)
     end = clearance_at(path[last, 0], path[last, 1], path[last, 2], footprint, solids)
     smallest = min(clearance, end)
     k = 1 + int((now - smallest) / hop)
     while k < last:
+        follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
         now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
         smallest = min(smallest, now)
         k += 1 + int((now - smallest) / hop)

@@ -6,7 +6,6 @@ paper's online learning.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,23 +14,13 @@ from numpy.typing import NDArray
 from nnql_bullet.agents import Learner
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.rollout import EpisodeSummary, Tally
+from nnql_bullet.rollout import Tally
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
 _NONE = -1
 """In place of the number of an episode or of an action: there is none."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingEpisode:
-    """One finished training episode."""
-
-    episode: int
-    """Counted from 0, in the order in which they began."""
-    summary: EpisodeSummary
-    diagnostics: dict[str, float]
-    """Of the agent, and the root mean square of the episode's temporal-difference errors."""
 
 
 class Training:

@@ -1,5 +1,6 @@
 """World files: TOML that says how worlds are drawn, and the drawing."""
 
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.worlds.grid import is_solvable
 from nnql_bullet.worlds.layouts import AnyLayout, Arena
+from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
 Positive = Annotated[float, Field(gt=0)]
@@ -24,6 +26,8 @@ class WorldFile:
     """A world's TOML."""
 
     layout: AnyLayout
+    patrols: Patrols | None = None
+    """Boxes that move, beside what the layout places."""
     width: Positive = paper.ARENA_SIDE
     """[m]"""
     depth: Positive = paper.ARENA_SIDE
@@ -51,18 +55,20 @@ class WorldSource:
         """The world of a seed, with a path of half width `room` [m] from start to target.
 
         A random layout is drawn again until there is one; the attempt is part of the stream, so the result depends on
-        the arguments alone.
+        the arguments alone. Patrols, which come and go, do not count; they are drawn last, so that they leave the rest
+        as it is without them.
 
         Raises:
-            UserError: If there is no path, or the start or the target stands too close to an obstacle.
+            UserError: If there is no path, or the start or the target stands too close to an obstacle, or there is no
+                room for the patrols.
         """
         for attempt in range(MOST_ATTEMPTS if self.file.layout.is_random else 1):
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
-                return world
+                return self._with_patrols(world)
         self._explain(world, room)
         random = self.file.layout.is_random
-        again = f" in {MOST_ATTEMPTS} attempts; lower its cover" if random else "; move its boxes apart"
+        again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
         raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
 
     def _attempt(self, seed: int, attempt: int) -> WorldSpec:
@@ -82,6 +88,10 @@ class WorldSource:
             target_radius=file.target_radius,
             obstacle_height=file.obstacle_height,
         )
+
+    def _with_patrols(self, world: WorldSpec) -> WorldSpec:
+        patrols = self.file.patrols
+        return replace(world, patrols=patrols.draw(world, rng(world.seed, Stream.PATROLS))) if patrols else world
 
     def _explain(self, world: WorldSpec, room: float) -> None:
         for key, (x, y) in (("start", self.file.start), ("target", self.file.target)):

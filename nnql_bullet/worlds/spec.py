@@ -1,12 +1,77 @@
-"""A world as it stands: one arena with its obstacles, start and target."""
+"""A world as it stands: one arena with its obstacles, start and target, and what moves in it."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import hypot
+
+import numba
+import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows
 
 WALL_THICKNESS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Patrol:
+    """A box that goes back and forth on a straight track at constant speed, and turns round at once at its ends.
+
+    It goes its way whatever is there: it gives way to nobody, and patrols pass through one another.
+    """
+
+    box: OrientedBox
+    """At one end of the track. It keeps its yaw, whichever way it goes."""
+    end: tuple[float, float]
+    """Its centre at the other end [m]."""
+    speed: float
+    """[m/s]"""
+    phase: float
+    """Share of a round trip that it is ahead of one which leaves `box` at time 0."""
+
+    @property
+    def track(self) -> tuple[float, float, float, float, float, float]:
+        """What `follow_tracks` takes: x, y of one end, from there to the other [m], round trips per second, phase."""
+        along, across = self.end[0] - self.box.x, self.end[1] - self.box.y
+        return self.box.x, self.box.y, along, across, self.speed / (2 * hypot(along, across)), self.phase
+
+    def at(self, time: float) -> OrientedBox:
+        """Where it is so long [s] after the reset of its world."""
+        x, y, along, across, rate, phase = self.track
+        share = there_and_back(phase + rate * time)
+        return replace(self.box, x=x + share * along, y=y + share * across)
+
+
+@numba.njit(cache=True)
+def there_and_back(round_trips: float) -> float:
+    """How far along its track something is after so many round trips, as a share of it: a triangle wave."""
+    return float(1.0 - abs(1.0 - 2.0 * (round_trips % 1.0)))
+
+
+@numba.njit(cache=True)
+def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
+    """Moves boxes to where they are at a time.
+
+    Args:
+        tracks: Rows (m, 6) of `WorldSpec.tracks`.
+        time: Since the reset [s].
+        boxes: Rows (m, 6) of `as_rows`; their places are brought up to date.
+    """
+    for i in range(len(tracks)):
+        share = there_and_back(tracks[i, 5] + tracks[i, 4] * time)
+        boxes[i, 0] = tracks[i, 0] + share * tracks[i, 2]
+        boxes[i, 1] = tracks[i, 1] + share * tracks[i, 3]
+
+
+@numba.njit(cache=True)
+def track_velocities(tracks: Array, time: float) -> Array:
+    """Velocities (m, 2) [m/s] of what follows these tracks, from a time [s] on."""
+    velocities = np.empty((len(tracks), 2))
+    for i in range(len(tracks)):
+        there = (tracks[i, 5] + tracks[i, 4] * time) % 1.0 < 0.5
+        rate = 2.0 * tracks[i, 4] if there else -2.0 * tracks[i, 4]
+        velocities[i, 0], velocities[i, 1] = rate * tracks[i, 2], rate * tracks[i, 3]
+    return velocities
 
 
 @dataclass(frozen=True)
@@ -22,6 +87,7 @@ class WorldSpec:
     target: tuple[float, float]
     target_radius: float
     obstacle_height: float
+    patrols: tuple[Patrol, ...] = ()
 
     @property
     def walls(self) -> tuple[OrientedBox, ...]:
@@ -36,8 +102,17 @@ class WorldSpec:
 
     @cached_property
     def solids(self) -> Array:
-        """Obstacles and walls as the rows (n, 6) of `geometry.as_rows`."""
+        """Obstacles and walls, which stand still, as the rows (n, 6) of `geometry.as_rows`."""
         return as_rows(self.obstacles + self.walls)
+
+    @cached_property
+    def tracks(self) -> Array:
+        """`Patrol.track` of each patrol (m, 6)."""
+        return np.array([patrol.track for patrol in self.patrols], dtype=np.float64).reshape(len(self.patrols), 6)
+
+    def solids_at(self, time: float) -> Array:
+        """The `solids`, and then the patrols so long [s] after the reset, as rows (n + m, 6) of an array of its own."""
+        return np.concatenate([self.solids, as_rows(tuple(patrol.at(time) for patrol in self.patrols))])
 
     @property
     def cover(self) -> float:
@@ -50,5 +125,8 @@ class WorldSpec:
         numbers = [self.width, self.depth, self.start.x, self.start.y, self.start.yaw, *self.target, self.target_radius]
         for box in self.obstacles:
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw]
+        for patrol in self.patrols:
+            box = patrol.box
+            numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw, *patrol.end, patrol.speed, patrol.phase]
         text = " ".join(f"{number:.6f}" for number in [*numbers, self.obstacle_height])
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -11,7 +11,6 @@ import gymnasium
 
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.experiment import Experiment, RunConfig
-from nnql_bullet.training.loop import Training
 
 VEHICLES = 64
 WARM_UP = 300
@@ -25,7 +24,7 @@ def paper_training_s(simulator: Literal["twin", "bullet"], cores: int) -> float:
     experiment = Experiment(config)
     with closing(experiment.fleet(cores)) as fleet:
         navigation = FleetNavigation(fleet, config.task)
-        training = Training(experiment.learner, navigation, experiment.training_world, config.seed)
+        training = experiment.trainer(navigation)
         for _ in islice(training.episodes(), config.episodes):
             pass
     return time.perf_counter() - begin
@@ -70,6 +69,6 @@ def nnql_steps() -> Iterator[int]:
     config = experiment.config
     navigation = FleetNavigation(experiment.fleet(1), config.task)
     taken = 0
-    for episode in Training(experiment.learner, navigation, experiment.training_world, config.seed).episodes():
+    for episode in experiment.trainer(navigation).episodes():
         taken += episode.summary.steps
         yield taken

@@ -4,10 +4,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from nnql_bullet.worlds.layouts.aisles import Aisles
 from nnql_bullet.worlds.layouts.base import Arena, Layout
 from nnql_bullet.worlds.layouts.boxes import Boxes
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
+from nnql_bullet.worlds.layouts.traps import Traps
 
-AnyLayout = Annotated[Boxes | RandomBoxes, Field(discriminator="kind")]
+AnyLayout = Annotated[Aisles | Boxes | RandomBoxes | Traps, Field(discriminator="kind")]
 
 __all__ = ["AnyLayout", "Arena", "Layout"]

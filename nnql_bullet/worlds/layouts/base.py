@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+import numba
 import numpy as np
 
-from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.geometry import Array, OrientedBox, squared_distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,3 +28,23 @@ class Layout(Protocol):
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
         """Obstacles for one world, drawn from `rng` alone."""
+
+
+@numba.njit(cache=True, nogil=True)
+def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
+    """Whether a box, a row (6,) of `as_rows`, lies in the arena and off what is to be kept free.
+
+    Args:
+        row: The box.
+        size: Of the arena (2,) [m].
+        keep_free: Points (n, 2) [m].
+        clear_radius: That it comes no nearer to them than this [m].
+    """
+    across = abs(row[2] * row[4]) + abs(row[3] * row[5])
+    along = abs(row[2] * row[5]) + abs(row[3] * row[4])
+    if row[0] < across or row[0] > size[0] - across or row[1] < along or row[1] > size[1] - along:
+        return False
+    nearest = np.inf
+    for point in keep_free:
+        nearest = min(nearest, squared_distance(point[0], point[1], row))
+    return bool(nearest >= clear_radius**2)

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, clearance, squared_distance
-from nnql_bullet.worlds.layouts.base import Arena
+from nnql_bullet.geometry import Array, OrientedBox, clearance
+from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
 Positive = Annotated[float, Field(gt=0)]
 MOST_TRIES = 20_000
@@ -97,23 +97,10 @@ def _chosen(
     for i in range(len(rows)):
         if area >= wanted:
             break
-        if _leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], placed[:count]) > 0:
+        if leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], placed[:count]) > 0:
             for j in range(6):  # numba takes seconds to compile the assignment of a row
                 placed[count, j] = rows[i, j]
             chosen[count] = i
             area += 4.0 * rows[i, 2] * rows[i, 3]
             count += 1
     return chosen[:count], area
-
-
-@numba.njit(cache=True, nogil=True)
-def _leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
-    """Whether a box lies in the arena of this size (2,) and off the points (n, 2) that are to be kept free."""
-    across = abs(row[2] * row[4]) + abs(row[3] * row[5])
-    along = abs(row[2] * row[5]) + abs(row[3] * row[4])
-    if row[0] < across or row[0] > size[0] - across or row[1] < along or row[1] > size[1] - along:
-        return False
-    nearest = np.inf
-    for point in keep_free:
-        nearest = min(nearest, squared_distance(point[0], point[1], row))
-    return bool(nearest >= clear_radius**2)

@@ -1,0 +1,100 @@
+"""A DQN of stable-baselines3, driven without that library; `training.sb3` trains it."""
+
+from itertools import pairwise
+from math import pi
+from typing import Annotated, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nnql_bullet import paper
+from nnql_bullet.agents.base import Memoryless
+from nnql_bullet.config import options
+from nnql_bullet.env import ACTIONS, Observations, as_numbers
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Array
+from nnql_bullet.seeding import Stream, fenced, rng
+
+SCALE = np.array([*[paper.SENSOR_RANGE] * paper.SECTORS, paper.ARENA_SIDE, pi, 1.0], np.float32)
+"""What the environment's 11 numbers are divided by, so that all inputs are of order one."""
+INPUTS = len(SCALE)
+
+Count = Annotated[int, Field(ge=1)]
+
+
+@options
+class Sb3DqnOptions:
+    """Those hyper-parameters that matter; all others are the library's defaults."""
+
+    kind: Literal["sb3_dqn"] = "sb3_dqn"
+    hidden: tuple[Count, ...] = (64, 64)
+    """Units of the hidden layers."""
+    learning_rate: Annotated[float, Field(gt=0)] = 5e-4
+    """Of Adam."""
+    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
+    """gamma."""
+    buffer_size: Count = 1_000_000
+    """Steps that are remembered."""
+    learning_starts: Annotated[int, Field(ge=0)] = 100
+    """Steps before the first update."""
+    batch_size: Count = 32
+    """Steps that an update learns from."""
+    steps_per_update: Count = 4
+    """Steps, of all vehicles together, from one update to the next."""
+    target_update_steps: Count = 500
+    """Steps after which the target network is renewed."""
+    exploration_steps: Count = 12_000
+    """Over so many the share of random actions falls from 1, linearly. They do not follow the number of episodes asked
+    for, so that a run can be gone on with."""
+    exploration_final: Annotated[float, Field(ge=0, le=1)] = 0.05
+    """Share of random actions after that."""
+
+    def exploration(self, steps: int) -> float:
+        """Share of random actions after so many steps."""
+        progress = min(steps / self.exploration_steps, 1.0)
+        return 1.0 + (self.exploration_final - 1.0) * progress
+
+
+class Sb3Dqn(Memoryless):
+    """Chooses among all six actions at every step, by what the environment's 11 numbers are worth to the network."""
+
+    def __init__(self, options: Sb3DqnOptions, seed: int) -> None:
+        self.options = options
+        widths = [INPUTS, *options.hidden]
+        with fenced(rng(seed, Stream.WEIGHTS)):
+            hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
+            self.network = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], ACTIONS))
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """The action with the largest Q-value."""
+        return np.asarray(self._values(observations).argmax(axis=-1))
+
+    def action_values(self, observations: Observations) -> Array:
+        """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
+        return self._values(observations)[:, : len(paper.TURNS)]
+
+    def arrays(self) -> dict[str, Array]:
+        """Weights and biases, layer by layer."""
+        return {name: value.numpy().copy() for name, value in self.network.state_dict().items()}
+
+    def load(self, arrays: dict[str, Array]) -> None:
+        """Replaces weights and biases."""
+        mine = {name: value.shape for name, value in self.arrays().items()}
+        theirs = {name: value.shape for name, value in arrays.items()}
+        if mine != theirs or not all(np.isfinite(value).all() for value in arrays.values()):
+            widths = "-".join(map(str, (INPUTS, *self.options.hidden, ACTIONS)))
+            raise UserError(f"these are not the weights of a network of {widths} units")
+        self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+
+    def _values(self, observations: Observations) -> Array:
+        """Q(s, a) of the six actions (n, 6)."""
+        with torch.no_grad():
+            values: Array = self.network(torch.from_numpy(inputs(observations))).numpy().astype(np.float64)
+        return values
+
+
+def inputs(observations: Observations) -> NDArray[np.float32]:
+    """What the network sees (n, 11)."""
+    return as_numbers(observations) / SCALE

@@ -1,0 +1,96 @@
+"""Boxes that move: how patrols are drawn into a world, whatever its layout is."""
+
+from math import atan2, cos, hypot, pi, sin
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from nnql_bullet.config import options
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import OrientedBox, as_rows, clearance
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
+
+Positive = Annotated[float, Field(gt=0)]
+Speed = Annotated[float, Field(gt=0, le=1)]
+MOST_TRIES = 20_000
+MARGIN = 0.1
+"""Between what a patrol sweeps and what stands still [m]."""
+
+
+@options
+class Patrols:
+    """Options of patrols: boxes that point along their track, as carts do.
+
+    They go their way whatever is there. Their tracks keep off everything that stands still, but not off one another:
+    where tracks cross, patrols pass through one another.
+    """
+
+    count: Annotated[int, Field(ge=0)]
+    min_side: Positive = 1.0
+    """[m]"""
+    max_side: Positive = 3.0
+    """[m]"""
+    min_track: Positive = 10.0
+    """Way of a box's centre from one end of its track to the other [m]."""
+    max_track: Positive = 30.0
+    """[m]"""
+    min_speed: Speed = 0.3
+    """[m/s]"""
+    max_speed: Speed = 1.0
+    """[m/s]; half the speed of the paper's vehicle, so that it can outrun them."""
+    clear_radius: Annotated[float, Field(ge=0)] = 4.0
+    """No patrol ever comes nearer than this to the start or the target [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuses ranges in the wrong order."""
+        for what in ("side", "track", "speed"):
+            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
+            if low > high:
+                raise ValueError(f"min_{what} {low:g} is above max_{what} {high:g}")
+
+    def draw(self, world: WorldSpec, rng: np.random.Generator) -> tuple[Patrol, ...]:
+        """Draws patrols one by one, each rejected where it would touch what stands still or crowd start or target.
+
+        Numbers are rounded to a millimetre (per second) and 1e-4 (rad), so that no machine's last bit matters.
+
+        Raises:
+            UserError: If no room is found for them.
+        """
+        keep_free = as_rows(
+            tuple(OrientedBox(x, y, 0.0, 0.0) for x, y in ((world.start.x, world.start.y), world.target))
+        )
+        patrols: list[Patrol] = []
+        for _ in range(MOST_TRIES):
+            if len(patrols) == self.count:
+                return tuple(patrols)
+            patrol = self._anywhere(world, rng)
+            swept = as_rows((_swept(patrol),))[0]
+            inside = 0 < patrol.box.x < world.width and 0 < patrol.box.y < world.depth
+            if inside and clearance(swept, world.solids) >= MARGIN and clearance(swept, keep_free) >= self.clear_radius:
+                patrols.append(patrol)
+        raise UserError(
+            f"world '{world.name}', seed {world.seed}: no room for {self.count} patrols; "
+            "lower their 'count', 'max_side', 'max_track' or 'clear_radius'"
+        )
+
+    def _anywhere(self, world: WorldSpec, rng: np.random.Generator) -> Patrol:
+        low = (0.0, 0.0, -pi, self.min_side, self.min_side, self.min_track, self.min_speed, 0.0)
+        high = (world.width, world.depth, pi, self.max_side, self.max_side, self.max_track, self.max_speed, 1.0)
+        x, y, yaw, length, width, track, speed, phase = rng.uniform(low, high).tolist()
+        box = OrientedBox(round(x, 3), round(y, 3), round(length / 2, 3), round(width / 2, 3), round(yaw, 4))
+        end = round(x + track * cos(yaw), 3), round(y + track * sin(yaw), 3)
+        return Patrol(box, end, round(speed, 3), round(phase, 4))
+
+
+def _swept(patrol: Patrol) -> OrientedBox:
+    """All that a box which points along its track ever covers, but for what rounding does to its yaw."""
+    box, (end_x, end_y) = patrol.box, patrol.end
+    along, across = end_x - box.x, end_y - box.y
+    return OrientedBox(
+        box.x + along / 2,
+        box.y + across / 2,
+        box.half_length + hypot(along, across) / 2,
+        box.half_width,
+        atan2(across, along),
+    )

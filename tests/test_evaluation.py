@@ -1,0 +1,329 @@
+"""`evaluate`: grouping, metrics against plain sums, pieces that are kept, and a report that repeats itself."""
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.stats import binom
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.drives import DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
+from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
+from nnql_bullet.evaluation.parts import Parts, part_name
+from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.recording import load_recording
+from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.task import ENDINGS
+from nnql_bullet.worlds.paths import Difficulty
+
+RunCli = Callable[..., tuple[int, str, str]]
+Snapshot = Callable[[Path], dict[str, bytes]]
+
+TWIN = Setting("validation", "twin", "reference")
+
+
+def policy(name: str, method: str, seed: int = 0) -> Policy:
+    return Policy(name, name, method, "nnql", seed, 100, 89, "It drives.", 0.8, "f" + name)
+
+
+def summary(ending: str, path_length: float = 100.0, seed: int = 0) -> EpisodeSummary:
+    return EpisodeSummary(seed, ending, 40, path_length / 2, path_length, 0.5, 3.0, 2.0, 0.1, 10, 1.0, {})
+
+
+def tier(name: str, worlds: int, cover: float | None = None) -> Tier:
+    return Tier(name, name, cover, range(worlds), tuple(f"d{k}" for k in range(worlds)), True)
+
+
+def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) -> Evaluation:
+    """From the first letters of endings, by policy and tier; the shortest path is 80 m everywhere."""
+    names = {"g": "goal", "c": "collision", "t": "timeout"}
+    tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
+    return Evaluation(
+        setting=TWIN,
+        policies=[policy(name, method) for name, method in methods.items()],
+        tiers=list(tiers.values()),
+        difficulties={name: [Difficulty(0.05, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for name, its in tiers.items()},
+        drives={key: [summary(names[letter]) for letter in letters] for key, letters in endings.items()},
+    )
+
+
+class TestMetrics:
+    E = evaluation_of(
+        {
+            ("a-0", "easy"): "gggc",
+            ("a-1", "easy"): "ggtc",
+            ("rule", "easy"): "gcgg",
+            ("a-0", "hard"): "gctc",
+            ("a-1", "hard"): "cccc",
+            ("rule", "hard"): "tttg",
+        },
+        {"a-0": "a", "a-1": "a", "rule": "rule"},
+    )
+
+    def row(self, method: str, world: str) -> object:
+        (found,) = [row for row in rows(self.E) if (row.method, row.world) == (method, world)]
+        return found
+
+    def test_outcomes_are_shares_of_all_drives_and_add_up_to_one(self) -> None:
+        found = {(r.method, r.world): [r.outcomes[ending].value for ending in ENDINGS] for r in rows(self.E)}
+        assert found == {
+            ("a", "easy"): [5 / 8, 2 / 8, 1 / 8],
+            ("a", "hard"): [1 / 8, 6 / 8, 1 / 8],
+            ("a", EVERYWHERE): [6 / 16, 8 / 16, 2 / 16],
+            ("rule", "easy"): [3 / 4, 1 / 4, 0],
+            ("rule", "hard"): [1 / 4, 0, 3 / 4],
+            ("rule", EVERYWHERE): [4 / 8, 1 / 8, 3 / 8],
+        }
+
+    def test_success_of_each_seed(self) -> None:
+        found = {(r.method, r.world): r.by_seed for r in rows(self.E)}
+        assert found["a", "easy"] == (0.75, 0.5)
+        assert found["a", EVERYWHERE] == (0.5, 0.25)
+        assert found["rule", "hard"] == (0.25,)
+
+    def test_over_seeds_is_there_where_there_are_several(self) -> None:
+        found = {(r.method, r.world): r.over_seeds for r in rows(self.E)}
+        assert found["rule", "easy"] is None
+        a = found["a", "easy"]
+        assert a is not None
+        assert (a.value, a.low, a.high) == pytest.approx((0.625, 0.5, 0.75))
+
+    def test_spl_is_success_times_shortest_over_driven(self) -> None:
+        (found,) = [r for r in rows(self.E) if (r.method, r.world) == ("a", "easy")]
+        assert found.spl == pytest.approx(5 / 8 * 80 / 100)
+        assert found.path_ratio == pytest.approx(100 / 80)
+        assert found.time == pytest.approx(50.0)
+
+    def test_a_path_shorter_than_the_discs_counts_as_the_shortest(self) -> None:
+        short = replace(self.E, drives={key: [summary("goal", 60.0)] * 4 for key in self.E.drives})
+        assert {r.spl for r in rows(short)} == {1.0}
+
+    def test_what_is_a_mean_over_arrivals_is_nan_without_any(self) -> None:
+        none = replace(self.E, drives={key: [summary("timeout")] * 4 for key in self.E.drives})
+        for found in rows(none):
+            assert np.isnan([found.path_ratio, found.time, found.clearance]).all()
+            assert found.spl == 0.0
+
+    def test_non_safe_is_a_share_of_decisions(self) -> None:
+        assert {r.non_safe for r in rows(self.E)} == {10 / 40}
+
+    def test_mcnemar_pairs_each_policy_with_the_single_one(self) -> None:
+        found = {c.world: c for c in comparisons(self.E)}
+        easy = found["easy"]  # a-0: +- 2nd, -+ 4th; a-1: +- 2nd, -+ 3rd and 4th
+        assert (easy.first, easy.second, easy.pairs) == ("a", "rule", 8)
+        assert (easy.only_first, easy.only_second) == (2, 3)
+        assert easy.p_value == pytest.approx(min(1.0, 2 * binom.cdf(2, 5, 0.5)))
+        assert found[EVERYWHERE].only_second == 3 + 2
+
+
+class TestPolicies:
+    def copies(self, tiny_run: Path, tmp_path: Path, *names: str) -> list[Path]:
+        return [shutil.copytree(tiny_run, tmp_path / name) for name in names]
+
+    def test_a_rule_is_its_own_method(self) -> None:
+        (found,) = open_policies([Path("straight")])
+        assert (found.name, found.method, found.kind) == ("straight", "straight", "straight")
+        assert (found.episodes, found.learned) == (0, 0)
+
+    def test_a_network_has_its_weights(self, tiny_run: Path) -> None:
+        (found,) = open_policies([tiny_run])
+        assert (found.episodes, found.learned) == (12, 8 * 6 + 6 + 6 * 5 + 5)
+
+    def test_policies_that_differ_by_seed_alone_are_one_method(
+        self, tmp_path: Path, small_config: Path, run_cli: RunCli
+    ) -> None:
+        for seed in range(2):
+            out = tmp_path / f"mine-{seed}"
+            arguments = ("--config", small_config, "--sim", "twin", "--episodes", 2, "--seed", seed, "--out", out)
+            assert run_cli("train", *arguments)[0] == 0
+        other = tmp_path / "other-0"
+        assert run_cli("train", "--config", small_config, "--sim", "twin", "--episodes", 3, "--out", other)[0] == 0
+        found = open_policies([tmp_path / "mine-0", other, tmp_path / "mine-1"])
+        assert [(p.name, p.method, p.seed) for p in found] == [
+            ("mine-0", "mine", 0),
+            ("other-0", "other-0", 0),
+            ("mine-1", "mine", 1),
+        ]
+        assert len({p.fingerprint for p in found}) == 3
+
+    def test_names_take_as_much_of_the_path_as_tells_them_apart(self, tiny_run: Path, tmp_path: Path) -> None:
+        first, second = self.copies(tiny_run, tmp_path, "one/run", "two/run")
+        assert [p.name for p in open_policies([first, second])] == ["one/run", "two/run"]
+
+    def test_the_fingerprint_is_of_what_it_does_not_of_where_it_lies(self, tiny_run: Path, tmp_path: Path) -> None:
+        first, second = open_policies(self.copies(tiny_run, tmp_path, "one", "two"))
+        assert first.fingerprint == second.fingerprint
+
+    def test_a_policy_given_twice_is_refused(self) -> None:
+        with pytest.raises(UserError, match="straight: is given twice"):
+            open_policies([Path("straight"), Path("straight")])
+
+
+class TestParts:
+    def test_records_come_back_as_they_were(self, tmp_path: Path) -> None:
+        parts = Parts(tmp_path / "parts")
+        records = [summary("goal", 1 / 3), summary("timeout", 2 / 7, seed=5)]
+        assert parts.load("x", EpisodeSummary) is None
+        parts.save("x", records)
+        assert parts.load("x", EpisodeSummary) == records
+
+    @pytest.mark.parametrize("text", ["", "[{", '[{"ending": "goal"}]', "[3]", "7"])
+    def test_damage_is_one_line_that_says_what_to_do(self, tmp_path: Path, text: str) -> None:
+        (tmp_path / "x.json").write_text(text)
+        with pytest.raises(UserError, match=r"x\.json: damaged \(.*\); delete it, and its work is done again"):
+            Parts(tmp_path).load("x", EpisodeSummary)
+
+    def test_names_change_with_whatever_the_result_depends_on(self) -> None:
+        one, other = tier("t", 30), replace(tier("t", 30), digests=tuple(f"e{k}" for k in range(30)))
+        tasks = [
+            DriveTask(policy("a", "a"), one, TWIN, 0),
+            DriveTask(policy("b", "b"), one, TWIN, 0),
+            DriveTask(policy("a", "a"), other, TWIN, 0),
+            DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet"), 0),
+            DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet", physics="fast"), 0),
+            DriveTask(policy("a", "a"), one, TWIN, 25),
+        ]
+        assert len({task.part for task in tasks}) == len(tasks)
+        assert DriveTask(policy("a", "z"), one, TWIN, 0).part == tasks[0].part
+        assert part_name("a", 1) == part_name("a", 1) != part_name("a", 2)
+
+
+def test_pieces_are_all_worlds_once() -> None:
+    tiers = [tier("one", 60), tier("two", 25)]
+    tasks = drive_tasks([policy("a", "a"), policy("b", "b")], tiers, TWIN)
+    driven = [(task.policy.name, task.tier.name, seed) for task in tasks for seed in task.tier.block(task.first)]
+    assert sorted(driven) == sorted((name, t.name, seed) for name in "ab" for t in tiers for seed in t.seeds)
+    assert sum(task.size for task in tasks) == len(driven)
+
+
+def test_the_twin_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
+    (its,) = open_policies([tiny_run])
+    (small,) = draw_tiers([str(small_world)], TWIN, 3, its)
+    together = drive(DriveTask(its, small, TWIN, 0))
+    assert [s.world_seed for s in together] == [0, 1, 2]
+    for k in range(3):
+        alone = replace(small, seeds=small.seeds[k : k + 1], digests=small.digests[k : k + 1])
+        assert drive(DriveTask(its, alone, TWIN, 0)) == together[k : k + 1]
+
+
+@pytest.fixture(scope="module")
+def evaluated(
+    tmp_path_factory: pytest.TempPathFactory, tiny_run: Path, small_world: Path
+) -> tuple[Path, tuple[object, ...]]:
+    """A report of a run and a rule in two kinds of worlds, and the command's arguments but for --out."""
+    from nnql_bullet.cli import main
+
+    out = tmp_path_factory.mktemp("evaluation") / "report"
+    where = ("--world", f"{small_world},cover_10", "--cover", "5", "--sim", "twin", "--worlds", "4")
+    arguments = ("evaluate", tiny_run, "straight", *where)
+    assert main([str(part) for part in (*arguments, "--executor", "inline", "--out", out)]) == 0
+    return out, arguments
+
+
+class TestCommand:
+    def test_it_leaves_the_whole_report(self, evaluated: tuple[Path, tuple[object, ...]]) -> None:
+        out, _ = evaluated
+        files = {"evaluation.md", "results.json", "results.csv", "episodes.csv", "outcomes.png", "cover.png"}
+        assert files <= {path.name for path in out.iterdir()}
+        for picture in out.glob("*.png"):
+            with Image.open(picture) as image:
+                assert min(image.size) > 300
+
+    def test_csv_json_and_drives_agree(self, evaluated: tuple[Path, tuple[object, ...]]) -> None:
+        out, _ = evaluated
+        values = json.loads((out / "results.json").read_text())
+        with (out / "episodes.csv").open(newline="") as file:
+            episodes = list(csv.DictReader(file))
+        assert len(episodes) == 2 * 3 * 4
+        for row in values["rows"]:
+            its = [e for e in episodes if e["method"] == row["method"] and row["world"] in (e["world"], EVERYWHERE)]
+            its = its or [e for e in episodes if e["method"] == row["method"]]
+            goals = sum(e["ending"] == "goal" for e in its)
+            assert row["outcomes"]["goal"][0] == pytest.approx(goals / len(its))
+            spl = sum(
+                float(e["shortest_path"]) / max(float(e["shortest_path"]), float(e["path_length"]))
+                for e in its
+                if e["ending"] == "goal"
+            )
+            assert row["spl"] == pytest.approx(spl / len(its))
+        assert [t["frozen"] for t in values["tiers"]] == [True, False, True]
+
+    def test_failures_are_recorded_as_they_were_driven(self, evaluated: tuple[Path, tuple[object, ...]]) -> None:
+        out, _ = evaluated
+        values = json.loads((out / "results.json").read_text())
+        with (out / "episodes.csv").open(newline="") as file:
+            endings = {(e["policy"], e["world"], int(e["world_seed"])): e["ending"] for e in csv.DictReader(file)}
+        assert values["failures"]
+        for failure in values["failures"]:
+            recording = load_recording(out / failure["recording"])
+            key = failure["policy"], failure["world"], failure["seed"]
+            assert recording.about["ending"] == endings[key] != "goal"
+
+    def test_the_command_for_a_failure_drives_it_again(
+        self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli
+    ) -> None:
+        out, _ = evaluated
+        failure = json.loads((out / "results.json").read_text())["failures"][0]
+        code, _, _ = run_cli(*failure["replay"].split()[1:], "--out", tmp_path)
+        assert code == 0
+        again, first = load_recording(tmp_path / "trajectory.npz"), load_recording(out / failure["recording"])
+        assert np.array_equal(again.state_pose, first.state_pose)
+
+    def test_the_same_command_gives_the_same_bytes_whoever_runs_it(
+        self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli, snapshot: Snapshot
+    ) -> None:
+        out, arguments = evaluated
+        code, _, _ = run_cli(*arguments, "--workers", 2, "--out", tmp_path / "again")
+        assert code == 0
+        assert snapshot(tmp_path / "again") == snapshot(out)
+
+    def test_it_goes_on_from_the_pieces_that_are_there(
+        self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli, snapshot: Snapshot
+    ) -> None:
+        out, arguments = evaluated
+        again = shutil.copytree(out, tmp_path / "again")
+        kept, *gone = sorted((again / "parts").iterdir())
+        marked = kept.stat().st_mtime_ns
+        for path in gone:
+            path.unlink()
+        assert run_cli(*arguments, "--executor", "inline", "--out", again)[0] == 0
+        assert snapshot(again) == snapshot(out)
+        assert kept.stat().st_mtime_ns == marked
+
+    def test_json_is_what_the_file_holds(
+        self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli
+    ) -> None:
+        out, arguments = evaluated
+        again = shutil.copytree(out, tmp_path / "again")
+        code, printed, _ = run_cli(*arguments, "--executor", "inline", "--out", again, "--json")
+        assert code == 0
+        assert json.loads(printed) == json.loads((out / "results.json").read_text())
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (("nobody",), "nobody: no such run or policy file, and no rule; rules: "),
+            (("straight", "--cover", "6"), "--cover: there are worlds with 2.5, 5, 7.5, 10, 15, 20 percent, not '6'"),
+            (("straight", "--worlds", "0"), "--worlds must be from 1 to 1000"),
+            (("straight", "--world", "nowhere"), "worlds: there is no file 'nowhere'"),
+            (("straight", "--cover", "5", "--world", "paper"), "there are two worlds named 'paper'"),
+            (("straight", "straight"), "straight: is given twice"),
+            (("straight", "--address", "localhost:1"), "the executor 'processes' takes no address"),
+            (("straight", "--workers", "-1"), "workers must be at least 1"),
+        ],
+    )
+    def test_bad_input_is_one_line_and_leaves_nothing(
+        self, arguments: tuple[str, ...], message: str, tmp_path: Path, run_cli: RunCli
+    ) -> None:
+        out = tmp_path / "out"
+        code, printed, complaint = run_cli("evaluate", *arguments, "--sim", "twin", "--out", out)
+        assert (code, printed) == (2, "")
+        assert message in complaint
+        assert len(complaint.splitlines()) == 1
+        assert not out.exists()

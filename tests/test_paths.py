@@ -1,0 +1,114 @@
+"""Shortest paths against a visibility graph around obstacles that Shapely has grown, and what worlds are like."""
+
+from math import hypot
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import OrientedBox, Pose
+from nnql_bullet.worlds.grid import DIAGONAL, is_solvable
+from nnql_bullet.worlds.paths import difficulty, path_length, shortest_path
+from nnql_bullet.worlds.spec import WorldSpec
+
+SIDE = 30.0
+CLEARANCE = 0.8
+
+
+def world_with(*boxes: OrientedBox, start: Pose = Pose(3, 3, 0), target: tuple[float, float] = (27, 26)) -> WorldSpec:  # noqa: B008
+    return WorldSpec("test", 0, SIDE, SIDE, boxes, start, target, 1.0, 1.5)
+
+
+def scattered(seed: int, count: int = 7) -> WorldSpec:
+    drawn = np.random.default_rng(seed).uniform((6, 6, 0.5, 0.5, -1.5), (24, 24, 3, 3, 1.5), (count, 5))
+    return world_with(*(OrientedBox(*row) for row in drawn.tolist()))
+
+
+def exact_length(world: WorldSpec, clearance: float) -> float:
+    """Length of the shortest way of a disc's centre, infinite if there is none."""
+    grown = shapely.union_all(
+        [shapely.Polygon(box.corners()).buffer(clearance, quad_segs=16) for box in world.obstacles]
+    )
+    inner = shapely.box(clearance, clearance, SIDE - clearance, SIDE - clearance)
+    free = inner.difference(grown)
+    corners = shapely.get_coordinates(free)
+    inside = (corners > clearance + 1e-9).all(axis=1) & (corners < SIDE - clearance - 1e-9).all(axis=1)
+    points: NDArray[np.float64] = np.vstack([(world.start.x, world.start.y), world.target, corners[inside]])
+    n = len(points)
+    i, j = np.triu_indices(n, 1)
+    lines = shapely.linestrings(np.stack([points[i], points[j]], axis=1))
+    roomy = free.buffer(1e-6)
+    shapely.prepare(roomy)
+    seen = shapely.covers(roomy, lines)
+    lengths = np.zeros((n, n))
+    lengths[i[seen], j[seen]] = shapely.length(lines[seen])
+    return float(dijkstra(lengths, directed=False, indices=0)[1])
+
+
+def test_with_nothing_in_the_way_it_is_straight() -> None:
+    path = shortest_path(world_with(), CLEARANCE)
+    assert path.tolist() == [[3, 3], [27, 26]]
+    assert path_length(path) == pytest.approx(hypot(24, 23))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_it_is_as_long_as_that_of_the_visibility_graph(seed: int) -> None:
+    world = scattered(seed)
+    # A cell is free only if all of it is; so the way is that of a disc between these two, up to the start's cell.
+    shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * DIAGONAL)
+    if not is_solvable(world, CLEARANCE):
+        with pytest.raises(UserError, match="no way to the target"):
+            shortest_path(world, CLEARANCE)
+        return
+    length = path_length(shortest_path(world, CLEARANCE))
+    assert 0.998 * shortest - 0.05 <= length <= 1.005 * longest + 0.1
+
+
+def test_most_of_those_worlds_can_be_crossed_and_have_something_in_the_way() -> None:
+    solvable = [world for world in map(scattered, range(12)) if is_solvable(world, CLEARANCE)]
+    assert 8 <= len(solvable) <= 12
+    assert sum(path_length(shortest_path(world, CLEARANCE)) > 1.01 * hypot(24, 23) for world in solvable) >= 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_keeps_the_disc_off_everything(seed: int) -> None:
+    world = scattered(seed)
+    if is_solvable(world, CLEARANCE):
+        line = shapely.LineString(shortest_path(world, CLEARANCE))
+        assert min(line.distance(shapely.Polygon(box.corners())) for box in world.obstacles) >= CLEARANCE - 1e-6
+
+
+def test_a_wall_across_leaves_no_way() -> None:
+    with pytest.raises(UserError, match="world 'test', seed 0: there is no way to the target"):
+        shortest_path(world_with(OrientedBox(15, 15, 0.5, 15)), CLEARANCE)
+
+
+def test_a_target_outside_is_reached_from_nowhere() -> None:
+    with pytest.raises(UserError, match="no way"):
+        shortest_path(world_with(target=(31.0, 5.0)), CLEARANCE)
+
+
+class TestDifficulty:
+    def test_of_an_empty_arena_along_its_middle(self) -> None:
+        found = difficulty(world_with(start=Pose(10, 15, 0), target=(20, 15)), CLEARANCE)
+        assert found.cover == 0.0
+        assert found.shortest_path == pytest.approx(10.0 - 1.0)  # up to the target's edge
+        assert found.tortuosity == pytest.approx(1.0)
+        # Looked at 10, 12, ..., 18 m along the arena: the nearest wall is beside or behind.
+        assert found.closest_obstacle == pytest.approx(np.mean([10, 12, 14, 14, 12]))
+
+    def test_visibility_in_the_middle_of_a_square_is_the_mean_distance_to_its_sides(self) -> None:
+        found = difficulty(world_with(start=Pose(15, 15, 0), target=(16, 15)), CLEARANCE)
+        angles = np.arange(100_000) * 2 * np.pi / 100_000
+        expected = np.mean(15.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles))))
+        assert found.visibility == pytest.approx(expected, rel=0.01)
+
+    def test_a_detour_shows_as_tortuosity(self) -> None:
+        world = world_with(OrientedBox(15, 10, 0.2, 10), start=Pose(10, 5, 0), target=(20, 5))
+        found = difficulty(world, CLEARANCE)
+        shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * DIAGONAL)
+        assert shortest / 10 <= found.tortuosity <= longest / 10
+        assert found.cover == pytest.approx(4 * 0.2 * 10 / SIDE**2)

@@ -1,0 +1,64 @@
+"""Intervals over training seeds against formulas and a bootstrap written down anew."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from nnql_bullet.evaluation.statistics import interquartile_mean, seeds_share
+from nnql_bullet.geometry import Array
+
+
+def generator() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+def naive_iqm(scores: Sequence[float]) -> float:
+    ranked = sorted(scores)
+    cut = len(ranked) // 4
+    middle = ranked[cut : len(ranked) - cut]
+    return sum(middle) / len(middle)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 10, 13])
+def test_the_interquartile_mean_leaves_a_quarter_out_on_either_side(count: int) -> None:
+    scores = np.random.default_rng(count).uniform(0, 1, count)
+    assert interquartile_mean(scores) == pytest.approx(naive_iqm(scores.tolist()))
+
+
+def test_one_bad_seed_of_eight_does_not_count() -> None:
+    assert interquartile_mean(np.array([0.0, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9])) == pytest.approx(0.9)
+
+
+def naive_interval(scores: Sequence[Array], draws: int) -> tuple[float, float]:
+    """Each task's runs are drawn anew within that task."""
+    chance = np.random.default_rng(1)
+    means = [
+        naive_iqm([float(score) for task in scores for score in chance.choice(task, len(task))]) for _ in range(draws)
+    ]
+    low, high = np.quantile(means, (0.025, 0.975))
+    return float(low), float(high)
+
+
+@pytest.mark.parametrize("tasks", [1, 3])
+def test_the_interval_is_that_of_a_stratified_bootstrap(tasks: int) -> None:
+    chance = np.random.default_rng(3)
+    scores = [np.clip(chance.normal(0.9 - 0.3 * task, 0.05, 10), 0, 1) for task in range(tasks)]
+    found = seeds_share(scores, generator())
+    assert found is not None
+    assert found.value == pytest.approx(naive_iqm(np.concatenate(scores).tolist()))
+    low, high = naive_interval(scores, 4000)
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.01)
+
+
+def test_a_single_seed_says_nothing_of_the_spread() -> None:
+    assert seeds_share([np.array([0.9])], generator()) is None
+
+
+def test_seeds_that_all_do_alike_have_no_spread() -> None:
+    assert seeds_share([np.ones(5)], generator()) == (1.0, 1.0, 1.0)
+
+
+def test_the_same_generator_gives_the_same_interval() -> None:
+    scores = [np.linspace(0.2, 0.9, 10)]
+    assert seeds_share(scores, generator()) == seeds_share(scores, generator())
