@@ -1,6 +1,7 @@
 """What `doctor` checks: that the parts this package stands on do here what they should."""
 
 import multiprocessing
+import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -90,6 +91,18 @@ def check_ffmpeg() -> Finding:
     return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
 
 
+def check_chromium() -> Finding:
+    """The browser that a test opens the HTML report in."""
+    program = shutil.which("chromium")
+    if program is None:
+        return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
+    try:
+        answer = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return Finding(False, "does not start; only a test of the HTML report needs it", needed=False)
+    return Finding(True, answer.stdout.strip().split(" built on")[0])
+
+
 def check_renderer() -> Finding:
     """EGL where it works, else TinyRenderer, which always does. In a process of its own, which a bad driver may end."""
     if _works(bullet.probe_egl):
@@ -116,4 +129,5 @@ CHECKS: dict[str, Callable[[], Finding]] = {
     "rays": check_rays,
     "ffmpeg": check_ffmpeg,
     "renderer": check_renderer,
+    "Chromium": check_chromium,
 }

@@ -172,7 +172,7 @@ class TestHelp:
     def test_the_overview_names_every_verb(self, run_cli: Cli, arguments: list[str]) -> None:
         code, out, err = run_cli(*arguments)
         assert (code, err) == (0, "")
-        for verb in ("train", "navigate", "gap", "fidelity", "envelope", "doctor"):
+        for verb in ("train", "navigate", "gap", "report", "fidelity", "envelope", "doctor"):
             assert re.search(rf"^  {verb} +\S", out, re.MULTILINE)
 
     @pytest.mark.parametrize(
@@ -183,6 +183,7 @@ class TestHelp:
             ("navigate", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
             ("navigate", ["--friction", "--payload", "--noise", "--dead-sector"]),
             ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
+            ("report", ["RUN", "--evaluation", "--gap", "--out"]),
             ("fidelity", ["--robot", "--sim", "--physics", "--out"]),
             ("envelope", ["--robot", "--sim", "--physics", "--workers", "--out", "ISO 3691-4"]),
             ("doctor", ["Check this machine"]),

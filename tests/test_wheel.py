@@ -72,7 +72,7 @@ def test_the_installed_package_is_the_one_that_runs(
     assert Path(worlds).is_relative_to(installed)
 
 
-def test_it_trains_and_navigates_away_from_the_checkout(
+def test_it_trains_navigates_and_reports_away_from_the_checkout(
     run: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
     trained = run("-m", "nnql_bullet", "train", "--episodes", "1", "--world", "cover_2.5", "--out", "run")
@@ -83,6 +83,9 @@ def test_it_trains_and_navigates_away_from_the_checkout(
     assert result["world"] == "paper"
     assert (tmp_path / result["picture"]).is_file()
     assert (tmp_path / result["recording"]).is_file()
+    reported = run("-m", "nnql_bullet", "report", "run")
+    assert (reported.returncode, reported.stderr) == (0, "")
+    assert (tmp_path / "run" / "report.html").is_file()
 
 
 def test_its_console_command_runs(run: Callable[..., subprocess.CompletedProcess[str]], installed: Path) -> None:

@@ -13,6 +13,7 @@ from nnql_bullet.cli.work import run_all
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
+from nnql_bullet.evaluation.policies import fingerprint
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import make_executor
 from nnql_bullet.experiment import SimulatorName
@@ -64,7 +65,7 @@ def gap(
         raise UserError(f"--against {against} is the engine itself; give another, or another --sim")
     seeds = split_seeds(split, worlds)
     first, second = Side(against, physics), Side(sim, physics)
-    _check(runs, world, (first, second), seeds[0])
+    fingerprints = _check(runs, world, (first, second), seeds[0])
     folder = out or Path("runs") / "gap"
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".flips-", dir=folder) as flips:
@@ -74,7 +75,7 @@ def gap(
         drives = [drive for piece in results for drive in piece]
         pairs = [drive for drive in drives if isinstance(drive, Pair)]
         trials = [drive for drive in drives if isinstance(drive, Trial)]
-        result = Gap(tuple(map(str, runs)), world, seeds, first, second, pairs, trials)
+        result = Gap(tuple(map(str, runs)), fingerprints, world, split, seeds, first, second, pairs, trials)
         _replace(folder / "flips", Path(flips))
     _write(result, folder)
     _print(result)
@@ -82,17 +83,23 @@ def gap(
     return 0
 
 
-def _check(runs: list[Path], world: str | None, sides: tuple[Side, Side], seed: int) -> None:
+def _check(runs: list[Path], world: str | None, sides: tuple[Side, Side], seed: int) -> tuple[str, ...]:
     """What is wrong with runs, world or engines shows before anything is written.
+
+    Returns:
+        The fingerprints of the runs.
 
     Raises:
         UserError: If something is.
     """
+    fingerprints = []
     for run in runs:
         for side in sides:
             experiment, _ = open_policy(run, {"world": world, "simulator": side.simulator})
             experiment.simulator.close()
         experiment.world(seed)
+        fingerprints.append(fingerprint(experiment))
+    return tuple(fingerprints)
 
 
 def _replace(folder: Path, by: Path) -> None:

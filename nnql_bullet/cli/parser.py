@@ -19,6 +19,7 @@ from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.ledger import ledger
 from nnql_bullet.cli.navigate import navigate
+from nnql_bullet.cli.report import report
 from nnql_bullet.cli.train import train
 from nnql_bullet.cli.work import WorkFailed
 from nnql_bullet.errors import UserError
@@ -30,6 +31,7 @@ VERBS: dict[str, Callable[..., int]] = {
     "evaluate": evaluate,
     "ledger": ledger,
     "gap": gap,
+    "report": report,
     "fidelity": fidelity,
     "envelope": envelope,
     "doctor": doctor,

@@ -1,5 +1,6 @@
 """Policies through worlds: what is to be driven, in pieces that are kept, and the driving."""
 
+import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -63,6 +64,12 @@ class Setting:
         """As it is printed."""
         where = "the ideal twin" if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
         return f"{self.split} worlds, {where}"
+
+    @property
+    def flags(self) -> list[str]:
+        """What says so on the command line, besides the split."""
+        physics = [] if self.simulator == "twin" else ["--physics", self.physics]
+        return ["--sim", self.simulator, *physics]
 
 
 def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
@@ -197,9 +204,8 @@ class FilmTask:
     @property
     def replay(self) -> str:
         """The command that drives it again, exactly."""
-        s = self.setting
-        where = "--sim twin" if s.simulator == "twin" else f"--sim {s.simulator} --physics {s.physics}"
-        return f"nnql-bullet navigate {self.policy.path} --world {self.tier.file} --seed {self.seed} {where}"
+        where = ["--world", self.tier.file, "--seed", str(self.seed)]
+        return shlex.join(["nnql-bullet", "navigate", self.policy.path, *where, *self.setting.flags])
 
 
 def film(task: FilmTask) -> Recording:

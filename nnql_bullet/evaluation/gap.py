@@ -1,5 +1,6 @@
 """The gap between two simulators: the same policy, worlds and seeds in both, drive by drive."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
+from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.evaluation.statistics import Share, mcnemar, share
 from nnql_bullet.experiment import Experiment, SimulatorName
 from nnql_bullet.geometry import Array
@@ -177,8 +179,11 @@ class Gap:
     """Policies, worlds and seeds, in two simulators."""
 
     runs: tuple[str, ...]
+    fingerprints: tuple[str, ...]
+    """Of the policies: see `policies.fingerprint`."""
     world: str | None
     """Another world file than the policies were trained in."""
+    split: SplitName
     seeds: range
     first: Side
     second: Side
@@ -190,6 +195,15 @@ class Gap:
     def flips(self) -> list[Pair]:
         """What ended differently."""
         return [pair for pair in self.pairs if pair.flipped]
+
+    @property
+    def command(self) -> str:
+        """What measures it again."""
+        worlds = ["--worlds", str(len(self.seeds)), "--split", self.split]
+        world = ["--world", self.world] if self.world else []
+        sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
+        faults = [] if self.trials else ["--no-faults"]
+        return shlex.join(["nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults])
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""

@@ -1,5 +1,6 @@
 """What drives come to: outcomes with intervals, quality, and tests of one method against another."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -35,6 +36,13 @@ class Evaluation:
     def methods(self) -> list[str]:
         """In the order in which they were given."""
         return list(dict.fromkeys(policy.method for policy in self.policies))
+
+    @property
+    def command(self) -> str:
+        """What drives it again."""
+        policies, worlds = [policy.path for policy in self.policies], ",".join(tier.file for tier in self.tiers)
+        count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
+        return shlex.join(["nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *self.setting.flags])
 
     def of_method(self, method: str) -> list[Policy]:
         """Its policies."""

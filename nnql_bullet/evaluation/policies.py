@@ -80,7 +80,7 @@ def open_policies(paths: Sequence[Path]) -> list[Policy]:
             learned=sum(values.size for values in _learned(experiment).values()),
             about=(getdoc(type(experiment.agent)) or "").partition("\n")[0],
             room=experiment.room,
-            fingerprint=_fingerprint(experiment),
+            fingerprint=fingerprint(experiment),
         )
         for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
     ]
@@ -105,7 +105,8 @@ def _recipe(experiment: Experiment) -> str:
     return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
 
 
-def _fingerprint(experiment: Experiment) -> str:
+def fingerprint(experiment: Experiment) -> str:
+    """Hash of what a policy learned and of the configuration that it drives with, wherever it drives."""
     config = to_values(experiment.config)
     driving = {key: config[key] for key in ("seed", "robot", "conditions", "drive", "task", "agent")}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())

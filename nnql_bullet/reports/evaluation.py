@@ -18,12 +18,22 @@ from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
 from nnql_bullet.evaluation.statistics import Share
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_path, draw_world, save_figure
+from nnql_bullet.reports.plots import (
+    COLLISION,
+    GOAL,
+    INK,
+    LINES,
+    NON_SAFE,
+    SAFE,
+    TIMEOUT,
+    draw_path,
+    draw_world,
+    save_figure,
+)
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
 from nnql_bullet.task import ENDINGS
 
 COLOURS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT}
-LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
 MARKS = "osD^vPX"
 
 
@@ -201,6 +211,7 @@ def evaluation_values(
     e = evaluation
     return {
         "version": __version__,
+        "command": e.command,
         "split": e.setting.split,
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,

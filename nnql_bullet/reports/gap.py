@@ -122,7 +122,9 @@ def gap_values(gap: Gap) -> dict[str, Any]:
     d = divergence(gap.pairs)
     return {
         "version": __version__,
+        "command": gap.command,
         "runs": list(gap.runs),
+        "policies": [{"path": run, "fingerprint": its} for run, its in zip(gap.runs, gap.fingerprints, strict=True)],
         "world": gap.world,
         "seeds": [gap.seeds.start, gap.seeds.stop],
         "first": gap.first.name,

@@ -1,6 +1,6 @@
 """Pictures of runs and recordings, drawn with Matplotlib's object interface: no display, no global figures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +24,10 @@ BOX, BOX_EDGE = "#adb5bd", "#495057"
 MOVING, MOVING_EDGE = "#b197fc", "#5f3dc4"
 VEHICLE = "#fab005"
 INK = "#212529"
+LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
+"""Colours of things of one kind, in this order."""
+DPI = 150
+"""Of pictures."""
 OUTLINE_EVERY = 4.0
 """Distance along the path from one outline of the vehicle to the next [m]."""
 
@@ -92,6 +96,39 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
     for axes in (ends, returns, length):
         axes.grid(color="#e9ecef", lw=0.8)
         axes.spines[["top"]].set_visible(False)
+    save_figure(figure, path)
+
+
+def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]], path: Path, window: int = 50) -> None:
+    """Success while training: a line for each run and, for a recipe with several, their mean as far as all have come.
+
+    Args:
+        recipes: Runs by name, by the name of what they share but for their training seed; none without an episode.
+        path: Of the picture.
+        window: Episodes of the trailing mean; fewer where runs are short.
+    """
+    window = max(1, min(window, min(len(run) for runs in recipes.values() for run in runs.values()) // 4))
+    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (recipe, runs) in enumerate(recipes.items()):
+        curves = {
+            name: _trailing_mean(np.array([100.0 * (e.summary.ending == "goal") for e in episodes]), window)
+            for name, episodes in runs.items()
+        }
+        colour = LINES[number % len(LINES)]
+        alone = len(curves) == 1
+        for name, curve in curves.items():
+            style = {"lw": 1.8, "label": name} if alone else {"lw": 0.9, "alpha": 0.35}
+            axes.plot(np.arange(1, len(curve) + 1), curve, color=colour, **style)
+        if not alone:
+            shortest = min(map(len, curves.values()))
+            mean = np.mean([curve[:shortest] for curve in curves.values()], axis=0)
+            axes.plot(np.arange(1, shortest + 1), mean, color=colour, lw=2.2, label=f"{recipe}: mean of {len(curves)}")
+    axes.set(ylabel="success [%]", ylim=(-2, 102), xlabel="episode", xlim=(0, None))
+    axes.grid(color="#e9ecef", lw=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_title(f"Training, mean over the last {window} episodes (exploring)", fontsize=11, color=INK)
+    figure.legend(loc="outside right center", frameon=False, fontsize=9)
     save_figure(figure, path)
 
 
@@ -204,4 +241,4 @@ def _trailing_mean(values: Array, window: int) -> Array:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Writes a picture atomically, the same bytes for the same figure."""
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=150, metadata={"Software": None}))
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))

@@ -1,0 +1,375 @@
+"""Everything that is known of some runs as one HTML page: pictures are in it, and it asks nothing from a network."""
+
+import json
+import os
+import platform
+import shlex
+from base64 import b64encode
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markdown_it import MarkdownIt
+from markdown_it.renderer import RendererHTML
+from markdown_it.token import Token
+from markupsafe import Markup, escape
+
+from nnql_bullet import __version__
+from nnql_bullet.config import to_values, write_toml
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.policies import Policy
+from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.experiment import PRESETS, RunConfig, load_config
+from nnql_bullet.recording import Recording, load_recording
+from nnql_bullet.reports.plots import DPI, draw_success, draw_trajectory
+from nnql_bullet.runs import LEARNING_CURVE, Run
+
+TEMPLATE = "report.html.j2"
+LIBRARIES = ("numpy", "scipy", "numba", "torch", "gymnasium", "pybullet", "mujoco", "trimesh", "yourdfpy", "matplotlib")
+"""That results may depend on."""
+CSS_DPI = 96
+"""Units of a page to the inch."""
+RECENT = 100
+"""Training episodes that the success shown for a run is over."""
+
+Verb = Literal["evaluate", "gap"]
+_FILES: dict[Verb, tuple[str, str]] = {"evaluate": ("results.json", "evaluation.md"), "gap": ("gap.json", "gap.md")}
+_FLAGS = {
+    "seed": "--seed",
+    "episodes": "--episodes",
+    "world": "--world",
+    "simulator": "--sim",
+    "physics": "--physics",
+    "vehicles": "--vehicles",
+}
+"""Of `train`, by the key of a configuration that each sets."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A drive that failed, and was recorded."""
+
+    title: str
+    recording: Path
+    replay: str
+    """The command that drives it again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What `evaluate` or `gap` left of the policies of a page."""
+
+    folder: Path
+    version: str
+    """Of the program that left it."""
+    command: str
+    """That makes it again, but for the folder."""
+    text: str
+    """Markdown."""
+    absent: list[str]
+    """The policies of the page that do not drive in it."""
+    methods: dict[str, list[str]]
+    """Those that do by what they are called in it, if it is an evaluation."""
+    success: list[tuple[str, str, Share]]
+    """Of those that do, if it is an evaluation: method, worlds, share."""
+    failures: list[Failure]
+    """Of those that do, if it is an evaluation."""
+
+
+def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Results | None:
+    """Reads what a verb left of policies as they are now.
+
+    Returns:
+        None if there is nothing, or nothing of them.
+
+    Raises:
+        UserError: If it is damaged.
+    """
+    file, text = (folder / name for name in _FILES[verb])
+    if not file.is_file():
+        return None
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        there = {policy["fingerprint"]: policy for policy in values.get("policies", ())}
+        driving = [there[policy.fingerprint] for policy in policies if policy.fingerprint in there]
+        if not driving:
+            return None
+        methods: dict[str, list[str]] = {}
+        for policy in policies:
+            if "method" in there.get(policy.fingerprint, {}):
+                methods.setdefault(there[policy.fingerprint]["method"], []).append(policy.name)
+        return Results(
+            folder=folder,
+            version=values["version"],
+            command=values["command"],
+            text=text.read_text(encoding="utf-8"),
+            absent=[policy.name for policy in policies if policy.fingerprint not in there],
+            methods=methods,
+            success=_success(values, methods),
+            failures=_failures(values, driving, folder),
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet {verb}") from None
+
+
+def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Share]]:
+    titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
+    found = []
+    for row in values.get("rows", ()):
+        if row["method"] in methods:
+            name = row["method"] if row["policies"] == 1 else f"{row['method']}, {row['policies']} seeds"
+            share = Share(*(row["over_seeds"] or row["outcomes"]["goal"]))
+            found.append((name, titles.get(row["world"], row["world"]), share))
+    return found
+
+
+def _failures(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], folder: Path) -> list[Failure]:
+    names = {policy.get("name") for policy in driving}
+    titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
+    return [
+        Failure(
+            title=f"{one['policy']} in {titles[one['world']]}, seed {one['seed']}",
+            recording=folder / one["recording"],
+            replay=one["replay"],
+        )
+        for one in values.get("failures", ())
+        if one["policy"] in names
+    ]
+
+
+def page(
+    runs: Sequence[Run], policies: Sequence[Policy], evaluation: Results | None, gap: Results | None, again: str
+) -> str:
+    """The page.
+
+    Args:
+        runs: What was trained.
+        policies: What they learned, in the same order.
+        evaluation: What `evaluate` found of them, if anything.
+        gap: What `gap` found of them, if anything.
+        again: The command that makes the page.
+
+    Raises:
+        UserError: If a picture or recording is damaged.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    pairs = list(zip(runs, policies, strict=True))
+    paths = [str(run.folder) for run in runs]
+    return environment.get_template(TEMPLATE).render(
+        runs=[_run_row(run, policy) for run, policy in pairs],
+        **_settings(pairs),
+        versions=_versions(),
+        success_curves=_success_curves(pairs),
+        curves=[_curve(run, policy) for run, policy in pairs],
+        evaluation=evaluation,
+        evaluation_text=evaluation and _html(evaluation, leaving_out="Failures"),
+        failures=[
+            (failure, load_recording(failure.recording)) for failure in (evaluation.failures if evaluation else ())
+        ],
+        trajectory=_trajectory,
+        gap=gap,
+        gap_text=gap and _html(gap),
+        make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
+        commands=[
+            *(_training_command(run, policy) for run, policy in pairs),
+            *(f"{its.command} --out {shlex.quote(str(its.folder))}" for its in (evaluation, gap) if its),
+            again,
+        ],
+        files=_recipe_files(pairs),
+        recent=RECENT,
+    )
+
+
+def _run_row(run: Run, policy: Policy) -> dict[str, Any]:
+    """What is said of a run in one line."""
+    goals = [episode.summary.ending == "goal" for episode in run.episodes[-RECENT:]]
+    return {
+        "name": policy.name,
+        "recipe": policy.method,
+        "config": run.config,
+        "episodes": len(run.episodes),
+        "success": f"{100 * sum(goals) / len(goals):.0f}" if goals else "-",
+        "resume": shlex.join(["nnql-bullet", "train", "--resume", str(run.folder)]),
+    }
+
+
+def _settings(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, Any]:
+    """Every key of the configurations, recipe by recipe, beside the preset `paper`."""
+    recipes: dict[str, list[dict[str, str]]] = {}
+    for run, policy in pairs:
+        recipes.setdefault(policy.method, []).append(_flat(to_values(run.config)))
+    paper = _flat(to_values(load_config("paper", {})))
+    keys = dict.fromkeys(key for values in (paper, *(one for its in recipes.values() for one in its)) for key in values)
+    unset = "not set"
+    return {
+        "recipes": list(recipes),
+        "settings": [
+            (
+                key,
+                paper.get(key, unset),
+                [", ".join(dict.fromkeys(one.get(key, unset) for one in its)) for its in recipes.values()],
+            )
+            for key in keys
+        ],
+    }
+
+
+def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
+    """Nested values under dotted names, as they print."""
+    flat: dict[str, str] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{above}{key}.")
+        else:
+            flat[above + key] = value if isinstance(value, str) else json.dumps(value)
+    return flat
+
+
+def _versions() -> list[tuple[str, str]]:
+    """Of what made the page, and the kind of machine: neither its name nor any path of it."""
+    machine = f"{platform.system()}, {platform.machine()}, {os.cpu_count()} cores"
+    return [
+        ("nnql-bullet", __version__),
+        ("Python", f"{platform.python_implementation()} {platform.python_version()}"),
+        *((name, _version(name)) for name in LIBRARIES),
+        ("machine", machine),
+    ]
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _preset(config: RunConfig) -> str | None:
+    """The preset that, with flags, is the whole configuration."""
+    flags = {key: getattr(config, key) for key in _FLAGS}
+    return next((preset for preset in PRESETS if load_config(preset, flags) == config), None)
+
+
+def _training_command(run: Run, policy: Policy) -> str:
+    """What trains a run again: from a preset and flags where they say it all, else from the file of its recipe."""
+    preset = _preset(run.config)
+    base = load_config(preset or "paper", {})
+    given = {_FLAGS[key]: getattr(run.config, key) for key in _FLAGS if preset or key == "seed"}
+    usual = {_FLAGS[key]: getattr(base, key) for key in _FLAGS}
+    flags = [part for flag, value in given.items() if value != usual[flag] for part in (flag, str(value))]
+    config = preset or _recipe_file(policy)
+    return shlex.join(["nnql-bullet", "train", "--config", config, *flags, "--out", str(run.folder)])
+
+
+def _recipe_file(policy: Policy) -> str:
+    return f"{policy.method.replace('/', '-')}.toml"
+
+
+def _recipe_files(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, str]:
+    """The TOML of recipes that no preset gives, by the name of its file: what departs from the preset `paper`."""
+    paper = to_values(load_config("paper", {}))
+    return {
+        _recipe_file(policy): write_toml(_departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
+        for run, policy in pairs
+        if not _preset(run.config)
+    }
+
+
+def _departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
+    """What has to be laid over `base` (see `config.merged`) to have the values."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        old = base.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping) and value.get("kind") == old.get("kind"):
+            if inner := _departures(value, old):
+                found[key] = inner
+        elif value != old:
+            found[key] = value
+    return found
+
+
+def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:
+    recipes: dict[str, dict[str, Any]] = {}
+    for run, policy in pairs:
+        if run.episodes:
+            recipes.setdefault(policy.method, {})[policy.name] = run.episodes
+    if not recipes:
+        return None
+    names = ", ".join(name for its in recipes.values() for name in its)
+    return _drawn(lambda path: draw_success(recipes, path), f"Success over training episodes: {names}")
+
+
+def _curve(run: Run, policy: Policy) -> tuple[str, Markup | None]:
+    path = run.folder / LEARNING_CURVE
+    alt = f"How the training episodes of {policy.name} ended, their return and path length, over episodes"
+    return policy.name, _image(path, alt) if path.is_file() else None
+
+
+def _trajectory(recording: Recording, title: str) -> Markup:
+    return _drawn(lambda path: draw_trajectory(recording, path), f"Path of {title}: {recording.about['ending']}")
+
+
+def _drawn(draw: Callable[[Path], None], alt: str) -> Markup:
+    """What a function draws, as an element."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.png"
+        draw(path)
+        return _image(path, alt)
+
+
+def _image(path: Path, alt: str) -> Markup:
+    """A picture as an element that holds it.
+
+    Args:
+        path: Of a PNG file.
+        alt: What it shows, for those who do not see it.
+
+    Raises:
+        UserError: If it is not there, or not a PNG.
+    """
+    data = path.read_bytes() if path.is_file() else b""
+    if not data.startswith(_PNG):
+        raise UserError(f"{path}: is missing or not a PNG picture; make it again with the command that left it")
+    pixels = [int.from_bytes(data[k : k + 4], "big") for k in (16, 20)]
+    width, height = (round(CSS_DPI / DPI * count) for count in pixels)
+    uri = f"data:image/png;base64,{b64encode(data).decode()}"
+    return Markup('<img src="{}" width="{}" height="{}" alt="{}">').format(uri, width, height, alt)
+
+
+class _Html(RendererHTML):
+    """Our own Markdown as HTML: tables that scroll, pictures in the page, commands that are picked line by line."""
+
+    def table_open(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
+        return '<div class="wide" tabindex="0">\n<table>\n'
+
+    def table_close(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
+        return "</table>\n</div>\n"
+
+    def image(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
+        name = Path(str(tokens[index].attrs["src"])).name  # pictures lie beside the text, and nowhere else
+        return _image(env["folder"] / name, tokens[index].content)
+
+    def fence(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
+        lines = tokens[index].content.splitlines()
+        return f'<pre class="wide" tabindex="0">{"".join(f"<code>{escape(line)}</code>" for line in lines)}</pre>\n'
+
+
+def _html(results: Results, leaving_out: str = "") -> Markup:
+    """The text of results, one level lower and without its title and perhaps one of its sections."""
+    first, *sections = results.text.split("\n## ")
+    kept = [section for section in sections if section.partition("\n")[0] != leaving_out]
+    markdown = "\n### ".join([first.partition("\n")[2], *kept])
+    parser = MarkdownIt("js-default", renderer_cls=_Html).disable(["link", "autolink"])  # HTML is escaped by default
+    return Markup(parser.render(markdown, {"folder": results.folder}))

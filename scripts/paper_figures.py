@@ -1,0 +1,226 @@
+"""Redraws the paper's Figs. 5, 6 and 7 on one page, from drives of this program in contact physics.
+
+Fig. 5 shows every 200th episode of one training as the paper does it, with one vehicle. What the vehicle was told is
+noted while it learns, and driven again to be recorded: a simulator repeats itself bit for bit, which is checked.
+Figs. 6 and 7 show what was learned, in worlds that are new to it. Training and recordings are kept and not repeated.
+
+    python scripts/paper_figures.py                    # docs/paper_figures.png
+    python scripts/paper_figures.py --seed 1 --out other.png
+"""
+
+import argparse
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon, Wedge
+from numpy.typing import NDArray
+from rich.progress import track
+
+from nnql_bullet import __version__, paper
+from nnql_bullet.agents.straight import Straight
+from nnql_bullet.env import FleetNavigation, Navigation, Transitions, heading_change
+from nnql_bullet.experiment import Experiment, load_config
+from nnql_bullet.geometry import Pose, moved
+from nnql_bullet.recording import Recorder, Recording, load_recording
+from nnql_bullet.reports.plots import (
+    BOX,
+    BOX_EDGE,
+    COLLISION,
+    INK,
+    NON_SAFE,
+    SAFE,
+    VEHICLE,
+    draw_path,
+    draw_world,
+    save_figure,
+)
+from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.runs import CHECKPOINT, Run, open_policy, open_run
+from nnql_bullet.sensing import FRONT
+from nnql_bullet.sim.base import Fleet, Motion, Sample, Simulator
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.worlds.spec import WorldSpec
+
+TRAINING = (1, 200, 400, 600, 800, paper.EPISODES)
+"""Episodes of Fig. 5, counted from 1."""
+NEW = (("paper", 0), ("cover_7.5", 1), ("cover_10", 2))
+"""World file and seed of Figs. 6 and 7."""
+
+
+class Noting(FleetNavigation):
+    """One vehicle's episodes, of which it is noted what was decided and what heading change the vehicle was told."""
+
+    def __init__(self, fleet: Fleet, task: TaskOptions) -> None:
+        super().__init__(fleet, task)
+        self.decisions: list[tuple[int, float]] = []
+
+    def step(self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None) -> Transitions:
+        """Carries out one decision."""
+        told = heading_change(actions, self.observations.target_bearing)
+        self.decisions.append((int(actions[0]), float(told[0])))
+        return super().step(actions, active)
+
+
+class Told:
+    """A simulator that is told what was noted, to the last bit, whatever it is asked for."""
+
+    def __init__(self, simulator: Simulator, decisions: list[tuple[int, float]]) -> None:
+        self._simulator = simulator
+        self._waiting = iter(decisions)
+        self.reset, self.pose, self.scan = simulator.reset, simulator.pose, simulator.scan
+
+    def advance(self, _: float, trace: list[Sample] | None = None) -> Motion:
+        """Drives one control period."""
+        return self._simulator.advance(next(self._waiting)[1], trace)
+
+
+def train(folder: Path, seed: int) -> None:
+    """Trains, or goes on from the last recorded episode, and records the episodes of Fig. 5."""
+    if (folder / CHECKPOINT).exists():
+        run, state = open_run(folder, None)
+    else:
+        run, state = Run(folder, load_config("paper", {"seed": seed}), []), None
+        run.create(overwrite=True)
+    config = run.config
+    with closing(Experiment(config).fleet(workers=1)) as fleet:
+        experiment = Experiment(config)
+        navigation = Noting(fleet, config.task)
+        learner, training = experiment.taught, experiment.trainer(navigation)
+        if state:
+            learner.load(state.learned)
+            training.load(state.under_way)
+        episodes = zip(range(len(run.episodes), config.episodes), training.episodes(), strict=False)
+        for _, episode in track(episodes, "training", total=config.episodes, completed=len(run.episodes)):
+            run.episodes.append(episode)
+            if episode.episode + 1 in TRAINING:
+                world = experiment.training_world(episode.episode)
+                record(experiment, world, navigation.decisions, episode.summary).save(film(folder, episode.episode + 1))
+                run.save(learner, training)
+            navigation.decisions.clear()
+
+
+def film(folder: Path, name: object) -> Path:
+    """Where a recording is kept."""
+    return folder / f"{name}.npz"
+
+
+def record(
+    experiment: Experiment, world: WorldSpec, decisions: list[tuple[int, float]], summary: EpisodeSummary
+) -> Recording:
+    """Drives the same again.
+
+    Raises:
+        RuntimeError: If that is another drive.
+    """
+    waiting = iter(decisions)
+    driver = Reflex(lambda observations: np.array([next(waiting)[0]]))
+    navigation = Navigation(Told(experiment.simulator, decisions), experiment.config.task)
+    recorder = Recorder(experiment.vehicle, Straight())  # what the network thought of the turns changed at every step
+    if run_episode(navigation, world, driver, watcher=recorder) != summary:
+        raise RuntimeError(f"world {world.seed}: the drive is not repeated; report this with your machine's name")
+    return recorder.recording(version=__version__)
+
+
+def navigate(folder: Path, file: str, seed: int) -> Recording:
+    """Drives what was learned, greedily, as `nnql-bullet navigate` does."""
+    experiment, _ = open_policy(folder, {"world": file, "physics": "reference"})
+    recorder = Recorder(experiment.vehicle, experiment.agent)
+    run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
+    return recorder.recording(version=__version__)
+
+
+def draw(training: list[Recording], new: list[Recording], path: Path) -> None:
+    """The page."""
+    figure = Figure(figsize=(12.0, 13.6), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.06))
+    left, right = lower.subfigures(1, 2, width_ratios=(1.0, 2.0))
+    upper.suptitle("Fig. 5: some training episodes, one vehicle learning online", fontsize=13, color=INK)
+    left.suptitle("Fig. 6: a new world", fontsize=13, color=INK)
+    right.suptitle("Fig. 7: two other worlds, same weights", fontsize=13, color=INK)
+    captions = [f"episode {number}" for number in TRAINING]
+    for axes, recording, caption in zip(upper.subplots(2, 3).flat, training, captions, strict=True):
+        draw_panel(axes, recording, caption)
+    (whole,) = left.subplots(1, 1, squeeze=False).flat
+    for axes, recording in zip((whole, *right.subplots(1, 2)), new, strict=True):
+        draw_panel(axes, recording, f"{cover(recording):.1f} % cover, seed {recording.about['world']['seed']}")
+    draw_moment(whole, new[0])
+    handles = [
+        Line2D([], [], color=SAFE, lw=2.4, label="safe: toward the target"),
+        Line2D([], [], color=NON_SAFE, lw=2.4, label="non-safe: the network decides"),
+        Patch(facecolor=BOX, edgecolor=BOX_EDGE, label="obstacle"),
+        Line2D([], [], marker="o", ls="", mfc=INK, mec=INK, label="start"),
+        Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=10, label="target"),
+        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"),
+        Patch(facecolor=NON_SAFE, alpha=0.3, label="sensor that sees something"),
+        Patch(facecolor=SAFE, alpha=0.3, label="sensor that sees nothing"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    save_figure(figure, path)
+
+
+def draw_panel(axes: Axes, recording: Recording, caption: str) -> None:
+    """One drive."""
+    world, seconds = recording.about["world"], recording.state_time[-1]
+    draw_world(axes, recording, seconds)
+    draw_path(axes, recording, 0.7)
+    axes.set(xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal")
+    axes.set_xticks(range(0, 101, 20))
+    axes.set_yticks(range(0, 101, 20))
+    axes.tick_params(labelsize=8)
+    axes.set_xlabel("x [m]", fontsize=8, labelpad=1)
+    axes.set_ylabel("y [m]", fontsize=8, labelpad=1)
+    axes.set_title(f"{caption}: {recording.about['ending']} after {seconds:.0f} s", fontsize=10, color=INK)
+
+
+def cover(recording: Recording) -> float:
+    """Of the arena, under boxes [%]."""
+    world = recording.about["world"]
+    return 100 * sum(box.area for box in recording.obstacles) / (world["width"] * world["depth"])
+
+
+def draw_moment(axes: Axes, recording: Recording) -> None:
+    """What the eight sensors see when the way ahead is shortest, enlarged in a corner."""
+    ahead = np.where(recording.state_property == "NS", recording.readings[:, FRONT], np.inf)
+    step = int(np.argmin(ahead))
+    x, y, yaw = recording.state_pose[step]
+    mount = recording.about["vehicle"]["sensor"][0]
+    eye = (x + mount * np.cos(yaw), y + mount * np.sin(yaw))
+    half = 1.15 * paper.SENSOR_RANGE
+    inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44), xticks=[], yticks=[])
+    draw_world(inset, recording, recording.state_time[step])
+    draw_path(inset, recording)
+    for sector, reading in enumerate(recording.readings[step]):
+        middle = np.degrees(yaw + sector * paper.SECTOR_ANGLE)
+        reach = np.degrees(paper.SECTOR_ANGLE / 2)
+        colour = NON_SAFE if reading < paper.SENSOR_RANGE else SAFE
+        inset.add_patch(Wedge(eye, reading, middle - reach, middle + reach, fc=colour, ec=INK, lw=0.5, alpha=0.3))
+    vehicle = moved(recording.footprint, Pose(x, y, yaw))
+    inset.add_patch(Polygon(vehicle.corners(), fc=VEHICLE, ec=INK, lw=0.8, zorder=6))
+    inset.set(xlim=(eye[0] - half, eye[0] + half), ylim=(eye[1] - half, eye[1] + half), aspect="equal")
+    axes.indicate_inset_zoom(inset, edgecolor=INK, alpha=0.7)
+
+
+def main() -> None:
+    """Makes what is missing, then draws."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument("--keep", type=Path, default=Path("runs/paper_figures"), help="where training and drives go")
+    parser.add_argument("--out", type=Path, default=Path("docs/paper_figures.png"), help="the picture")
+    a = parser.parse_args()
+    folder = a.keep / f"seed-{a.seed}"
+    if not all(film(folder, number).exists() for number in TRAINING):
+        train(folder, a.seed)
+    for file, seed in NEW:
+        if not film(folder, f"{file}-{seed}").exists():
+            navigate(folder, file, seed).save(film(folder, f"{file}-{seed}"))
+    training = [load_recording(film(folder, number)) for number in TRAINING]
+    draw(training, [load_recording(film(folder, f"{file}-{seed}")) for file, seed in NEW], a.out)
+    print(a.out)
+
+
+if __name__ == "__main__":
+    main()
