@@ -300,7 +300,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (("--worlds", 0), "--worlds must be at least 1"),
+            (("--worlds", 0), "--worlds must be from 1 to 1000"),
             (("--sim", "bullet", "--against", "bullet"), "is the engine itself"),
             (("--world", "nowhere"), "nowhere"),
         ],
