@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, Pose, bearing, distance, wrap_angles
+from nnql_bullet.geometry import Array, Pose, wrap_angle, wrap_angles
 from nnql_bullet.sensing import RAYS, Scan
 from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
 from nnql_bullet.task import (
@@ -110,10 +110,12 @@ class Navigation:
         touching, at_target = (motion.touching, motion.at_target) if motion else (False, False)
         before = self._observation.property if motion else Property.SAFE
         readings = readings_of(scan.distances, self.task)
+        # NumPy's functions, as for a fleet: the last bit of Python's own is another now and then.
+        dx, dy = self._world.target[0] - pose.x, self._world.target[1] - pose.y
         return Observation(
             readings=readings,
-            target_distance=distance(pose, *self._world.target),
-            target_bearing=bearing(pose, *self._world.target),
+            target_distance=float(np.hypot(dx, dy)),
+            target_bearing=float(wrap_angle(np.arctan2(dy, dx) - pose.yaw)),
             yaw_rate=yaw_rate,
             property=Property(int(state_property(readings, touching, at_target, self.task, before))),
             ray_distances=scan.distances,
