@@ -13,6 +13,7 @@ class Stream(IntEnum):
     POLICY = 2
     WEIGHTS = 3
     SENSOR_NOISE = 4
+    CHANCE = 5
 
 
 VALIDATION_WORLDS = range(0, 100_000)
@@ -26,7 +27,7 @@ def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
     """A generator that is a function of its arguments alone.
 
     Args:
-        seed: The seed of the run, or of the world for `Stream.LAYOUT` and `Stream.SENSOR_NOISE`.
+        seed: The seed of the run, or of the world for `Stream.LAYOUT`, `Stream.SENSOR_NOISE` and `Stream.CHANCE`.
         stream: What the numbers are for.
         index: Counts within the stream: the episode, or the attempt at a world.
     """

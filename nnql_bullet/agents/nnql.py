@@ -9,6 +9,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Memoryless
+from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions, heading_change
 from nnql_bullet.errors import UserError
@@ -174,8 +175,3 @@ def boltzmann(values: Array, temperature: Array) -> Array:
     """Probabilities (n, 5) of eq. (3) for values (n, 5) and temperatures (n,)."""
     weights = np.exp((values - values.max(axis=-1, keepdims=True)) / temperature[:, None])
     return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
-
-
-def nearest_turns(heading_changes: Array) -> NDArray[np.int64]:
-    """The paper's turns closest to heading changes (n,) [rad], by number (n,)."""
-    return np.asarray(np.abs(np.array(paper.TURNS) - heading_changes[:, None]).argmin(axis=-1))
