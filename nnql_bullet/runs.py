@@ -92,7 +92,7 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
         UserError: If there is no policy, or a value is wrong.
     """
     name = str(policy)
-    if policy.suffix == ".toml" or (name in RULES and not policy.exists()):
+    if _is_configured(policy):
         experiment = Experiment(changed(load_config(name, {}), **changes))
         kind = experiment.config.agent.kind
         if kind not in RULES:
@@ -105,6 +105,17 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
     experiment = Experiment(changed(parse(RunConfig, weights.config, str(path)), **changes))
     experiment.taught.load(weights.arrays)
     return experiment, weights.episodes
+
+
+def drives_folder(policy: Path) -> Path:
+    """Where drives of what `open_policy` takes are kept: with its run, and those of a rule under its name in runs/."""
+    home = Path("runs") / policy.stem if _is_configured(policy) else policy if policy.is_dir() else policy.parent
+    return home / "navigate"
+
+
+def _is_configured(policy: Path) -> bool:
+    """Whether it is not learned but named, or configured by a TOML file."""
+    return policy.suffix == ".toml" or (str(policy) in RULES and not policy.exists())
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ class Stream(IntEnum):
     SENSOR_NOISE = 4
     BOOTSTRAP = 5
     PATROLS = 6
+    CHANCE = 7
 
 
 VALIDATION_WORLDS = range(0, 100_000)
@@ -31,8 +32,8 @@ def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
     """A generator that is a function of its arguments alone.
 
     Args:
-        seed: The seed of the run, or of the world for `Stream.LAYOUT`, `Stream.PATROLS` and
-            `Stream.SENSOR_NOISE`.
+        seed: The seed of the run, or of the world for `Stream.LAYOUT`, `Stream.PATROLS`, `Stream.SENSOR_NOISE` and
+            `Stream.CHANCE`.
         stream: What the numbers are for.
         index: Counts within the stream: the episode, or the attempt at a world.
     """

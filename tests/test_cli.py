@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import nnql_bullet
+from nnql_bullet.agents import RULES
 from nnql_bullet.recording import load_recording
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -159,6 +160,31 @@ class TestNavigate:
         assert "navigate/small-0/trajectory.png" in out
         assert (here / "navigate" / "small-0" / "trajectory.png").is_file()
 
+    @pytest.mark.usefixtures("compiled_twin")
+    def test_a_rule_leaves_its_drives_under_its_name(self, run_cli: Cli, here: Path, small_world: Path) -> None:
+        code, out, err = run_cli("navigate", "straight", "--world", small_world, "--sim", "twin")
+        assert (code, err) == (0, "")
+        folder = Path("runs", "straight", "navigate", "small-0-twin")
+        assert f"picture: {folder}/trajectory.png" in out
+        recording = load_recording(here / folder / "trajectory.npz")
+        assert recording.about["policy"] == "straight"
+        assert set(recording.action.tolist()) == {5}
+
+    @pytest.mark.usefixtures("compiled_twin")
+    def test_it_takes_a_file_that_configures_a_rule(self, run_cli: Cli, here: Path, small_world: Path) -> None:
+        (here / "mine.toml").write_text(
+            f'preset = "hand_rule"\nworld = "{small_world}"\n[agent]\nkind = "hand_rule"\nturn_degrees = 60\n'
+        )
+        code, out, _ = run_cli("navigate", "mine.toml", "--sim", "twin", "--json")
+        assert code == 0
+        assert json.loads(out)["recording"] == "runs/mine/navigate/small-0-twin/trajectory.npz"
+        assert load_recording(here / json.loads(out)["recording"]).about["policy"] == "hand_rule"
+
+    def test_a_rule_drives_in_contact_physics(self, run_cli: Cli, here: Path, small_world: Path) -> None:
+        code, out, err = run_cli("navigate", "vfh", "--world", small_world, "--physics", "fast", "--json")
+        assert (code, err) == (0, "")
+        assert json.loads(out)["ending"] == "goal"
+
     def test_as_a_program_only_the_object_is_on_standard_output(
         self, spawn_cli: Spawn, tiny_run: Path, here: Path
     ) -> None:
@@ -182,6 +208,7 @@ class TestHelp:
             ("train", ["--sim", "--vehicles", "--workers"]),
             ("navigate", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
             ("navigate", ["--friction", "--payload", "--noise", "--dead-sector"]),
+            ("navigate", ["RULE", *RULES]),
             ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
             ("report", ["RUN", "--evaluation", "--gap", "--out"]),
             ("fidelity", ["--robot", "--sim", "--physics", "--out"]),
@@ -236,6 +263,8 @@ BAD_ARGUMENTS = [
     (["navigate"], ["RUN"]),
     (["navigate", "no/such/run"], ["no/such/run"]),
     (["navigate", "."], ["policy.safetensors", "train first"]),
+    (["navigate", "vhf"], ["vhf", "rules: ", *RULES]),
+    (["train", "--config", "vfh"], ["'vfh' has nothing to learn", "nnql-bullet navigate vfh"]),
     (["doctor", "--fast"], ["--fast"]),
 ]
 

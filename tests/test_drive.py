@@ -1,4 +1,4 @@
-from math import pi, radians, sqrt
+from math import cos, pi, radians, sin, sqrt
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import linprog
 
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
+from nnql_bullet.vehicle.drive import plan_turn, rolled_path, sample_turn, turn_headings, wheel_speeds
 from nnql_bullet.vehicle.spec import Limits
 
 TRICYCLE = Limits(yaw_rate=1.5708, yaw_acceleration=7.4)
@@ -145,3 +145,29 @@ def test_wheel_speeds_invert_the_kinematics_of_a_differential_drive(speed, yaw_r
 def test_wheels_drive_an_arc_of_the_commanded_radius():
     left, right = wheel_speeds(2.0, 1.0, 0.6, 0.125)  # 2 m/s at 1 rad/s: radius 2 m, wheels at 1.7 m and 2.3 m
     assert (left * 0.125, right * 0.125) == pytest.approx((1.7, 2.3))
+
+
+@given(st.lists(st.tuples(shares, changes), min_size=1, max_size=4), limits)
+@settings(max_examples=50, deadline=None)
+def test_headings_of_many_turns_are_those_of_each(turns, limits):
+    times = np.linspace(0, 2, 9)
+    rates, wanted = (np.array(column) for column in zip(*turns, strict=True))
+    rates *= limits.yaw_rate
+    found = turn_headings(rates[:, None], wanted[:, None] * [1.0, -0.5], limits, times)
+    assert found.shape == (len(turns), 2, 9)
+    for i, rate in enumerate(rates.tolist()):
+        for j, share in enumerate((1.0, -0.5)):
+            assert np.array_equal(found[i, j], sample_turn(plan_turn(rate, share * wanted[i], limits), times)[1])
+
+
+def test_paths_of_many_are_those_of_each():
+    ways, turns = np.array([0.2, 0.1, 0.3]), np.array([[0.1, 0.0, -0.3], [0.0, 0.5, 0.5]])
+    found = rolled_path(0.7, ways, turns)
+    assert found.shape == (2, 3, 2)
+    for path, row in zip(found, turns, strict=True):
+        x = y = 0.0
+        heading = 0.7
+        for place, way, turn in zip(path, ways, row, strict=True):
+            x, y = x + way * cos(heading + turn / 2), y + way * sin(heading + turn / 2)
+            heading += turn
+            assert place == pytest.approx([x, y], abs=1e-12)

@@ -10,7 +10,7 @@ from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.agents.nnql import Nnql, encode
-from nnql_bullet.agents.q_learning import boltzmann, nearest_turns
+from nnql_bullet.agents.q_learning import boltzmann
 from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS
@@ -353,19 +353,6 @@ def test_non_safe_steps_train_alike_with_safe_steps_on_or_off():
     one, other = random_agent(), random_agent(learn_in_safe_states=True)
     assert learned(one, transition()) == learned(other, transition())
     assert same(one.arrays(), other.arrays())
-
-
-NEAREST = [(0, 0), (30, 1), (60, 2), (-30, 3), (-60, 4), (44, 1), (46, 2), (-44, 3), (-46, 4), (180, 2)]
-
-
-@pytest.mark.parametrize(("degrees", "turn"), NEAREST)
-def test_nearest_turn_is_the_papers_turn_closest_by(degrees, turn):
-    assert nearest_turns(np.array([radians(degrees)])).tolist() == [turn]
-
-
-def test_nearest_turns_of_many():
-    degrees, turns = zip(*NEAREST, strict=True)
-    assert nearest_turns(np.radians(degrees)).tolist() == list(turns)
 
 
 five_values = st.lists(st.floats(-5, 5), min_size=5, max_size=5)

@@ -1,28 +1,42 @@
 """Agents: each a module with its own options, told apart by their `kind`."""
 
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 from pydantic import Field
 
 from nnql_bullet.agents.base import Agent, Learner, Taught
+from nnql_bullet.agents.fuzzy import Fuzzy, FuzzyOptions
 from nnql_bullet.agents.genetic import Genetic, GeneticOptions
+from nnql_bullet.agents.hand_rule import HandRule, HandRuleOptions
+from nnql_bullet.agents.look_ahead import LookAhead, LookAheadOptions
 from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.potential_field import PotentialField, PotentialFieldOptions
 from nnql_bullet.agents.q_table import QTable, QTableOptions
+from nnql_bullet.agents.random_turns import RandomTurns, RandomTurnsOptions
 from nnql_bullet.agents.sb3_dqn import Sb3Dqn, Sb3DqnOptions
 from nnql_bullet.agents.straight import Straight, StraightOptions
+from nnql_bullet.agents.vfh import Vfh, VfhOptions
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-AnyAgentOptions = Annotated[
-    NnqlOptions | QTableOptions | GeneticOptions | Sb3DqnOptions | StraightOptions, Field(discriminator="kind")
-]
+RuleOptions: TypeAlias = (
+    StraightOptions
+    | RandomTurnsOptions
+    | HandRuleOptions
+    | PotentialFieldOptions
+    | FuzzyOptions
+    | VfhOptions
+    | LookAheadOptions
+)
+AgentOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | Sb3DqnOptions | RuleOptions
+AnyAgentOptions = Annotated[AgentOptions, Field(discriminator="kind")]
 
-RULES = ("straight",)
+RULES = ("straight", "random", "hand_rule", "potential_field", "fuzzy", "vfh", "look_ahead")
 """Kinds of agents that have nothing to learn."""
 KINDS = ("nnql", "q_table", "genetic", "sb3_dqn", *RULES)
 
 
-def make_agent(options: AnyAgentOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> Agent:
+def make_agent(options: AgentOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> Agent:
     """The untrained agent that `options` describe, a function of its arguments.
 
     Args:
@@ -30,6 +44,9 @@ def make_agent(options: AnyAgentOptions, seed: int, vehicle: VehicleSpec, drive:
         seed: Of all the chance in it.
         vehicle: What it drives; rules that foresee where a turn leads go by it.
         drive: How its decisions reach the wheels; likewise.
+
+    Raises:
+        UserError: If it needs a library that is not installed.
     """
     match options:
         case NnqlOptions():
@@ -42,6 +59,18 @@ def make_agent(options: AnyAgentOptions, seed: int, vehicle: VehicleSpec, drive:
             return Sb3Dqn(options, seed)
         case StraightOptions():
             return Straight()
+        case RandomTurnsOptions():
+            return RandomTurns()
+        case HandRuleOptions():
+            return HandRule(options)
+        case PotentialFieldOptions():
+            return PotentialField(options, vehicle)
+        case FuzzyOptions():
+            return Fuzzy(options)
+        case VfhOptions():
+            return Vfh(options, vehicle, drive)
+        case LookAheadOptions():
+            return LookAhead(options, vehicle, drive)
 
 
-__all__ = ["KINDS", "RULES", "Agent", "AnyAgentOptions", "Learner", "Taught", "make_agent"]
+__all__ = ["KINDS", "RULES", "Agent", "AgentOptions", "AnyAgentOptions", "Learner", "Taught", "make_agent"]

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.q_learning import Positive, QLearning, QLearningOptions, nearest_turns
+from nnql_bullet.agents.q_learning import Positive, QLearning, QLearningOptions
+from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import Observations, Transitions, heading_change
 from nnql_bullet.errors import UserError

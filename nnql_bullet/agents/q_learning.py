@@ -76,8 +76,3 @@ def boltzmann(values: Array, temperature: Array) -> Array:
     """Probabilities (n, 5) of eq. (3) for values (n, 5) and temperatures (n,)."""
     weights = np.exp((values - values.max(axis=-1, keepdims=True)) / temperature[:, None])
     return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
-
-
-def nearest_turns(heading_changes: Array) -> NDArray[np.int64]:
-    """The paper's turns closest to heading changes (n,) [rad], by number (n,)."""
-    return np.asarray(np.abs(np.array(paper.TURNS) - heading_changes[:, None]).argmin(axis=-1))

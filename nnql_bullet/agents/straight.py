@@ -18,7 +18,10 @@ class StraightOptions:
 
 
 class Straight(Rule):
-    """Turns toward the target at every step (the paper's III.C, in safe and non-safe states alike)."""
+    """Turns toward the target at every step (the paper's III.C, in safe and non-safe states alike).
+
+    It sees the target's bearing alone, and remembers nothing.
+    """
 
     def exploit(self, observations: Observations) -> NDArray[np.int64]:
         """Toward the target."""

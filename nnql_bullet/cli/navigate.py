@@ -7,18 +7,19 @@ from typing import Annotated
 import tyro
 
 from nnql_bullet import __version__
+from nnql_bullet.agents import RULES
 from nnql_bullet.cli.console import say
 from nnql_bullet.config import to_values
 from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.recording import Recorder
 from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import drives_folder, open_policy
 from nnql_bullet.sim.engines import PhysicsName
 
 
 def navigate(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help_behavior_hint="")],
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|RULE", help_behavior_hint="")],
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
@@ -33,18 +34,22 @@ def navigate(
         bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
     ] = False,
 ) -> int:
-    """Drive a learned policy, greedily, through a world that it has not seen, and leave a recording and a picture.
+    """Drive a policy through a world that it has not seen, and leave a recording and a picture.
 
-    Training draws its worlds from seeds of a million and more, so every seed below is a world never trained in.
+    A learned policy takes what it holds best. Training draws its worlds from seeds of a million and more, so every seed
+    below is a world never trained in. A rule has nothing to learn: straight (at the target), random (turns where
+    something is near), hand_rule, potential_field, fuzzy, vfh (VFH+) or look_ahead.
 
     For example:
 
         nnql-bullet navigate runs/paper-0
         nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --json
+        nnql-bullet navigate vfh --world cover_10
 
     Args:
-        run: Run folder, or a policy.safetensors.
-        world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training.
+        run: Run folder, a policy.safetensors, the name of a rule, or a TOML file that configures one.
+        world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training
+            (rules: paper).
         seed: Of the world; default 0.
         sim: Contact physics (bullet, the default, or mujoco), whatever it was trained in, or the ideal vehicle (twin).
         physics: Solver settings of contact physics; default reference, the more exact.
@@ -52,8 +57,8 @@ def navigate(
         payload: On the middle of the deck [kg].
         noise: Standard deviation of each ray [m].
         dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
-        out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED, with the
-            simulator and conditions that were asked for behind it.
+        out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED, for a rule
+            runs/RULE/navigate/WORLD-SEED, with the simulator and conditions that were asked for behind it.
         json_output: Print one JSON object instead of text.
     """
     sensors = {"noise": noise, "dead_sector": dead_sector}
@@ -67,9 +72,10 @@ def navigate(
     given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
     name = [spec.name, str(seed), *([sim] if sim != "bullet" else [])]
     name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]
-    folder = out or (run if run.is_dir() else run.parent) / "navigate" / "-".join(name)
+    folder = out or drives_folder(run) / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
-    label = f"{config.agent.kind}, {episodes} episodes"
+    kind = config.agent.kind
+    label = kind if kind in RULES else f"{kind}, {episodes} episodes"
     recording = recorder.recording(
         policy=label,
         simulator=sim,

@@ -48,8 +48,8 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
     _draw_clearance(clear, recording)
     figure.suptitle(_caption(recording), fontsize=11, color=INK)
     handles = [
-        Line2D([], [], color=SAFE, lw=2.4, label="safe: toward the target"),
-        Line2D([], [], color=NON_SAFE, lw=2.4, label="non-safe: the network decides"),
+        Line2D([], [], color=SAFE, lw=2.4, label="in a safe state"),
+        Line2D([], [], color=NON_SAFE, lw=2.4, label="in a non-safe state"),
         Patch(facecolor=BOX, edgecolor=BOX_EDGE, label="obstacle"),
         Line2D([], [], marker="o", ls="", mfc=INK, mec=INK, label="start"),
         Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=10, label="target"),

@@ -63,19 +63,35 @@ def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
     return rates, headings
 
 
+def turn_headings(yaw_rates: Array, heading_changes: Array, limits: Limits, times: Array) -> Array:
+    """Headings since the start of several turns (..., k) [rad] at `times` (k,) [s]: `sample_turn` of each `plan_turn`.
+
+    Args:
+        yaw_rates: At their start (...) [rad/s].
+        heading_changes: (...) [rad]
+        limits: Of the vehicle.
+        times: [s]
+    """
+    yaw_rates, heading_changes = np.broadcast_arrays(yaw_rates, heading_changes)
+    headings: Array = _sample_profiles(
+        yaw_rates.ravel(), heading_changes.ravel(), limits.yaw_rate, limits.yaw_acceleration, times
+    )
+    return headings.reshape(*yaw_rates.shape, len(times))
+
+
 def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
     """Where a vehicle gets that rolls over arcs, each as the chord along its middle heading.
 
     Args:
         yaw: At the start [rad].
         ways: Of the arcs (m,) [m].
-        turns: Of the arcs (m,) [rad].
+        turns: Of the arcs (..., m) [rad].
 
     Returns:
-        Places after each arc, from the start (m, 2) [m].
+        Places after each arc, from the start (..., m, 2) [m].
     """
-    middles = yaw + np.cumsum(turns) - turns / 2
-    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=1), axis=0)
+    middles = yaw + np.cumsum(turns, axis=-1) - turns / 2
+    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=-1), axis=-2)
 
 
 @numba.njit(cache=True)
@@ -93,6 +109,18 @@ def sample_profile(
             rate = peak * (1 - t / fall)
             heading += (peak + rate) / 2 * t
         rates[i], headings[i] = rate, heading
+
+
+@numba.njit(cache=True)
+def _sample_profiles(
+    yaw_rates: Array, heading_changes: Array, most_rate: float, acceleration: float, times: Array
+) -> Array:
+    """`turn_headings` (n, k) of turns (n,), as a kernel."""
+    headings, rates = np.empty((len(yaw_rates), len(times))), np.empty(len(times))
+    for i in range(len(yaw_rates)):
+        peak, rise, hold, fall = turn_profile(yaw_rates[i], heading_changes[i], most_rate, acceleration)
+        sample_profile(yaw_rates[i], peak, rise, hold, fall, times, rates, headings[i])
+    return headings
 
 
 @numba.njit(cache=True)

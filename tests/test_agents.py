@@ -1,0 +1,194 @@
+"""What every agent keeps to, over all kinds: what it does is a function of its options and of each vehicle's drive."""
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import fields
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Taught, make_agent
+from nnql_bullet.env import ACTIONS, FleetNavigation, Observations
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment, RunConfig, load_config
+from nnql_bullet.rollout import run_episodes
+from nnql_bullet.runs import open_policy
+from nnql_bullet.sim.base import DriveOptions
+from nnql_bullet.sim.twin import TwinFleet
+from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
+
+NEEDS_BASELINES = pytest.mark.skipif(
+    find_spec("skfuzzy") is None, reason="needs the extra: pip install 'nnql-bullet[baselines]'"
+)
+kinds = pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=NEEDS_BASELINES) if kind == "fuzzy" else kind for kind in KINDS]
+)
+rules = pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=NEEDS_BASELINES) if kind == "fuzzy" else kind for kind in RULES]
+)
+VEHICLES, DECISIONS = 5, 40
+
+Drive = list[Observations]
+"""What vehicles see at one decision after the other."""
+Make = Callable[[str], Agent]
+
+
+def options_of(kind: str, **changes: object) -> AgentOptions:
+    """An agent's options as a configuration gives them."""
+    return load_config("paper", {"agent": {"kind": kind, **changes}}).agent
+
+
+@pytest.fixture
+def make(vehicle: VehicleSpec) -> Make:
+    """Makes agents by kind."""
+    return lambda kind: make_agent(options_of(kind), 3, vehicle, DriveOptions())
+
+
+@pytest.fixture(scope="module")
+def drive(vehicle: VehicleSpec) -> Drive:
+    """Vehicle i in world i, where there is much to see, turning about; those that touch something stand there."""
+    experiment = Experiment(RunConfig(world="cover_15", simulator="twin"))
+    turns = np.random.default_rng(0).integers(ACTIONS, size=(DECISIONS, VEHICLES))
+    with closing(TwinFleet(vehicle, DriveOptions(), VEHICLES)) as fleet:
+        navigation = FleetNavigation(fleet, TaskOptions())
+        navigation.reset({seed: experiment.world(seed) for seed in range(VEHICLES)})
+        seen = [navigation.observations]
+        for actions in turns[1:]:
+            navigation.step(actions, navigation.observations.property <= Property.NON_SAFE)
+            seen.append(navigation.observations)
+    assert {Property.SAFE, Property.NON_SAFE} <= set(np.concatenate([one.property for one in seen]).tolist())
+    return seen
+
+
+def rows(observations: Observations, vehicles: list[int]) -> Observations:
+    """What some vehicles see, in another order."""
+    return Observations(*(getattr(observations, field.name)[vehicles] for field in fields(Observations)))
+
+
+def decided(agent: Agent, drive: Drive, vehicles: list[int], order: list[int] | None = None) -> NDArray[np.int64]:
+    """What an agent does with some of the drive's vehicles (decisions, vehicles), begun in an `order`."""
+    for place in order or range(len(vehicles)):
+        agent.begin(place, vehicles[place])  # the vehicle's number is its world's seed
+    return np.array([agent.exploit(rows(observations, vehicles)) for observations in drive])
+
+
+@kinds
+class TestEveryAgent:
+    def test_same_options_and_drive_give_the_same_actions(self, kind: str, make: Make, drive: Drive) -> None:
+        everybody = list(range(VEHICLES))
+        assert np.array_equal(decided(make(kind), drive, everybody), decided(make(kind), drive, everybody))
+
+    def test_actions_are_actions(self, kind: str, make: Make, drive: Drive) -> None:
+        agent = make(kind)
+        for vehicle in range(VEHICLES):
+            agent.begin(vehicle, vehicle)
+        actions = agent.exploit(drive[-1])
+        assert (actions.shape, actions.dtype) == ((VEHICLES,), np.int64)
+        assert set(actions.tolist()) <= set(range(ACTIONS))
+
+    def test_a_vehicle_in_a_fleet_decides_as_alone(self, kind: str, make: Make, drive: Drive) -> None:
+        together = decided(make(kind), drive, list(range(VEHICLES)))
+        for vehicle in range(VEHICLES):
+            assert np.array_equal(decided(make(kind), drive, [vehicle])[:, 0], together[:, vehicle])
+
+    def test_it_does_not_matter_beside_whom_or_begun_in_which_order(self, kind: str, make: Make, drive: Drive) -> None:
+        together = decided(make(kind), drive, list(range(VEHICLES)))
+        shuffled = [3, 0, 4]
+        assert np.array_equal(decided(make(kind), drive, shuffled, order=[2, 0, 1]), together[:, shuffled])
+
+    def test_beginning_forgets_that_vehicle_and_no_other(self, kind: str, make: Make, drive: Drive) -> None:
+        agent, half = make(kind), DECISIONS // 2
+        first = decided(agent, drive[:half], [0, 1])
+        agent.begin(1, 2)  # vehicle 1 goes into another world in the midst of the drive of vehicle 0
+        second = [agent.exploit(mixed(drive[half + k], drive[k])) for k in range(half)]
+        alone, fresh = decided(make(kind), drive, [0]), decided(make(kind), drive[:half], [2])
+        assert np.array_equal(np.concatenate([first, second])[:, 0], alone[:, 0])
+        assert np.array_equal(np.array(second)[:, 1], fresh[:, 0])
+
+    def test_observations_stay_as_they_were(self, kind: str, make: Make, drive: Drive) -> None:
+        agent, (seen, kept) = make(kind), (rows(drive[-1], list(range(VEHICLES))) for _ in range(2))
+        for vehicle in range(VEHICLES):
+            agent.begin(vehicle, vehicle)
+        agent.exploit(seen)
+        agent.action_values(seen)
+        assert all(np.array_equal(getattr(seen, field.name), getattr(kept, field.name)) for field in fields(seen))
+
+    def test_action_values_are_of_the_five_turns(self, kind: str, make: Make, drive: Drive) -> None:
+        values = make(kind).action_values(drive[-1])
+        assert values.shape == (VEHICLES, len(paper.TURNS))
+        assert np.isnan(values).all() == (kind in RULES)
+
+    def test_asking_for_values_changes_no_drive(self, kind: str, make: Make, drive: Drive) -> None:
+        agent = make(kind)
+        agent.begin(0, 0)
+        asked = []
+        for observations in drive:
+            agent.action_values(observations)
+            asked.append(agent.exploit(rows(observations, [0])))
+        assert np.array_equal(np.array(asked), decided(make(kind), drive, [0]))
+
+    def test_there_may_be_more_vehicles_than_worlds(
+        self, kind: str, make: Make, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
+    ) -> None:
+        world = world_of(target=(104.0, 100.0))
+        with closing(TwinFleet(vehicle, DriveOptions(), 3)) as fleet:
+            (summary,) = run_episodes(FleetNavigation(fleet, TaskOptions()), [world], make(kind))
+        assert summary.ending == "goal"
+
+    def test_unknown_options_are_refused(self, kind: str) -> None:
+        with pytest.raises(UserError, match=r"unknown key 'agent.colour'; valid keys: .*kind"):
+            options_of(kind, colour=3)
+
+
+def mixed(one: Observations, other: Observations) -> Observations:
+    """What vehicle 0 sees in one record, beside what vehicle 2 sees in another."""
+    both = ((getattr(one, field.name)[:1], getattr(other, field.name)[2:3]) for field in fields(Observations))
+    return Observations(*(np.concatenate(pair) for pair in both))
+
+
+@rules
+class TestEveryRule:
+    def test_it_has_nothing_to_learn(self, kind: str, make: Make) -> None:
+        assert not isinstance(make(kind), Taught)
+
+    def test_its_name_opens_it(self, kind: str) -> None:
+        experiment, episodes = open_policy(Path(kind), {"world": "cover_10", "simulator": "twin"})
+        assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_10", 0)
+
+    def test_a_toml_file_configures_it(self, kind: str, tmp_path: Path) -> None:
+        path = tmp_path / "mine.toml"
+        path.write_text(f'preset = "{kind}"\nworld = "cover_15"\n')
+        experiment, episodes = open_policy(path, {"simulator": "twin"})
+        assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_15", 0)
+
+    def test_what_it_does_is_no_function_of_the_runs_seed(self, kind: str, vehicle: VehicleSpec, drive: Drive) -> None:
+        one, other = (make_agent(options_of(kind), seed, vehicle, DriveOptions()) for seed in (0, 1))
+        assert np.array_equal(decided(one, drive, [0, 1]), decided(other, drive, [0, 1]))
+
+
+SUCCESS = {
+    "straight": (0.0, 0.2),
+    "random": (0.0, 0.2),
+    "hand_rule": (0.85, 1.0),
+    "potential_field": (0.8, 1.0),
+    "fuzzy": (0.85, 1.0),
+    "vfh": (0.9, 1.0),
+    "look_ahead": (0.9, 1.0),
+}
+"""Least and largest share of goals in the first 60 validation worlds at 10 % cover."""
+
+
+@rules
+def test_it_drives_as_well_as_it_was_chosen_to(kind: str, vehicle: VehicleSpec) -> None:
+    experiment, _ = open_policy(Path(kind), {"world": "cover_10", "simulator": "twin"})
+    worlds = [experiment.world(seed) for seed in range(60)]
+    with closing(TwinFleet(vehicle, DriveOptions(), len(worlds))) as fleet:
+        summaries = run_episodes(FleetNavigation(fleet, TaskOptions()), worlds, experiment.agent)
+    least, largest = SUCCESS[kind]
+    assert least <= np.mean([summary.ending == "goal" for summary in summaries]) <= largest
