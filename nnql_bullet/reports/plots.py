@@ -55,8 +55,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
         Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=10, label="target"),
     ]
     if recording.patrols:
-        handles.insert(3, Patch(facecolor=MOVING, edgecolor=MOVING_EDGE, label="moving box, at the end"))
-        handles.insert(4, Line2D([], [], color=MOVING_EDGE, lw=0.8, ls="--", label="its track"))
+        handles.insert(3, Patch(facecolor=MOVING, edgecolor=MOVING_EDGE, label="moving, as at the end"))
     if recording.about["ending"] == "collision":
         handles.append(Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"))
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)

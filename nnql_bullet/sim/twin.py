@@ -64,16 +64,11 @@ class _State(NamedTuple):
     clearance: Array
     """At `pose` (n,) [m]."""
     solids: Array
-    """Rows of `as_rows`, of which each world fills the first (n, most, 6): first what stands still, then the patrols
-    where they are now."""
-    solid_count: NDArray[np.int64]
-    """(n,)"""
-    tracks: Array
-    """Of the patrols: rows of `WorldSpec.tracks`, likewise (n, most, 6)."""
-    track_count: NDArray[np.int64]
-    """(n,)"""
-    clock: NDArray[np.int64]
-    """Wheel commands since the reset (n,)."""
+    """Rows of which each world fills the first (n, most, 6): of `as_rows`, first what stands still, then the patrols
+    where they are now; then the patrols' tracks, of `WorldSpec.tracks`."""
+    counts: NDArray[np.int64]
+    """Solids, patrols among them, and wheel commands since the reset (n, 3). They share an array, as solids and tracks
+    do, because every array takes time to pass on."""
     target: Array
     """x, y, radius (n, 3) [m]."""
 
@@ -88,9 +83,7 @@ class _Period(NamedTuple):
     path: Array
     """Poses after each command (n, k + 1, 3)."""
     near: Array
-    """Room for the solids that may come close (n, most, 6)."""
-    near_tracks: Array
-    """Room for the tracks of those that move (n, most, 6)."""
+    """Room for the solids that may come close, and their tracks (n, most, 6)."""
     commands: NDArray[np.int64]
     """How many were carried out (n,)."""
     clearance: Array
@@ -146,21 +139,17 @@ class TwinFleet:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed."""
-        solids = {i: world.solids_at(0.0) for i, world in worlds.items()}
-        self._make_room(
-            max((len(rows) for rows in solids.values()), default=0),
-            max((len(world.tracks) for world in worlds.values()), default=0),
-        )
+        rows = {i: np.concatenate([world.solids_at(0.0), world.tracks]) for i, world in worlds.items()}
+        self._make_room(max((len(some) for some in rows.values()), default=0))
         state = self._state
         for i, world in worlds.items():
-            start, count, moving = world.start, len(solids[i]), len(world.tracks)
+            start, count, moving = world.start, len(rows[i]) - len(world.tracks), len(world.tracks)
             state.pose[i] = start.x, start.y, start.yaw
             state.yaw_rate[i] = 0.0
-            state.clock[i] = 0
-            state.solids[i, :count], state.solid_count[i] = solids[i], count
-            state.tracks[i, :moving], state.track_count[i] = world.tracks, moving
+            state.solids[i, : count + moving] = rows[i]
+            state.counts[i] = count, moving, 0
             state.target[i] = *world.target, world.target_radius
-            state.clearance[i] = clearance_at(*state.pose[i].tolist(), self._constants.footprint, solids[i])
+            state.clearance[i] = clearance_at(*state.pose[i].tolist(), self._constants.footprint, rows[i][:count])
         vehicles = np.array(list(worlds), dtype=np.int64)
         self._share(_scan, vehicles, self._constants, state, self._period)
         return state.pose[vehicles], self._period.ray_distances[vehicles]
@@ -193,14 +182,14 @@ class TwinFleet:
         for future in waiting:
             future.result()
 
-    def _make_room(self, solids: int, tracks: int) -> None:
-        """Lets each world have so many of them."""
-        if solids > self._state.solids.shape[1]:
-            self._state = self._state._replace(solids=_grown(self._state.solids, solids))
-            self._period = self._period._replace(near=np.zeros((self.size, solids, 6)))
-        if tracks > self._state.tracks.shape[1]:
-            self._state = self._state._replace(tracks=_grown(self._state.tracks, tracks))
-            self._period = self._period._replace(near_tracks=np.zeros((self.size, tracks, 6)))
+    def _make_room(self, most: int) -> None:
+        """Lets each world have so many rows."""
+        room = self._state.solids.shape[1]
+        if most > room:
+            grown = np.zeros((self.size, most, 6))
+            grown[:, :room] = self._state.solids
+            self._state = self._state._replace(solids=grown)
+            self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
 
 
 class TwinSimulator:
@@ -278,10 +267,7 @@ def _empty_state(size: int) -> _State:
         yaw_rate=np.zeros(size),
         clearance=np.zeros(size),
         solids=np.zeros((size, 0, 6)),
-        solid_count=np.zeros(size, np.int64),
-        tracks=np.zeros((size, 0, 6)),
-        track_count=np.zeros(size, np.int64),
-        clock=np.zeros(size, np.int64),
+        counts=np.zeros((size, 3), np.int64),
         target=np.zeros((size, 3)),
     )
 
@@ -292,20 +278,12 @@ def _empty_period(size: int, commands: int) -> _Period:
         headings=np.zeros((size, commands + 1)),
         path=np.zeros((size, commands + 1, 3)),
         near=np.zeros((size, 0, 6)),
-        near_tracks=np.zeros((size, 0, 6)),
         commands=np.zeros(size, np.int64),
         clearance=np.zeros(size),
         heading_error=np.zeros(size),
         event=np.zeros(size, np.int64),
         ray_distances=np.zeros((size, RAYS)),
     )
-
-
-def _grown(rows: Array, most: int) -> Array:
-    """Rows (n, fewer, 6) with room for more (n, most, 6)."""
-    grown = np.zeros((len(rows), most, 6))
-    grown[:, : rows.shape[1]] = rows
-    return grown
 
 
 @cache
@@ -365,20 +343,18 @@ def _advance_one(i: int, heading_change: float, constants: _Constants, state: _S
     # No point of the footprint and of a solid get nearer to each other by more than this from one command to the next.
     quickest = max(abs(start_rate), abs(peak))
     hop = constants.stride + quickest / COMMAND_RATE * constants.farthest
-    moving = state.track_count[i]
-    if moving > 0:
-        hop += _fastest(state.tracks[i, :moving]) / COMMAND_RATE
-    near, tracks = _near(i, hop * (len(path) - 1), constants, state, period)
+    count, moving, clock = state.counts[i]
+    tracks = state.solids[i, count : count + moving]
+    hop += _fastest(tracks) / COMMAND_RATE
+    near, near_tracks = _near(i, hop * (len(path) - 1), constants, state, period)
     last, event, smallest, left = _follow(
-        path, state.target[i], state.clearance[i], hop, constants.footprint, near, tracks, state.clock[i]
+        path, state.target[i], state.clearance[i], hop, constants.footprint, near, near_tracks, clock
     )
     state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
     state.yaw_rate[i] = rates[last]
     state.clearance[i] = left
-    state.clock[i] += last
-    if moving > 0:
-        standing, count = state.solid_count[i] - moving, state.solid_count[i]
-        follow_tracks(state.tracks[i, :moving], state.clock[i] / COMMAND_RATE, state.solids[i, standing:count])
+    state.counts[i, 2] = clock + last
+    follow_tracks(tracks, (clock + last) / COMMAND_RATE, state.solids[i, count - moving : count])
     period.commands[i] = last
     period.clearance[i] = smallest
     period.heading_error[i] = wrap_angle(heading_change - headings[last])
@@ -396,7 +372,7 @@ def _fastest(tracks: Array) -> float:
 
 @numba.njit(cache=True)
 def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> tuple[Array, Array]:
-    """Solids that may be nearest at some time of the control period, and the tracks of the last of them, which move.
+    """Solids that may be nearest at some time of the control period, and the tracks of those of them that move.
 
     Meanwhile the nearest may get farther off by `travel` [m], and another as much nearer.
     """
@@ -404,18 +380,20 @@ def _near(i: int, travel: float, constants: _Constants, state: _State, period: _
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
     reach = state.clearance[i] + 2 * travel + np.hypot(footprint[2], footprint[3])
-    near, tracks = period.near[i], period.near_tracks[i]
-    count, moving, standing = 0, 0, state.solid_count[i] - state.track_count[i]
-    for j in range(state.solid_count[i]):
+    near: Array = period.near[i]
+    solids, patrols, _ = state.counts[i]
+    count, moving = 0, 0
+    for j in range(solids):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
             for column in range(6):  # a whole row at once takes seconds to compile
                 near[count, column] = state.solids[i, j, column]
             count += 1
-            if j >= standing:
-                for column in range(6):
-                    tracks[moving, column] = state.tracks[i, j - standing, column]
-                moving += 1
-    return near[:count], tracks[:moving]
+    for j in range(solids - patrols, solids):
+        if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
+            for column in range(6):
+                near[count + moving, column] = state.solids[i, j + patrols, column]
+            moving += 1
+    return near[:count], near[count : count + moving]
 
 
 @numba.njit(cache=True)
@@ -478,7 +456,7 @@ def _follow(
 def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> None:
     (x, y, yaw), (ahead, left) = state.pose[i], constants.sensor
     c, s = np.cos(yaw), np.sin(yaw)
-    solids = state.solids[i, : state.solid_count[i]]
+    solids = state.solids[i, : state.counts[i, 0]]
     x, y = x + c * ahead - s * left, y + s * ahead + c * left
     cast_rays(x, y, yaw, constants.directions, solids, paper.SENSOR_RANGE, period.ray_distances[i])
 
