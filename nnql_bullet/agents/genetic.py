@@ -30,7 +30,12 @@ GENES = sum(prod(shape) for shape in LAYERS.values())
 
 @options
 class GeneticOptions:
-    """How genomes are tried, chosen and bred."""
+    """How genomes are tried, chosen and bred.
+
+    What was tried, before `prior` was there (twin, 10 000 episodes, 300 validation worlds at 10 % cover, 2 seeds, which
+    differ by as much as the choices do): the defaults gave 74 %, 100 genomes in 2 worlds each 71 %, 25 in 8 gave 76 %;
+    crossover of none or nine in ten 75 and 83 %; a mutation step of 0.2 gave 76 %, a mutation share of 0.03 gave 73 %.
+    """
 
     kind: Literal["genetic"] = "genetic"
     population: Annotated[int, Field(ge=2)] = 50
@@ -40,9 +45,12 @@ class GeneticOptions:
     elites: Annotated[int, Field(ge=1)] = 5
     """The fittest so many live on unchanged, and are tried again in the worlds of the next generation."""
     prior: Annotated[float, Field(ge=0)] = 8.0
-    """Tries with average success that are added to those of each genome, in all generations that it lived through."""
+    """Tries of average fitness that are added to those of each genome, in all generations that it lived through. With
+    8, 83 % reached the target at 10 % cover, with 0 it was 69 % (twin, 10 000 episodes, 4 seeds)."""
     tournament: Annotated[int, Field(ge=1)] = 3
     """A parent is the fittest of so many drawn at random."""
+    crossover: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """Share of pairs of parents whose genes are blended; the others are copied."""
     blend: Annotated[float, Field(ge=0)] = 0.3
     """Two children lie between their parents, gene by gene, or beyond them by up to this share of the distance."""
     mutation_share: Annotated[float, Field(ge=0, le=1)] = 0.1

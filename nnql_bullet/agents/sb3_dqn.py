@@ -26,15 +26,20 @@ Count = Annotated[int, Field(ge=1)]
 
 @options
 class Sb3DqnOptions:
-    """Those hyper-parameters that matter; all others are the library's defaults."""
+    """Those hyper-parameters that matter; all others are the library's defaults.
+
+    They were hardly tuned. After 300 to 500 episodes (twin, 16 vehicles, one seed, 300 validation worlds at 5 % cover)
+    a discount of 0.15, 0.5, 0.9 and 0.99 gave 23, 15, 17 and 5 % success, and 51, 84, 82 and 94 % ran out of time: the
+    paper's rewards pay for going round obstacles, and the greedy policy does.
+    """
 
     kind: Literal["sb3_dqn"] = "sb3_dqn"
     hidden: tuple[Count, ...] = (64, 64)
-    """Units of the hidden layers."""
+    """Units of the hidden layers. With a discount of 0.15, 128 and 128 gave 11 % instead of 23 %."""
     learning_rate: Annotated[float, Field(gt=0)] = 5e-4
-    """Of Adam."""
+    """Of Adam; the library's default is 1e-4."""
     discount: Annotated[float, Field(ge=0, le=1)] = 0.9
-    """gamma."""
+    """gamma; the library's default is 0.99."""
     buffer_size: Count = 1_000_000
     """Steps that are remembered."""
     learning_starts: Annotated[int, Field(ge=0)] = 100
@@ -44,7 +49,7 @@ class Sb3DqnOptions:
     steps_per_update: Count = 4
     """Steps, of all vehicles together, from one update to the next."""
     target_update_steps: Count = 500
-    """Steps after which the target network is renewed."""
+    """Steps after which the target network is renewed; the library's default is 10 000."""
     exploration_steps: Count = 12_000
     """Over so many the share of random actions falls from 1, linearly. They do not follow the number of episodes asked
     for, so that a run can be gone on with."""

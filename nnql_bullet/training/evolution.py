@@ -3,6 +3,10 @@
 Genomes drive greedily, each on its own, so what comes out depends on the configuration and the seed, and not even on
 the number of vehicles; only the order in which episodes finish does.
 
+A genome is fit if it reaches its target, whatever it earns on the way; where it does not, half of the way that it came
+nearer counts. With the return of the paper's rewards in that place, which pays for going round obstacles, 68 % came to
+the target at 10 % cover instead of 83 % (10 000 episodes, 2 seeds).
+
 What is kept of a generation under way is how many of its episodes were given out. Going on drives it again from its
 beginning, which comes to the same, bit for bit.
 """
@@ -19,7 +23,7 @@ from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.genetic import Genetic, GeneticOptions, first_generation, layers, network_outputs
 from nnql_bullet.env import FleetNavigation, Observations
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array
+from nnql_bullet.geometry import Array, distance
 from nnql_bullet.rollout import finished_episodes
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.training.base import TrainingEpisode
@@ -38,7 +42,7 @@ class Evolution:
         self._seed = seed
         self._generation = 0
         self._genomes = first_generation(agent.options, seed)
-        self._goals = np.zeros(len(self._genomes))
+        self._sums = np.zeros(len(self._genomes))
         self._tries = np.zeros(len(self._genomes))
         self._given = 0
 
@@ -50,15 +54,17 @@ class Evolution:
             generation = self._generation
             worlds = [self._world_of(generation * o.worlds + i) for i in range(o.worlds)]
             crowd = Crowd(np.repeat(self._genomes, o.worlds, axis=0))
-            goals = np.zeros(size)
+            fitness = np.zeros(size)
             ended = finished_episodes(self._navigation, worlds * o.population, crowd)
             for count, (place, summary) in enumerate(ended):
-                goals[place] = summary.ending == "goal"
+                world = worlds[place % o.worlds]
+                nearer = 1.0 - crowd.left[place] / distance(world.start, *world.target)
+                fitness[place] = episode_fitness(summary.ending, nearer)
                 if count < self._given:
                     continue
                 self._given += 1
                 if self._given == size:
-                    self._breed(goals.reshape(o.population, o.worlds).sum(axis=1))
+                    self._breed(fitness.reshape(o.population, o.worlds).sum(axis=1))
                 numbers = {"generation": float(generation), "genome": float(place // o.worlds)}
                 yield TrainingEpisode(generation * size + place, summary, numbers)
 
@@ -67,7 +73,7 @@ class Evolution:
         return {
             "generation": np.array([self._generation]),
             "genomes": self._genomes.copy(),
-            "goals": self._goals.copy(),
+            "sums": self._sums.copy(),
             "tries": self._tries.copy(),
             "given": np.array([self._given]),
         }
@@ -78,16 +84,16 @@ class Evolution:
             if arrays["genomes"].shape != self._genomes.shape:
                 raise ValueError
             (self._generation,), (self._given,) = arrays["generation"].tolist(), arrays["given"].tolist()
-            self._genomes[:], self._goals[:], self._tries[:] = (arrays[name] for name in ("genomes", "goals", "tries"))
+            self._genomes[:], self._sums[:], self._tries[:] = (arrays[name] for name in ("genomes", "sums", "tries"))
         except (KeyError, ValueError, TypeError):
             raise UserError(f"this is not the state of a search with {len(self._genomes)} genomes") from None
 
-    def _breed(self, goals: Array) -> None:
+    def _breed(self, sums: Array) -> None:
         """Gives the agent the fittest genome, and begins the next generation."""
         o = self._agent.options
-        self._goals += goals
+        self._sums += sums
         self._tries += o.worlds
-        fitness = genome_fitness(self._goals, self._tries, goals.mean() / o.worlds, o.prior)
+        fitness = genome_fitness(self._sums, self._tries, sums.mean() / o.worlds, o.prior)
         elites = fittest(fitness, o.elites)
         self._agent.load({name: weights[0] for name, weights in layers(self._genomes[elites[:1]]).items()})
         self._generation += 1
@@ -95,7 +101,7 @@ class Evolution:
         children = bred(self._genomes, fitness, o, rng(self._seed, Stream.WEIGHTS, self._generation))
         self._genomes = np.concatenate([self._genomes[elites], children])
         nothing = np.zeros(len(children))
-        self._goals = np.concatenate([self._goals[elites], nothing])
+        self._sums = np.concatenate([self._sums[elites], nothing])
         self._tries = np.concatenate([self._tries[elites], nothing])
 
 
@@ -106,11 +112,18 @@ class Crowd(TurnChooser):
         self._genomes = genomes
         self._begun = 0
         self._driving: dict[int, int] = {}
+        self.left = np.zeros(len(genomes))
+        """How far from its target each was last seen [m]."""
 
     def begin(self, vehicle: int, world_seed: int) -> None:
         """The vehicle is given the next genome."""
         self._driving[vehicle] = self._begun
         self._begun += 1
+
+    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+        """As each vehicle's network says."""
+        self.left[list(self._driving.values())] = observations.target_distance[list(self._driving)]
+        return super().exploit(observations)
 
     def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
         """What each vehicle's network puts out."""
@@ -124,12 +137,17 @@ class _Parent:
     fitness: float
 
 
-def genome_fitness(goals: Array, tries: Array, average: float, prior: float) -> Array:
-    """Success of genomes (m,) that reached the target so often (m,) in so many tries (m,).
+def episode_fitness(ending: str, nearer: float) -> float:
+    """1 at the target, else half of the share of the way that it was nearer in the end."""
+    return 1.0 if ending == "goal" else 0.5 * nearer
 
-    As many tries as `prior` says are added to each, with the success of the average genome: three of three may be luck.
+
+def genome_fitness(sums: Array, tries: Array, average: float, prior: float) -> Array:
+    """Fitness of genomes (m,) whose episodes, so many (m,), came to such a sum (m,).
+
+    As many tries as `prior` says are added to each, with the fitness of the average one: three of three may be luck.
     """
-    return np.asarray((goals + prior * average) / (tries + prior))
+    return np.asarray((sums + prior * average) / (tries + prior))
 
 
 def fittest(fitness: Array, count: int) -> NDArray[np.int64]:
@@ -144,8 +162,8 @@ def bred(genomes: Array, fitness: Array, options: GeneticOptions, generator: np.
     with fenced(generator):
         chosen = tools.selTournament(parents, places + places % 2, options.tournament)
         children = [list(parent.genes) for parent in chosen]
-        for one, other in zip(children[::2], children[1::2], strict=True):
-            tools.cxBlend(one, other, options.blend)
+        for pair in np.flatnonzero(generator.random(len(children) // 2) < options.crossover).tolist():
+            tools.cxBlend(children[2 * pair], children[2 * pair + 1], options.blend)
         for child in children:
             tools.mutGaussian(child, 0.0, options.mutation_step, options.mutation_share)
     return np.array(children[:places])
