@@ -1,7 +1,7 @@
 """Angles, oriented boxes, their distances, and rays: pure functions, SI units, radians counter-clockwise from +x."""
 
 from dataclasses import dataclass
-from math import atan2, cos, pi, sin
+from math import atan2, cos, hypot, pi, sin
 
 import numba
 import numpy as np
@@ -58,6 +58,11 @@ def wrap_angles(angles: Array) -> Array:
 def bearing(pose: Pose, x: float, y: float) -> float:
     """Direction of the point (x, y) seen from `pose`, in (-pi, pi], positive to the left."""
     return float(wrap_angle(atan2(y - pose.y, x - pose.x) - pose.yaw))
+
+
+def distance(pose: Pose, x: float, y: float) -> float:
+    """Distance [m] from `pose` to the point (x, y)."""
+    return hypot(x - pose.x, y - pose.y)
 
 
 def moved(box: OrientedBox, pose: Pose) -> OrientedBox:

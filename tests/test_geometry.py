@@ -13,6 +13,7 @@ from nnql_bullet.geometry import (
     as_rows,
     bearing,
     clearance,
+    distance,
     moved,
     ray_distances,
     squared_distance,
@@ -88,7 +89,7 @@ def test_bearing_is_positive_to_the_left_of_the_vehicle(pose, point, expected):
 @given(poses, coordinates, coordinates)
 @settings(max_examples=50, deadline=None)
 def test_driving_along_the_bearing_over_the_distance_arrives(pose, x, y):
-    heading, way = pose.yaw + bearing(pose, x, y), hypot(x - pose.x, y - pose.y)
+    heading, way = pose.yaw + bearing(pose, x, y), distance(pose, x, y)
     assert pose.x + way * cos(heading) == pytest.approx(x, abs=1e-9)
     assert pose.y + way * sin(heading) == pytest.approx(y, abs=1e-9)
 
