@@ -30,7 +30,7 @@ METHODS = {
     "literal": (10, []),
     "q_table": (5, []),
     "genetic": (5, ["--vehicles", "200"]),  # that changes nothing but the time
-    "sb3_dqn": (2, ["--vehicles", "16"]),
+    "sb3_dqn": (1, ["--vehicles", "16"]),
 }
 """Presets, with the number of their training seeds and what else `train` is told."""
 COVERS = "5,10,15,20"
