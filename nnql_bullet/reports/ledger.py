@@ -157,7 +157,7 @@ def ledger_csv(entries: Sequence[Entry]) -> str:
 
 def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
     """Success of every alternative with its interval, choice by choice; dots are training seeds."""
-    gaps = np.cumsum([0.0] + [0.7 * (a.choice is not b.choice) for a, b in pairwise(entries)])
+    gaps = np.cumsum([0.0] + [1.6 * (a.choice is not b.choice) for a, b in pairwise(entries)])
     places = -(np.arange(len(entries)) + gaps)
     figure = Figure(figsize=(11.0, 0.23 * float(-places[-1]) + 1.9), layout="constrained")
     panels = figure.subplots(1, len(TIERS), sharey=True)
@@ -172,7 +172,7 @@ def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
                 axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
             if entry.verdict == "default":
                 axes.axhspan(place - 0.42, place + 0.42, color="#f1f3f5", lw=0, zorder=0)
-        axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 0.8), xlabel="success [%]")
+        axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 1.6), xlabel="success [%]")
         axes.set_title(title, fontsize=10, color=INK)
         axes.grid(axis="x", color="#e9ecef", lw=0.8)
         axes.spines[["top", "right", "left"]].set_visible(False)
@@ -180,17 +180,8 @@ def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
     panels[0].set_yticks(places, [entry.alternative.label for entry in entries], fontsize=8)
     for choice in _choices(entries):
         first = next(k for k, entry in enumerate(entries) if entry.choice is choice)
-        star = " *" if choice.stated else ""
-        panels[0].text(
-            -0.56,
-            places[first],
-            f"{choice.question}{star}",
-            transform=panels[0].get_yaxis_transform(),
-            fontsize=8.5,
-            va="center",
-            ha="left",
-            color=SAFE,
-        )
+        title, x = f"{choice.question}{' *' if choice.stated else ''}", panels[0].get_yaxis_transform()
+        panels[0].text(-0.02, places[first] + 1.0, title, transform=x, fontsize=9, va="center", ha="right", color=SAFE)
     handles = [
         Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
     ]
