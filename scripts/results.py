@@ -116,8 +116,8 @@ def main() -> None:
     a.results.mkdir(exist_ok=True)
     draw_learning(step_by_step, a.results / "learning.png")
     spread = ["--executor", a.executor, "--workers", str(a.workers)]
-    policies = [*RULES, *(str(trial.run) for trial in trials)]
-    some = [*RULES, *(str(trial.run) for trial in trials if trial.seed < HARD_SEEDS)]
+    policies = [*(str(trial.run) for trial in trials), *RULES]
+    some = [*(str(trial.run) for trial in trials if trial.seed < HARD_SEEDS), *RULES]
     test = ["--split", "test", *spread]
     contact = ["--physics", a.physics, *test]
     scaled = {
