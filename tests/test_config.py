@@ -208,7 +208,7 @@ def test_preset_paper_is_the_defaults():
             {"episode": 3},
             "unknown key 'episode'; valid keys: agent, conditions, drive, episodes, physics, robot,",
         ),
-        ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: front_distance, front_side_distance,"),
+        ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: closer, front_distance, front_side_distance,"),
         (
             {"agent": {"kind": "nnql", "gamma": 0.1}},
             "unknown key 'agent.gamma'; valid keys: discount, encoding, gradient_step,",

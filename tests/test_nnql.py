@@ -488,6 +488,20 @@ def test_temperature_stays_at_its_end():
     assert agent.temperature(episodes) == pytest.approx(np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12)
 
 
+def test_temperature_may_fall_by_the_same_factor_every_episode():
+    agent = Nnql(NnqlOptions(schedule="exponential", schedule_episodes=11), 0)
+    temperatures = agent.temperature(np.arange(11))
+    assert (temperatures[0], temperatures[-1]) == pytest.approx((0.8, 0.01))
+    assert temperatures[1:] / temperatures[:-1] == pytest.approx(np.full(10, (0.01 / 0.8) ** 0.1))
+
+
+def test_the_network_may_have_other_hidden_units():
+    agent = Nnql(NnqlOptions(hidden_units=3), 0)
+    assert sum(values.size for values in agent.arrays().values()) == 8 * 3 + 3 + 3 * 5 + 5
+    with pytest.raises(UserError, match="not the weights of an NNQL network of 8-3-5 units"):
+        agent.load(Nnql(NnqlOptions(), 0).arrays())
+
+
 @pytest.mark.parametrize(
     ("encoding", "reading", "value"),
     [

@@ -13,6 +13,7 @@ from nnql_bullet.task import (
     TaskOptions,
     ending,
     is_safe,
+    readings_of,
     reward_terms,
     state_property,
 )
@@ -224,3 +225,46 @@ def test_steps_of_an_episode_are_an_option():
 def test_thresholds_beyond_the_sensors_and_empty_episodes_are_refused(key, value):
     with pytest.raises(UserError, match=f"task: '{key}': input should be"):
         parse(TaskOptions, {key: value}, "task")
+
+
+class TestReadingsOtherThanTheNearest:
+    def test_the_middle_ray_passes_by_what_the_nearest_sees(self):
+        rays = np.full(72, 10.0)
+        rays[[0, 4, 13]] = 2.0, 6.0, 3.0  # a side ray and the middle of the front sector, the middle of the next
+        assert readings_of(rays, TaskOptions()).tolist() == [2.0, 3.0, *[10.0] * 6]
+        assert readings_of(rays, TaskOptions(sector_reading="middle")).tolist() == [6.0, 3.0, *[10.0] * 6]
+
+    def test_many_vehicles_read_as_each_does(self):
+        rays = np.random.default_rng(0).uniform(0, 10, (5, 72))
+        for task in (TaskOptions(), TaskOptions(sector_reading="middle")):
+            assert readings_of(rays, task).tolist() == [readings_of(row, task).tolist() for row in rays]
+
+
+class TestHysteresis:
+    TASK = TaskOptions(hysteresis=1.0)
+
+    @pytest.mark.parametrize(
+        ("front", "before", "after"),
+        [(5.5, SS, SS), (5.5, NS, NS), (4.9, SS, NS), (6.0, NS, SS), (5.999, NS, NS), (4.9, NS, NS)],
+    )
+    def test_a_non_safe_state_becomes_safe_only_farther_off(self, front, before, after):
+        assert state_property(reading(0, front), False, False, self.TASK, before) == after
+
+    def test_sectors_that_are_not_watched_stay_unwatched(self):
+        assert state_property(reading(4, 0.1), False, False, self.TASK, NS) == SS
+
+    def test_many_vehicles_have_each_their_own_past(self):
+        values = np.stack([reading(0, 5.5)] * 2)
+        assert state_property(values, np.zeros(2, bool), np.zeros(2, bool), self.TASK, np.array([SS, NS])).tolist() == [
+            SS,
+            NS,
+        ]
+
+
+def test_closer_may_mean_the_mean_reading():
+    before, after = reading(0, 3.0), reading(0, 3.5)
+    after[4] = 8.0  # the smallest rose, the mean fell
+    smallest = named(reward_terms(NS, NS, before, after, TaskOptions()))
+    mean = named(reward_terms(NS, NS, before, after, TaskOptions(closer="mean")))
+    assert (smallest["away"], smallest["closer"]) == (0.4, 0.0)
+    assert (mean["away"], mean["closer"]) == (0.0, -0.4)
