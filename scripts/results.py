@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of seeds and worlds")
     parser.add_argument("--worlds", type=int, default=25, help="test worlds of each kind in contact physics")
     parser.add_argument("--twin-worlds", type=int, default=300, help="and in the twin")
-    parser.add_argument("--ledger-seeds", type=int, default=5, help="trainings of each alternative of the ledger")
+    parser.add_argument("--ledger-seeds", type=int, default=10, help="trainings of each alternative of the ledger")
     parser.add_argument("--physics", default="fast", help="of the test")
     parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")
     parser.add_argument("--workers", type=int, default=2, help="trainings and drives at a time")
