@@ -2,7 +2,7 @@
 
 Source: "A Reinforcement Learning Method of Obstacle Avoidance for Industrial Mobile Vehicles in Unknown Environments
 Using Neural Network". What the paper leaves open is not here: those choices are options with a default and a reason,
-gathered in `nnql_bullet.presets`.
+gathered in `experiment.PRESETS`.
 """
 
 from math import radians
