@@ -213,9 +213,9 @@ class TestAisles:
         assert any(straight_way(world).crosses(polygon) for polygon in polygons(world.obstacles))
         assert ends_straight_on(twin, world) == "collision"
 
-    @pytest.mark.parametrize("seed", range(5))
-    def test_a_regular_hall_has_rows_from_wall_to_wall(self, seed: int) -> None:
-        layout, boxes = regular(seed)
+    @pytest.mark.parametrize(("seed", "rack_depth"), [(0, 2.4), (1, 2.4), (2, 2.4), (3, 1.25), (4, 0.8)])
+    def test_a_regular_hall_has_rows_from_wall_to_wall(self, seed: int, rack_depth: float) -> None:
+        layout, boxes = regular(seed, rack_depth=rack_depth)
         lefts = sorted({round(box.x - box.half_length, 3) for box in boxes})
         assert {round(2 * box.half_length, 3) for box in boxes} == {layout.rack_depth}
         aisles = [after - before - layout.rack_depth for before, after in pairwise(lefts)]

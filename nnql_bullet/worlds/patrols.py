@@ -31,7 +31,7 @@ class Patrols:
     """[m]"""
     max_side: Positive = 3.0
     """[m]"""
-    min_track: Positive = 10.0
+    min_track: Annotated[float, Field(ge=0.1)] = 10.0
     """Way of a box's centre from one end of its track to the other [m]."""
     max_track: Positive = 30.0
     """[m]"""

@@ -67,7 +67,7 @@ class Aisles:
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
         """Draws halls until racks stand across the straight way from start to target.
 
-        Numbers are whole centimetres, so that no machine's last bit matters.
+        Everything begins and ends at a whole centimetre, so that no machine's last bit matters.
 
         Raises:
             UserError: If that never happens.
@@ -85,7 +85,7 @@ class Aisles:
     def _hall(self, arena: Arena, rng: np.random.Generator) -> list[tuple[Span, Span]]:
         """Where everything stands, along x and along y."""
         rows = self._spans(self.dock, arena.width - self.dock, (self.rack_depth, self.rack_depth), rng)
-        rows = [row for row in rows if round(row[1] - row[0], 2) == self.rack_depth]
+        rows = [row for row in rows if row[1] - row[0] > self.rack_depth - 0.01]  # the last may be cut
         racks = self._spans(0.0, arena.depth, (self.min_rack, self.max_rack), rng)
         aisles = [(before[1], after[0]) for before, after in pairwise(rows)]
         crossings = [(before[1], after[0]) for before, after in pairwise(racks)]
