@@ -99,8 +99,8 @@ def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Poli
 
 
 @dataclass(frozen=True, slots=True)
-class DriveTask:
-    """One policy through some worlds of a tier."""
+class _BlockTask:
+    """A piece of work: one policy, and some worlds of a tier."""
 
     policy: Policy
     tier: Tier
@@ -117,6 +117,10 @@ class DriveTask:
     def seed(self) -> int:
         """Of the first world."""
         return self.tier.seeds[self.first]
+
+
+class DriveTask(_BlockTask):
+    """One policy through some worlds of a tier."""
 
     @property
     def part(self) -> str:
@@ -147,26 +151,8 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     return [run_episode(experiment.navigation, experiment.world(seed), experiment.agent) for seed in seeds]
 
 
-@dataclass(frozen=True, slots=True)
-class SurveyTask:
-    """How hard some worlds of a tier are."""
-
-    policy: Policy
-    """Whose vehicle has to fit through."""
-    tier: Tier
-    setting: Setting
-    first: int
-    """Of the worlds, counted in the tier."""
-
-    @property
-    def size(self) -> int:
-        """How many worlds."""
-        return len(self.tier.block(self.first))
-
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.tier.seeds[self.first]
+class SurveyTask(_BlockTask):
+    """How hard some worlds of a tier are for the policy's vehicle."""
 
     @property
     def part(self) -> str:

@@ -24,7 +24,6 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
-from nnql_bullet.training.loop import Training
 
 TIERS = {"paper": "5 % cover", "cover_10": "10 % cover"}
 """World files that policies are tested in."""
@@ -317,8 +316,7 @@ def train_and_test(task: LedgerTask) -> list[Counts]:
     experiment = Experiment(config)
     with closing(experiment.fleet(workers=1)) as fleet:
         navigation = FleetNavigation(fleet, config.task)
-        training = Training(experiment.learner, navigation, experiment.training_world, config.seed)
-        for _ in islice(training.episodes(), config.episodes):
+        for _ in islice(experiment.trainer(navigation).episodes(), config.episodes):
             pass
     found = []
     for world in TIERS:

@@ -44,6 +44,12 @@ class Evaluation:
         count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
         return shlex.join(["nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *self.setting.flags])
 
+    @property
+    def groups(self) -> list[tuple[str, list[Tier]]]:
+        """What is summed up, by name: each tier and, if there are several, all of them."""
+        everywhere = [(EVERYWHERE, list(self.tiers))] if len(self.tiers) > 1 else []
+        return [*((tier.name, [tier]) for tier in self.tiers), *everywhere]
+
     def of_method(self, method: str) -> list[Policy]:
         """Its policies."""
         return [policy for policy in self.policies if policy.method == method]
@@ -85,14 +91,8 @@ class Row:
 
 def rows(evaluation: Evaluation) -> list[Row]:
     """Every method in every tier and, if there are several, in all of them."""
-    e, found = evaluation, []
-    groups = [(tier.name, [tier]) for tier in e.tiers]
-    if len(e.tiers) > 1:
-        groups.append((EVERYWHERE, list(e.tiers)))
-    for method in e.methods:
-        for name, tiers in groups:
-            found.append(_row(e, method, name, tiers))
-    return found
+    e = evaluation
+    return [_row(e, method, name, tiers) for method in e.methods for name, tiers in e.groups]
 
 
 def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
@@ -156,10 +156,7 @@ class Comparison:
 def comparisons(evaluation: Evaluation) -> list[Comparison]:
     """Every method against every other, in every tier and in all of them together."""
     e, found = evaluation, []
-    groups = [(tier.name, [tier]) for tier in e.tiers]
-    if len(e.tiers) > 1:
-        groups.append((EVERYWHERE, list(e.tiers)))
-    for world, tiers in groups:
+    for world, tiers in e.groups:
         for first, second in combinations(e.methods, 2):
             pairs = [
                 (one.ending == "goal", other.ending == "goal")
