@@ -26,6 +26,18 @@ def options(cls: type[T]) -> type[T]:
     return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)  # type: ignore[return-value]
 
 
+def refuse_crossed_ranges(group: object, *names: str) -> None:
+    """For `__post_init__`: the keys `min_NAME` must not be above the keys `max_NAME`.
+
+    Raises:
+        ValueError: If one is; `parse` makes one line of it.
+    """
+    for name in names:
+        low, high = getattr(group, f"min_{name}"), getattr(group, f"max_{name}")
+        if low > high:
+            raise ValueError(f"min_{name} {low:g} is above max_{name} {high:g}")
+
+
 def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """Builds options from plain values.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from nnql_bullet.config import options
+from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, as_rows, clearance
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -44,10 +44,7 @@ class Patrols:
 
     def __post_init__(self) -> None:
         """Refuses ranges in the wrong order."""
-        for what in ("side", "track", "speed"):
-            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
-            if low > high:
-                raise ValueError(f"min_{what} {low:g} is above max_{what} {high:g}")
+        refuse_crossed_ranges(self, "side", "track", "speed")
 
     def draw(self, world: WorldSpec, rng: np.random.Generator) -> tuple[Patrol, ...]:
         """Draws patrols one by one, each rejected where it would touch what stands still or crowd start or target.

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from nnql_bullet.config import options
+from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, bearing, ray_distances, squared_distance
 from nnql_bullet.worlds.layouts.base import Arena
@@ -54,10 +54,7 @@ class Aisles:
 
     def __post_init__(self) -> None:
         """Refuses ranges in the wrong order."""
-        for what in ("aisle", "rack"):
-            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
-            if low > high:
-                raise ValueError(f"min_{what} {low:g} is above max_{what} {high:g}")
+        refuse_crossed_ranges(self, "aisle", "rack")
 
     @property
     def is_random(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from nnql_bullet.config import options
+from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, clearance
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
@@ -34,8 +34,7 @@ class RandomBoxes:
 
     def __post_init__(self) -> None:
         """Refuses sides in the wrong order."""
-        if self.min_side > self.max_side:
-            raise ValueError(f"min_side {self.min_side:g} is above max_side {self.max_side:g}")
+        refuse_crossed_ranges(self, "side")
 
     @property
     def is_random(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from nnql_bullet.config import options
+from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance, moved
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
@@ -46,10 +46,7 @@ class Traps:
 
     def __post_init__(self) -> None:
         """Refuses ranges in the wrong order."""
-        for what in ("width", "depth", "thickness"):
-            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
-            if low > high:
-                raise ValueError(f"min_{what} {low:g} is above max_{what} {high:g}")
+        refuse_crossed_ranges(self, "width", "depth", "thickness")
 
     @property
     def is_random(self) -> bool:
