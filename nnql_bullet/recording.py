@@ -80,6 +80,23 @@ class Recording:
         return self.obstacles + tuple(patrol.at(time) for patrol in self.patrols)
 
     @property
+    def world(self) -> WorldSpec:
+        """What it was driven through."""
+        kept = self.about["world"]
+        return WorldSpec(
+            kept["name"],
+            kept["seed"],
+            kept["width"],
+            kept["depth"],
+            self.obstacles,
+            Pose(**kept["start"]),
+            tuple(kept["target"]),
+            kept["target_radius"],
+            kept["obstacle_height"],
+            self.patrols,
+        )
+
+    @property
     def footprint(self) -> OrientedBox:
         """The vehicle's footprint in its own frame."""
         return OrientedBox(**self.about["vehicle"]["footprint"])

@@ -21,6 +21,7 @@ from nnql_bullet.cli.ledger import ledger
 from nnql_bullet.cli.navigate import navigate
 from nnql_bullet.cli.report import report
 from nnql_bullet.cli.train import train
+from nnql_bullet.cli.view import view
 from nnql_bullet.cli.work import WorkFailed
 from nnql_bullet.errors import UserError
 from nnql_bullet.sim.base import WorkerDied
@@ -28,6 +29,7 @@ from nnql_bullet.sim.base import WorkerDied
 VERBS: dict[str, Callable[..., int]] = {
     "train": train,
     "navigate": navigate,
+    "view": view,
     "evaluate": evaluate,
     "ledger": ledger,
     "gap": gap,

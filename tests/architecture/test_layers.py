@@ -120,6 +120,11 @@ def test_only_the_mujoco_simulator_imports_mujoco(module):
 
 
 @modules_and_root
+def test_only_the_time_line_imports_rerun(module):
+    assert "rerun" not in {name.split(".")[0] for name in imported(module)} or module == "nnql_bullet.reports.timeline"
+
+
+@modules_and_root
 @pytest.mark.parametrize(("library", "home"), [("stable_baselines3", "training.sb3"), ("deap", "training.evolution")])
 def test_libraries_that_only_train_are_imported_in_one_module(module, library, home):
     assert library not in {name.split(".")[0] for name in imported(module)} or module == f"nnql_bullet.{home}"

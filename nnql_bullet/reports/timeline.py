@@ -1,0 +1,304 @@
+"""A recording on a time line, as an .rrd file that the Rerun viewer opens: `rerun FILE` (needs the extra `viz`).
+
+World, vehicle, rays and sectors are shapes in 3D; readings, action values, clearance and what else is measured are
+curves. There are two time lines: `time` since the reset, and `decision`, on which each state stands under the number of
+decisions before it. What belongs to a step (clearance, heading error, reward) stands where the step ends. Between
+decisions there is `time` alone.
+
+Heights are over the vehicle's rear axle, which a recording does not know the height of. The vehicle is drawn as a box
+over its footprint.
+
+Nothing is sent anywhere: the library writes to the file alone, and its usage statistics come from its viewer only.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import fields
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.env import TOWARD_TARGET
+from nnql_bullet.files import write_atomically
+from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.recording import Recording
+from nnql_bullet.reports.plots import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.sensing import ray_angles
+from nnql_bullet.task import REWARD_TERMS
+
+TIME, DECISION = "time", "decision"
+"""Time lines: [s], and the number of decisions so far."""
+BODY_HEIGHT = 0.25
+"""Of the box that stands for the vehicle [m]."""
+ARC_POINTS = 10
+"""Along the edge of a sector."""
+
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+TURNS = tuple(
+    f"{'left' if turn > 0 else 'right'} {abs(degrees(turn)):.0f}°" if turn else "straight on" for turn in paper.TURNS
+)
+ACTIONS = {**dict(enumerate(TURNS)), TOWARD_TARGET: "toward the target"}
+PROPERTIES = {"SS": ("safe", SAFE), "NS": ("non-safe", NON_SAFE), "WS": ("winning", GOAL), "FS": ("failure", COLLISION)}
+"""What the paper's two letters stand for, and their colours."""
+
+
+def write_timeline(recording: Recording, path: Path) -> None:
+    """Writes an .rrd file atomically, with a layout that the viewer opens with.
+
+    Raises:
+        OSError: If it cannot be written; then nothing is left under its name.
+    """
+    write_atomically(path, lambda temporary: _write(recording, temporary))
+
+
+def _write(recording: Recording, path: Path) -> None:
+    # A start time or an identity of its own would make two files of one recording differ.
+    with rr.RecordingStream("nnql-bullet", recording_id=_identity(recording), send_properties=False) as stream:
+        stream.save(path, default_blueprint=_layout(recording))
+        stream.send_recording_name(_name(recording))
+        _log_world(stream, recording)
+        _log_vehicle(stream, recording)
+        _log_sensors(stream, recording)
+        _log_states(stream, recording)
+        _log_curves(stream, recording)
+        _log_events(stream, recording)
+
+
+def _identity(recording: Recording) -> str:
+    """A hash of all that is in it: the viewer takes files of one identity for one."""
+    found = hashlib.sha256(json.dumps(recording.about, sort_keys=True).encode())
+    for field in fields(recording):
+        if field.name != "about":
+            found.update(np.ascontiguousarray(getattr(recording, field.name)).tobytes())
+    return found.hexdigest()[:32]
+
+
+def _name(recording: Recording) -> str:
+    world = recording.about["world"]
+    return f"{recording.about.get('policy', 'policy')} in '{world['name']}', seed {world['seed']}"
+
+
+def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
+    """What stands still; then what moves, at the samples."""
+    world = recording.world
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    stream.log("world/boxes", _boxes(world.obstacles, world.obstacle_height, BOX), static=True)
+    stream.log("world/walls", _boxes(world.walls, world.obstacle_height, TIMEOUT), static=True)
+    disc = rr.Cylinders3D(
+        lengths=[0.02],
+        radii=[world.target_radius],
+        centers=[(*world.target, 0.0)],
+        colors=_rgba(COLLISION, alpha=0.4),
+        fill_mode="solid",
+    )
+    stream.log("world/target", disc, static=True)
+    stream.log(
+        "world/start", rr.Points3D([(world.start.x, world.start.y, 0.0)], colors=_rgba(INK), radii=0.2), static=True
+    )
+    times = np.append(0.0, recording.sample_time)
+    for number, patrol in enumerate(world.patrols):
+        boxes = [patrol.at(time) for time in times.tolist()]
+        places = np.array([(box.x, box.y, box.yaw) for box in boxes])
+        shape = OrientedBox(0.0, 0.0, patrol.box.half_length, patrol.box.half_width)
+        entity = f"world/patrols/{number}"
+        stream.log(entity, _boxes([shape], world.obstacle_height, MOVING), static=True)
+        stream.send_columns(entity, [_times(times)], _transforms(places))
+
+
+def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
+    """Where it was at samples and states, and its whole path."""
+    front = recording.footprint.x + recording.footprint.half_length
+    sensor = recording.about["vehicle"]["sensor"]
+    stream.log("world/vehicle/body", _boxes([recording.footprint], BODY_HEIGHT, VEHICLE), static=True)
+    stream.log("world/vehicle/sensor", rr.Points3D([sensor], colors=_rgba(SAFE), radii=0.06), static=True)
+    ahead = rr.Arrows3D(vectors=[(0.6, 0.0, 0.0)], origins=[(front, 0.0, BODY_HEIGHT / 2)], colors=_rgba(INK))
+    stream.log("world/vehicle/ahead", ahead, static=True)
+    stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose))
+    stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose))
+    points = _on_ground(np.concatenate([recording.state_pose[:1, :2], recording.sample_pose[:, :2]]))
+    decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
+    non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    path = rr.LineStrips3D(pieces, colors=np.where(non_safe, _rgba(NON_SAFE), _rgba(SAFE)), radii=0.06)
+    stream.log("world/path", path, static=True)
+
+
+def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
+    """Rays and sectors at the states, as they lay in the world; orange where they met something."""
+    x, y, height = recording.about["vehicle"]["sensor"]
+    yaw = recording.state_pose[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    origins = recording.state_pose[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
+    ends = _from(origins, yaw[:, None] + ray_angles(), recording.ray_distances, height)
+    rays = np.stack([_from(origins, np.zeros_like(ends[..., 0]), np.zeros_like(ends[..., 0]), height), ends], axis=2)
+    _log_strips(stream, recording, "world/rays", rays, recording.ray_distances < paper.SENSOR_RANGE, 0.008)
+    centres = np.arange(paper.SECTORS) * paper.SECTOR_ANGLE
+    across = np.linspace(-0.5, 0.5, ARC_POINTS) * paper.SECTOR_ANGLE
+    angles = (yaw[:, None, None] + centres[:, None] + across).reshape(len(yaw), -1)
+    arcs = _from(origins, angles, np.repeat(recording.readings, ARC_POINTS, axis=1), height)
+    edges = arcs.reshape(len(yaw), paper.SECTORS, ARC_POINTS, 3)
+    _log_strips(stream, recording, "world/sectors", edges, recording.readings < paper.SENSOR_RANGE, 0.04)
+
+
+def _from(origins: Array, angles: Array, distances: Array, height: float) -> Array:
+    """Points (n, m, 3) at distances (n, m) [m] in directions (n, m) [rad] from origins (n, 2) [m]."""
+    x = origins[:, :1] + distances * np.cos(angles)
+    y = origins[:, 1:] + distances * np.sin(angles)
+    return np.stack([x, y, np.full_like(x, height)], axis=2)
+
+
+def _log_strips(
+    stream: rr.RecordingStream, recording: Recording, entity: str, strips: Array, met: NDArray[np.bool_], radius: float
+) -> None:
+    """Lines (n + 1, m, k, 3) [m] at the states, coloured by whether each met something (n + 1, m)."""
+    states, lines = met.shape
+    colours = np.where(met, _rgba(NON_SAFE), _rgba(BOX, alpha=0.5)).ravel()
+    columns = rr.LineStrips3D.columns(strips=strips.reshape(states * lines, -1, 3), colors=colours)
+    stream.log(entity, rr.LineStrips3D.from_fields(radii=radius), static=True)
+    stream.send_columns(entity, _at_states(recording), columns.partition([lines] * states))
+
+
+def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
+    """The property of each state, and the action taken in it until the end."""
+    values, (labels, colours) = list(PROPERTIES), zip(*PROPERTIES.values(), strict=True)
+    stream.log("property", rr.StateConfiguration(values=values, labels=labels, colors=_rgba(*colours)), static=True)
+    stream.send_columns(
+        "property", _at_states(recording), rr.StateChange.columns(state=recording.state_property.tolist())
+    )
+    actions = [ACTIONS[action] for action in recording.action.tolist()]
+    stream.log(
+        "action",
+        rr.StateConfiguration(values=list(ACTIONS.values()), colors=_rgba(*LINES[: len(ACTIONS)])),
+        static=True,
+    )
+    stream.send_columns("action", _at_states(recording), rr.StateChange.columns(state=[*actions, ""]))
+
+
+def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
+    """All that is a number."""
+    at_states = _at_states(recording)
+    begins, ends = _at_states(recording, slice(None, -1)), _at_states(recording, slice(1, None))
+    at_samples = [_times(recording.sample_time)]
+    _log_curve(stream, "readings", at_states, recording.readings, SECTORS)
+    # A value holds for a moment, and there may be none before and after it: points, not lines.
+    dots = rr.SeriesPoints(names=TURNS, colors=_rgba(*LINES[: len(TURNS)]), marker_sizes=[3.0] * len(TURNS))
+    stream.log("q_values", dots, static=True)
+    _send_numbers(stream, "q_values", begins, recording.q_values)
+    _log_curve(stream, "heading_command", begins, recording.heading_command[:, None], ["heading change asked for"])
+    _log_curve(stream, "heading_error", ends, recording.heading_error[:, None], ["heading error"])
+    _log_curve(stream, "clearance", ends, recording.clearance[:, None], ["clearance"])
+    _log_curve(stream, "reward", ends, recording.reward_terms, [name.replace("_", " ") for name in REWARD_TERMS])
+    _log_curve(stream, "wheel_speeds", at_samples, recording.wheel_speeds, ["left wheel", "right wheel"])
+
+
+def _log_curve(
+    stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Array, names: Sequence[str]
+) -> None:
+    """Values (k, m) at k times, as a line for each of m names."""
+    stream.log(entity, rr.SeriesLines(names=names, colors=_rgba(*LINES[: len(names)])), static=True)
+    _send_numbers(stream, entity, index, values)
+
+
+def _send_numbers(stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Array) -> None:
+    """Values (k, m) at k times."""
+    count, width = values.shape
+    stream.send_columns(entity, index, rr.Scalars.columns(scalars=values.ravel()).partition([width] * count))
+
+
+def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
+    """In words: where the property changes, contacts (in the world too), and the ending."""
+    nearest = recording.readings.min(axis=1)
+    labels = [PROPERTIES[letters][0] for letters in recording.state_property.tolist()]
+    events = [
+        (state, f"{labels[state]}: nearest reading {nearest[state]:.2f} m", rr.TextLogLevel.INFO)
+        for state in range(len(labels))
+        if state == 0 or labels[state] != labels[state - 1]
+    ]
+    touching = (np.flatnonzero(recording.contact) + 1).tolist()
+    events += [(state, "contact with an obstacle or a wall", rr.TextLogLevel.ERROR) for state in touching]
+    last, ending = len(labels) - 1, recording.about["ending"]
+    events.append((last, f"{ending} after {recording.state_time[-1]:.1f} s", rr.TextLogLevel.INFO))
+    states, texts, levels = zip(*events, strict=True)
+    index = _at_states(recording, list(states))
+    stream.send_columns("events", index, rr.TextLog.columns(text=texts, level=levels))
+    if touching:
+        places = _on_ground(recording.state_pose[touching, :2])
+        stream.log("world/contacts", rr.Points3D.from_fields(colors=_rgba(COLLISION), radii=0.3), static=True)
+        stream.send_columns("world/contacts", _at_states(recording, touching), rr.Points3D.columns(positions=places))
+
+
+def _layout(recording: Recording) -> rrb.Blueprint:
+    """The world from above and from behind the vehicle; beside them what it felt, held best and did."""
+    world = recording.world
+    x, y, far = world.width / 2, world.depth / 2, max(world.width, world.depth)
+    start = recording.state_pose[0]
+    behind = (start[0] - 9 * np.cos(start[2]), start[1] - 9 * np.sin(start[2]), 6.0)
+    whole = rrb.EyeControls3D(position=(x, y - 0.45 * far, 0.95 * far), look_target=(x, y, 0.0))
+    near = rrb.EyeControls3D(position=behind, look_target=(*start[:2], 0.0), tracking_entity="world/vehicle")
+    scenes = rrb.Vertical(
+        rrb.Spatial3DView(origin="world", name="world", eye_controls=whole, line_grid=False),
+        rrb.Spatial3DView(origin="world", name="vehicle", eye_controls=near, line_grid=False),
+    )
+    curves = rrb.Vertical(
+        rrb.StateTimelineView(name="property and action", contents=["property", "action"]),
+        rrb.TimeSeriesView(origin="q_values", name="action values"),
+        rrb.TimeSeriesView(origin="readings", name="readings [m]"),
+        rrb.TimeSeriesView(origin="clearance", name="clearance [m]"),
+        rrb.Tabs(
+            rrb.TextLogView(origin="events", name="events"),
+            rrb.TimeSeriesView(name="heading [rad]", contents=["heading_command", "heading_error"]),
+            rrb.TimeSeriesView(origin="wheel_speeds", name="wheel speeds [rad/s]"),
+            rrb.TimeSeriesView(origin="reward", name="reward"),
+        ),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scenes, curves, column_shares=[3, 2]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIME),
+    )
+
+
+def _at_states(recording: Recording, which: slice | list[int] = slice(None)) -> list[rr.TimeColumn]:
+    """Where some of the states stand on both time lines."""
+    number = np.arange(len(recording.state_time))[which]
+    return [_times(recording.state_time[which]), rr.TimeColumn(DECISION, sequence=number)]
+
+
+def _times(seconds: Array) -> rr.TimeColumn:
+    """Times [s] to the nearest nanosecond, which is what the viewer counts in."""
+    return rr.TimeColumn(TIME, duration=np.round(1e9 * seconds).astype("timedelta64[ns]"))
+
+
+def _transforms(poses: Array) -> rr.ComponentColumnList:
+    """Where the frames of poses (n, 3) lie in the world."""
+    half = poses[:, 2] / 2
+    turns = np.column_stack([np.zeros((len(poses), 2)), np.sin(half), np.cos(half)])  # x, y, z, w
+    return rr.Transform3D.columns(translation=_on_ground(poses[:, :2]), quaternion=turns)
+
+
+def _on_ground(points: Array) -> Array:
+    """Points (n, 2) as (n, 3)."""
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def _boxes(boxes: Sequence[OrientedBox], height: float, colour: str) -> rr.Boxes3D:
+    """Boxes that stand on the ground."""
+    return rr.Boxes3D(
+        centers=[(box.x, box.y, height / 2) for box in boxes],
+        half_sizes=[(box.half_length, box.half_width, height / 2) for box in boxes],
+        rotations=[rr.RotationAxisAngle(axis=(0.0, 0.0, 1.0), radians=box.yaw) for box in boxes],
+        colors=_rgba(colour),
+        fill_mode="solid",
+    )
+
+
+def _rgba(*colours: str, alpha: float = 1.0) -> NDArray[np.uint32]:
+    """Colours '#rrggbb' as numbers 0xRRGGBBAA."""
+    return np.array([int(colour[1:], 16) << 8 | round(255 * alpha) for colour in colours], dtype=np.uint32)
