@@ -38,11 +38,11 @@ def view(
     if path.suffix != ".rrd" or path.is_dir():
         raise UserError(f"{path}: give --out the name of a file that ends in .rrd, which is how the viewer knows it")
     try:
-        from nnql_bullet.reports.timeline import write_timeline
+        from nnql_bullet.reports.rrd import write_rrd
     except ImportError:
         raise UserError("Rerun is not installed; install it with: pip install 'nnql-bullet[viz]'") from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_timeline(loaded, path)
+    write_rrd(loaded, path)
     say(f"time line: {path}")
     say(f"open it: {shlex.join(['rerun', str(path)])}")
     return 0

@@ -120,8 +120,8 @@ def test_only_the_mujoco_simulator_imports_mujoco(module):
 
 
 @modules_and_root
-def test_only_the_time_line_imports_rerun(module):
-    assert "rerun" not in {name.split(".")[0] for name in imported(module)} or module == "nnql_bullet.reports.timeline"
+def test_only_the_rrd_report_imports_rerun(module):
+    assert "rerun" not in {name.split(".")[0] for name in imported(module)} or module == "nnql_bullet.reports.rrd"
 
 
 @modules_and_root

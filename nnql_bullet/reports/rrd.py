@@ -48,7 +48,7 @@ PROPERTIES = {"SS": ("safe", SAFE), "NS": ("non-safe", NON_SAFE), "WS": ("winnin
 """What the paper's two letters stand for, and their colours."""
 
 
-def write_timeline(recording: Recording, path: Path) -> None:
+def write_rrd(recording: Recording, path: Path) -> None:
     """Writes an .rrd file atomically, with a layout that the viewer opens with.
 
     Raises:
@@ -99,7 +99,7 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
     )
     stream.log("world/target", disc, static=True)
     stream.log(
-        "world/start", rr.Points3D([(world.start.x, world.start.y, 0.0)], colors=_rgba(INK), radii=0.2), static=True
+        "world/start", rr.Points3D([(world.start.x, world.start.y, 0.0)], colors=_rgba(INK), radii=0.1), static=True
     )
     times = np.append(0.0, recording.sample_time)
     for number, patrol in enumerate(world.patrols):
@@ -234,28 +234,29 @@ def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _layout(recording: Recording) -> rrb.Blueprint:
-    """The world from above and from behind the vehicle; beside them what it felt, held best and did."""
+    """The world from above and from behind the vehicle; beside them what it read, held its turns worth and did."""
     world = recording.world
     x, y, far = world.width / 2, world.depth / 2, max(world.width, world.depth)
-    start = recording.state_pose[0]
-    behind = (start[0] - 9 * np.cos(start[2]), start[1] - 9 * np.sin(start[2]), 6.0)
-    whole = rrb.EyeControls3D(position=(x, y - 0.45 * far, 0.95 * far), look_target=(x, y, 0.0))
-    near = rrb.EyeControls3D(position=behind, look_target=(*start[:2], 0.0), tracking_entity="world/vehicle")
+    whole = rrb.EyeControls3D(position=(x, y - 0.4 * far, 1.15 * far), look_target=(x, y, 0.0))
+    behind = rrb.EyeControls3D(position=(-8.0, 0.0, 5.0), look_target=(3.0, 0.0, 0.0))
     scenes = rrb.Vertical(
         rrb.Spatial3DView(origin="world", name="world", eye_controls=whole, line_grid=False),
-        rrb.Spatial3DView(origin="world", name="vehicle", eye_controls=near, line_grid=False),
+        rrb.Spatial3DView(
+            origin="world/vehicle", contents="/world/**", name="vehicle", eye_controls=behind, line_grid=False
+        ),
     )
     curves = rrb.Vertical(
         rrb.StateTimelineView(name="property and action", contents=["property", "action"]),
         rrb.TimeSeriesView(origin="q_values", name="action values"),
         rrb.TimeSeriesView(origin="readings", name="readings [m]"),
-        rrb.TimeSeriesView(origin="clearance", name="clearance [m]"),
         rrb.Tabs(
-            rrb.TextLogView(origin="events", name="events"),
+            rrb.TimeSeriesView(origin="clearance", name="clearance [m]"),
             rrb.TimeSeriesView(name="heading [rad]", contents=["heading_command", "heading_error"]),
             rrb.TimeSeriesView(origin="wheel_speeds", name="wheel speeds [rad/s]"),
             rrb.TimeSeriesView(origin="reward", name="reward"),
         ),
+        rrb.TextLogView(origin="events", name="events"),
+        row_shares=[4, 6, 5, 4, 4],
     )
     return rrb.Blueprint(
         rrb.Horizontal(scenes, curves, column_shares=[3, 2]),

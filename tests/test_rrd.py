@@ -145,10 +145,10 @@ class File:
 
 @pytest.fixture(scope="module")
 def written(drive: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from nnql_bullet.reports.timeline import write_timeline
+    from nnql_bullet.reports.rrd import write_rrd
 
     path = tmp_path_factory.mktemp("rerun") / "drive.rrd"
-    write_timeline(drive, path)
+    write_rrd(drive, path)
     return path
 
 
@@ -272,37 +272,37 @@ class TestFile:
     def test_the_same_recording_gives_the_same_content_and_another_one_another_identity(
         self, file: File, drive: Recording, tmp_path: Path
     ) -> None:
-        from nnql_bullet.reports.timeline import write_timeline
+        from nnql_bullet.reports.rrd import write_rrd
 
-        write_timeline(drive, tmp_path / "again.rrd")
+        write_rrd(drive, tmp_path / "again.rrd")
         again = File(tmp_path / "again.rrd")
         assert repr(again.columns) == repr(file.columns)
         assert again.recordings[0].recording_id == file.recordings[0].recording_id
-        write_timeline(replace(drive, clearance=drive.clearance + 1e-9), tmp_path / "other.rrd")
+        write_rrd(replace(drive, clearance=drive.clearance + 1e-9), tmp_path / "other.rrd")
         assert File(tmp_path / "other.rrd").recordings[0].recording_id != file.recordings[0].recording_id
 
     def test_there_is_a_layout_for_the_viewer(self, file: File) -> None:
         assert (len(file.recordings), len(file.blueprints)) == (1, 1)
 
     def test_a_drive_without_a_contact_or_what_moves(self, drive: Recording, tmp_path: Path) -> None:
-        from nnql_bullet.reports.timeline import write_timeline
+        from nnql_bullet.reports.rrd import write_rrd
 
         world = {**drive.about["world"], "patrols": [], "obstacles": []}
         quiet = replace(drive, about={**drive.about, "world": world, "ending": "goal"}, contact=drive.contact & False)
-        write_timeline(quiet, tmp_path / "quiet.rrd")
+        write_rrd(quiet, tmp_path / "quiet.rrd")
         entities = {entity for entity, _ in File(tmp_path / "quiet.rrd").columns}
         assert not [entity for entity in entities if "contacts" in entity or "patrols" in entity]
 
     def test_an_older_file_survives_a_failure(
         self, drive: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        from nnql_bullet.reports import timeline
+        from nnql_bullet.reports import rrd
 
         path = tmp_path / "old.rrd"
         path.write_text("precious")
-        monkeypatch.setattr(timeline, "_log_events", lambda stream, recording: 1 / 0)
+        monkeypatch.setattr(rrd, "_log_events", lambda stream, recording: 1 / 0)
         with pytest.raises(ZeroDivisionError):
-            timeline.write_timeline(drive, path)
+            rrd.write_rrd(drive, path)
         assert path.read_text() == "precious"
         assert [found.name for found in tmp_path.iterdir()] == ["old.rrd"]
 
@@ -362,8 +362,8 @@ class TestVerb:
     ) -> None:
         for name in [name for name in sys.modules if name.split(".")[0] == "rerun"]:
             monkeypatch.delitem(sys.modules, name)
-        monkeypatch.delitem(sys.modules, "nnql_bullet.reports.timeline", raising=False)
-        monkeypatch.delattr("nnql_bullet.reports.timeline", raising=False)
+        monkeypatch.delitem(sys.modules, "nnql_bullet.reports.rrd", raising=False)
+        monkeypatch.delattr("nnql_bullet.reports.rrd", raising=False)
         imported = builtins.__import__
 
         def without_rerun(name: str, *rest: Any) -> Any:
