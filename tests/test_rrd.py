@@ -20,6 +20,7 @@ from nnql_bullet.worlds.spec import Patrol
 NEEDS_RERUN = pytest.mark.skipif(find_spec("rerun") is None, reason="needs the extra: pip install 'nnql-bullet[viz]'")
 
 STEPS, SAMPLES = 6, 15
+ROBOTS = Path(__file__).resolve().parents[1] / "robots"
 Cli = Callable[..., tuple[int, str, str]]
 
 
@@ -103,16 +104,16 @@ class File:
         self._chunks = [(chunk.entity_path, chunk.to_record_batch()) for chunk in reader.stream().to_chunks()]
 
     @property
-    def columns(self) -> dict[tuple[str, str], list[list[Any]]]:
-        """Every column but the row numbers, which the library draws by chance; parts of one entity in any order."""
-        found: dict[tuple[str, str], list[list[Any]]] = {}
+    def columns(self) -> dict[tuple[str, str], list[Any]]:
+        """Every column but the row numbers, which are drawn by chance; how rows are packed is left to chance too."""
+        found: dict[tuple[str, str], list[Any]] = {}
         for entity, batch in self._chunks:
             for name in batch.schema.names:
                 if name != "rerun.controls.RowId":
                     values = batch.column(name)  # times are nanoseconds, which Python's durations are too coarse for
                     values = values.cast("int64") if str(values.type).startswith("duration") else values
-                    found.setdefault((entity, name), []).append(values.to_pylist())
-        return {key: sorted(parts, key=repr) for key, parts in found.items()}
+                    found.setdefault((entity, name), []).extend(values.to_pylist())
+        return {key: sorted(rows, key=repr) for key, rows in sorted(found.items())}
 
     def rows(self, entity: str, component: str, timeline: str = "time") -> tuple[NDArray[np.float64], list[Any]]:
         """When, in seconds or decisions and in order, an entity has which batches of a component."""
@@ -280,6 +281,33 @@ class TestFile:
         assert again.recordings[0].recording_id == file.recordings[0].recording_id
         write_rrd(replace(drive, clearance=drive.clearance + 1e-9), tmp_path / "other.rrd")
         assert File(tmp_path / "other.rrd").recordings[0].recording_id != file.recordings[0].recording_id
+
+    def test_a_vehicle_of_known_looks_is_drawn_so_and_its_wheels_turn(self, drive: Recording, tmp_path: Path) -> None:
+        from nnql_bullet.reports.rrd import write_rrd
+
+        names = {"left_drive": "left_drive", "right_drive": "right_drive", "swivel": "swivel"}
+        known = {
+            **drive.about["vehicle"],
+            "urdf": (ROBOTS / "tricycle.urdf").read_text(encoding="utf-8"),
+            "joints": {**names, "caster_roll": "caster_roll"},
+            "wheel_radius": 0.125,
+        }
+        angles = np.column_stack([np.linspace(0.1, 4.0, STEPS * SAMPLES), *np.zeros((3, STEPS * SAMPLES))])
+        write_rrd(replace(drive, about={**drive.about, "vehicle": known}, joint_angles=angles), tmp_path / "known.rrd")
+        file = File(tmp_path / "known.rrd")
+        when, wheels = file.rows("/world/vehicle/left_wheel", "Transform3D:quaternion")
+        assert when == pytest.approx(np.append(0.0, drive.sample_time))
+        half, zero = np.append(0.1, angles[:, 0]) / 2, np.zeros(len(when))
+        expected = np.column_stack([zero, np.sin(half), zero, np.cos(half)])  # about the axle, which is y
+        found = np.array(wheels).reshape(-1, 4)
+        assert found * np.sign(np.sum(found * expected, axis=1))[:, None] == pytest.approx(expected, abs=1e-6)
+        _, places = file.rows("/world/vehicle/left_wheel", "Transform3D:translation")
+        assert np.array(places).reshape(-1, 3) == pytest.approx(np.tile((0.0, 0.3, 0.0), (len(places), 1)), abs=1e-6)
+        assert file.static("/world/vehicle/left_wheel/0", "Cylinders3D:radii") == [pytest.approx(0.125)]
+        _, frames = file.rows("/world/vehicle", "Transform3D:translation")
+        assert np.array(frames).reshape(-1, 3)[:, 2] == pytest.approx(0.125)
+        _, strips = file.rows("/world/rays", "LineStrips3D:strips")
+        assert np.array(strips)[..., 2] == pytest.approx(0.6)
 
     def test_there_is_a_layout_for_the_viewer(self, file: File) -> None:
         assert (len(file.recordings), len(file.blueprints)) == (1, 1)

@@ -5,8 +5,8 @@ curves. There are two time lines: `time` since the reset, and `decision`, on whi
 decisions before it. What belongs to a step (clearance, heading error, reward) stands where the step ends. Between
 decisions there is `time` alone.
 
-Heights are over the vehicle's rear axle, which a recording does not know the height of. The vehicle is drawn as a box
-over its footprint.
+The vehicle is drawn as its URDF says, with wheels that turn. Older recordings do not know it: there it is a box over
+its footprint, and heights are over its rear axle.
 
 Nothing is sent anywhere: the library writes to the file alone, and its usage statistics come from its viewer only.
 """
@@ -22,6 +22,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
 from nnql_bullet.env import TOWARD_TARGET
@@ -31,11 +32,12 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.reports.plots import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.vehicle.looks import Looks, Shape
 
 TIME, DECISION = "time", "decision"
 """Time lines: [s], and the number of decisions so far."""
 BODY_HEIGHT = 0.25
-"""Of the box that stands for the vehicle [m]."""
+"""Of the box that stands for a vehicle of unknown looks [m]."""
 ARC_POINTS = 10
 """Along the edge of a sector."""
 
@@ -112,15 +114,16 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Where it was at samples and states, and its whole path."""
-    front = recording.footprint.x + recording.footprint.half_length
+    """Where it was at samples and states, what it looks like, and its whole path."""
+    axle = _axle_height(recording)
+    stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose, axle))
+    stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose, axle))
     sensor = recording.about["vehicle"]["sensor"]
-    stream.log("world/vehicle/body", _boxes([recording.footprint], BODY_HEIGHT, VEHICLE), static=True)
     stream.log("world/vehicle/sensor", rr.Points3D([sensor], colors=_rgba(SAFE), radii=0.06), static=True)
-    ahead = rr.Arrows3D(vectors=[(0.6, 0.0, 0.0)], origins=[(front, 0.0, BODY_HEIGHT / 2)], colors=_rgba(INK))
-    stream.log("world/vehicle/ahead", ahead, static=True)
-    stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose))
-    stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose))
+    if "urdf" in recording.about["vehicle"]:
+        _log_looks(stream, recording)
+    else:
+        stream.log("world/vehicle/body", _boxes([recording.footprint], BODY_HEIGHT, VEHICLE), static=True)
     points = _on_ground(np.concatenate([recording.state_pose[:1, :2], recording.sample_pose[:, :2]]))
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
@@ -129,9 +132,45 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
     stream.log("world/path", path, static=True)
 
 
+def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
+    """The shapes of each link, and how it stood in the vehicle's frame at the samples; at first as at the first one."""
+    looks = Looks(recording.about["vehicle"])
+    frames = [looks.link_frames(angles) for angles in recording.joint_angles[[0, *range(len(recording.joint_angles))]]]
+    times = [_times(np.append(0.0, recording.sample_time))]
+    for link in dict.fromkeys(shape.link for shape in looks.shapes):
+        entity = f"world/vehicle/{link}"
+        shapes = [shape for shape in looks.shapes if shape.link == link]
+        for number, shape in enumerate(shapes):
+            stream.log(f"{entity}/{number}", _solid(shape), static=True)
+            turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.origin[:3, :3]).as_quat())
+            stream.log(
+                f"{entity}/{number}", rr.Transform3D(translation=shape.origin[:3, 3], quaternion=turn), static=True
+            )
+        placed = np.array([frame[link] for frame in frames])
+        turns = Rotation.from_matrix(placed[:, :3, :3]).as_quat()
+        columns = rr.Transform3D.columns(translation=placed[:, :3, 3], quaternion=turns)
+        stream.send_columns(entity, times, columns)
+
+
+def _solid(shape: Shape) -> rr.Boxes3D | rr.Cylinders3D | rr.Ellipsoids3D:
+    x, y, z = shape.half_sizes
+    colour = [round(255 * part) for part in shape.colour]
+    if shape.kind == "box":
+        return rr.Boxes3D(half_sizes=[(x, y, z)], colors=colour, fill_mode="solid")
+    if shape.kind == "cylinder":
+        return rr.Cylinders3D(radii=[x], lengths=[2 * z], colors=colour, fill_mode="solid")
+    return rr.Ellipsoids3D(half_sizes=[(x, y, z)], colors=colour, fill_mode="solid")
+
+
+def _axle_height(recording: Recording) -> float:
+    """Of the vehicle's frame over the ground [m]; 0 where it is not known."""
+    return float(recording.about["vehicle"].get("wheel_radius", 0.0))
+
+
 def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
     """Rays and sectors at the states, as they lay in the world; orange where they met something."""
-    x, y, height = recording.about["vehicle"]["sensor"]
+    x, y, above = recording.about["vehicle"]["sensor"]
+    height = above + _axle_height(recording)
     yaw = recording.state_pose[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)
     origins = recording.state_pose[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
@@ -277,11 +316,12 @@ def _times(seconds: Array) -> rr.TimeColumn:
     return rr.TimeColumn(TIME, duration=np.round(1e9 * seconds).astype("timedelta64[ns]"))
 
 
-def _transforms(poses: Array) -> rr.ComponentColumnList:
-    """Where the frames of poses (n, 3) lie in the world."""
+def _transforms(poses: Array, height: float = 0.0) -> rr.ComponentColumnList:
+    """Where the frames of poses (n, 3) lie in the world, at a height [m]."""
     half = poses[:, 2] / 2
     turns = np.column_stack([np.zeros((len(poses), 2)), np.sin(half), np.cos(half)])  # x, y, z, w
-    return rr.Transform3D.columns(translation=_on_ground(poses[:, :2]), quaternion=turns)
+    places = np.column_stack([poses[:, :2], np.full(len(poses), height)])
+    return rr.Transform3D.columns(translation=places, quaternion=turns)
 
 
 def _on_ground(points: Array) -> Array:
