@@ -1,6 +1,5 @@
 """What `doctor` checks: that the parts this package stands on do here what they should."""
 
-import multiprocessing
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import ray_distances
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
+from nnql_bullet.sim.bullet_scene import works
 
 PATIENCE = 60.0
 """Seconds that a renderer may take to start."""
@@ -104,22 +104,12 @@ def check_chromium() -> Finding:
 
 
 def check_renderer() -> Finding:
-    """EGL where it works, else TinyRenderer, which always does. In a process of its own, which a bad driver may end."""
-    if _works(bullet.probe_egl):
+    """EGL where it works, else TinyRenderer, which always does."""
+    if works("egl", PATIENCE):
         return Finding(True, "EGL (hardware or Mesa)")
-    if _works(bullet.probe_tiny):
+    if works("tiny", PATIENCE):
         return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
-
-
-def _works(probe: Callable[[], None]) -> bool:
-    process = multiprocessing.get_context("spawn").Process(target=probe)
-    process.start()
-    process.join(PATIENCE)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    return process.exitcode == 0
 
 
 CHECKS: dict[str, Callable[[], Finding]] = {

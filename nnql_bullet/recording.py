@@ -6,21 +6,25 @@ of `Recording`. With n decisions, arrays of states have n + 1 rows and arrays of
 
 import json
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.agents import Agent
 from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
+
+if TYPE_CHECKING:  # agents bring along torch, which those that only read recordings do without
+    from nnql_bullet.agents import Agent
 
 FORMAT = "nnql-bullet recording 1"
 
@@ -64,37 +68,34 @@ class Recording:
     wheel_speeds: Array
     """Left, right (m, 2) [rad/s]."""
 
+    @cached_property
+    def world(self) -> WorldSpec:
+        """Where it happened."""
+        kept = {key: value for key, value in self.about["world"].items() if key != "digest"}
+        patrols = kept.pop("patrols", ())  # older recordings know of none
+        return WorldSpec(
+            **{
+                **kept,
+                "obstacles": tuple(OrientedBox(**box) for box in kept["obstacles"]),
+                "start": Pose(**kept["start"]),
+                "target": tuple(kept["target"]),
+            },
+            patrols=tuple(Patrol(OrientedBox(**p["box"]), tuple(p["end"]), p["speed"], p["phase"]) for p in patrols),
+        )
+
     @property
     def obstacles(self) -> tuple[OrientedBox, ...]:
         """The world's boxes that stand still."""
-        return tuple(OrientedBox(**box) for box in self.about["world"]["obstacles"])
+        return self.world.obstacles
 
     @property
     def patrols(self) -> tuple[Patrol, ...]:
         """The world's boxes that move."""
-        kept = self.about["world"].get("patrols", ())  # older recordings know of none
-        return tuple(Patrol(OrientedBox(**p["box"]), tuple(p["end"]), p["speed"], p["phase"]) for p in kept)
+        return self.world.patrols
 
     def boxes_at(self, time: float) -> tuple[OrientedBox, ...]:
         """All of them, those that move where they were then [s]."""
         return self.obstacles + tuple(patrol.at(time) for patrol in self.patrols)
-
-    @property
-    def world(self) -> WorldSpec:
-        """What it was driven through."""
-        kept = self.about["world"]
-        return WorldSpec(
-            kept["name"],
-            kept["seed"],
-            kept["width"],
-            kept["depth"],
-            self.obstacles,
-            Pose(**kept["start"]),
-            tuple(kept["target"]),
-            kept["target_radius"],
-            kept["obstacle_height"],
-            self.patrols,
-        )
 
     @property
     def footprint(self) -> OrientedBox:
@@ -133,7 +134,7 @@ def load_recording(path: Path) -> Recording:
 class Recorder:
     """Watches one episode and turns it into a `Recording`."""
 
-    def __init__(self, vehicle: VehicleSpec, agent: Agent) -> None:
+    def __init__(self, vehicle: VehicleSpec, agent: "Agent") -> None:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
         self._agent = agent
@@ -160,7 +161,14 @@ class Recorder:
             about={
                 **about,
                 "world": {**asdict(self._world), "digest": self._world.digest},
-                "vehicle": {"name": vehicle.name, "footprint": asdict(vehicle.footprint), "sensor": vehicle.sensor},
+                "vehicle": {
+                    "name": vehicle.name,
+                    "footprint": asdict(vehicle.footprint),
+                    "sensor": vehicle.sensor,
+                    "urdf": urdf_text(vehicle),
+                    "joints": {field.name: getattr(vehicle.joints, field.name) for field in fields(vehicle.joints)},
+                    "wheel_radius": vehicle.wheel_radius,
+                },
                 "ending": steps[-1].ending,
             },
             state_time=np.cumsum([0.0, *(step.motion.duration for step in steps)]),

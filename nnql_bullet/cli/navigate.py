@@ -6,15 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from nnql_bullet import __version__
-from nnql_bullet.agents import RULES
 from nnql_bullet.cli.console import say
-from nnql_bullet.config import to_values
+from nnql_bullet.cli.driving import RECORDING, drive
+from nnql_bullet.cli.filming import film_of, shoot, whole
 from nnql_bullet.experiment import SimulatorName
-from nnql_bullet.recording import Recorder
+from nnql_bullet.render.window import watch
 from nnql_bullet.reports.plots import draw_trajectory
-from nnql_bullet.rollout import run_episode
-from nnql_bullet.runs import drives_folder, open_policy
+from nnql_bullet.runs import drives_folder
 from nnql_bullet.sim.engines import PhysicsName
 
 
@@ -30,6 +28,8 @@ def navigate(
     noise: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None,
     dead_sector: Annotated[int | None, tyro.conf.arg(metavar="0..7", help_behavior_hint="")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    video: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
+    gui: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
     json_output: Annotated[
         bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
     ] = False,
@@ -44,7 +44,7 @@ def navigate(
 
         nnql-bullet navigate runs/paper-0
         nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --json
-        nnql-bullet navigate vfh --world cover_10
+        nnql-bullet navigate vfh --world cover_10 --video
 
     Args:
         run: Run folder, a policy.safetensors, the name of a rule, or a TOML file that configures one.
@@ -59,32 +59,26 @@ def navigate(
         dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
         out: Where trajectory.npz and trajectory.png go; default RUN/navigate/WORLD-SEED, for a rule
             runs/RULE/navigate/WORLD-SEED, with the simulator and conditions that were asked for behind it.
+        video: Leave trajectory.mp4 as well; `render` draws others from the recording.
+        gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
         json_output: Print one JSON object instead of text.
     """
     sensors = {"noise": noise, "dead_sector": dead_sector}
     conditions = {"wheel_friction": friction, "payload": payload, "sensors": sensors}
     changes = {"world": world, "simulator": sim, "physics": physics, "conditions": conditions}
-    experiment, episodes = open_policy(run, changes)
-    config = experiment.config
-    spec = experiment.world(seed)
-    recorder = Recorder(experiment.vehicle, experiment.agent)
-    summary = run_episode(experiment.navigation, spec, experiment.agent, watcher=recorder)
+    recording, summary = drive(run, seed, changes)
     given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
-    name = [spec.name, str(seed), *([sim] if sim != "bullet" else [])]
+    name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else [])]
     name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]
     folder = out or drives_folder(run) / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
-    kind = config.agent.kind
-    label = kind if kind in RULES else f"{kind}, {episodes} episodes"
-    recording = recorder.recording(
-        policy=label,
-        simulator=sim,
-        physics=config.physics,
-        conditions=to_values(config.conditions),
-        version=__version__,
-    )
-    recording.save(folder / "trajectory.npz")
+    recording.save(folder / RECORDING)
     draw_trajectory(recording, folder / "trajectory.png")
+    if video:
+        film = film_of(folder / RECORDING)
+        shoot(film, whole(film.recording), folder / "trajectory.mp4")
+    if gui:
+        watch(recording)
     result = {
         "ending": summary.ending,
         "steps": summary.steps,
@@ -92,17 +86,20 @@ def navigate(
         "path_length": summary.path_length,
         "smallest_clearance": summary.clearance,
         "seed": seed,
-        "world": spec.name,
-        "recording": str(folder / "trajectory.npz"),
+        "world": recording.world.name,
+        "recording": str(folder / RECORDING),
         "picture": str(folder / "trajectory.png"),
+        **({"video": str(folder / "trajectory.mp4")} if video else {}),
     }
     if json_output:
         say(json.dumps(result))
     else:
         say(
-            f"{summary.ending} in world '{spec.name}', seed {seed}: {summary.steps} steps, {summary.duration:.1f} s, "
-            f"{summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
+            f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
+            f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
         )
         say(f"picture: {result['picture']}")
         say(f"recording: {result['recording']}")
+        if video:
+            say(f"video: {result['video']}")
     return 0

@@ -19,6 +19,7 @@ from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.ledger import ledger
 from nnql_bullet.cli.navigate import navigate
+from nnql_bullet.cli.render import render
 from nnql_bullet.cli.report import report
 from nnql_bullet.cli.train import train
 from nnql_bullet.cli.view import view
@@ -29,6 +30,7 @@ from nnql_bullet.sim.base import WorkerDied
 VERBS: dict[str, Callable[..., int]] = {
     "train": train,
     "navigate": navigate,
+    "render": render,
     "view": view,
     "evaluate": evaluate,
     "ledger": ledger,

@@ -4,7 +4,6 @@ Collision groups keep apart what must not meet: the wheels, which are spheres wi
 only the ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays see only these.
 """
 
-import importlib.util
 import os
 import weakref
 from collections.abc import Iterator
@@ -362,37 +361,4 @@ def has_numpy() -> bool:
     return bool(bullet.isNumpyEnabled())
 
 
-def probe_tiny() -> None:
-    """Draws one picture with TinyRenderer, the software renderer within PyBullet."""
-    client = bullet.connect(bullet.DIRECT)
-    _draw_something(client, bullet.ER_TINY_RENDERER)
-
-
-def probe_egl() -> None:
-    """Draws one picture with the EGL plugin.
-
-    Raises:
-        RuntimeError: If there is no plugin, or it does not load.
-    """
-    _silence_output()  # the plugin prints what it finds
-    client = bullet.connect(bullet.DIRECT)
-    found = importlib.util.find_spec("eglRenderer")
-    if found is None or bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=client) < 0:
-        raise RuntimeError("the EGL plugin does not load")
-    _draw_something(client, bullet.ER_BULLET_HARDWARE_OPENGL)
-
-
-def _draw_something(client: int, renderer: int) -> None:
-    sphere = bullet.createVisualShape(bullet.GEOM_SPHERE, radius=0.5, physicsClientId=client)
-    bullet.createMultiBody(0.0, -1, sphere, physicsClientId=client)
-    view = bullet.computeViewMatrix((3.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    projection = bullet.computeProjectionMatrixFOV(40.0, 1.0, 0.1, 10.0)
-    picture = bullet.getCameraImage(32, 32, view, projection, renderer=renderer, physicsClientId=client)
-    if np.ptp(picture[2]) == 0:
-        raise RuntimeError("the picture is empty")
-
-
-def _silence_output() -> None:
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.dup2(nowhere, 2)
+__all__ = ["PHYSICS", "BulletSimulator", "Physics", "bullet", "has_numpy"]

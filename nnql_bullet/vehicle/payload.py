@@ -60,6 +60,8 @@ def urdf_text(vehicle: VehicleSpec) -> str:
     ElementTree.SubElement(inertial, "mass", value=repr(payload.mass))
     moments = {"ixx": inertia, "iyy": inertia, "izz": inertia, "ixy": "0", "ixz": "0", "iyz": "0"}
     ElementTree.SubElement(inertial, "inertia", moments)
+    visual = ElementTree.SubElement(ElementTree.SubElement(link, "visual"), "geometry")
+    ElementTree.SubElement(visual, "box", size=" ".join([repr(payload.side)] * 3))
     joint = ElementTree.SubElement(robot, "joint", name=LINK, type="fixed")
     ElementTree.SubElement(joint, "parent", link=base)
     ElementTree.SubElement(joint, "child", link=LINK)

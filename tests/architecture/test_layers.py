@@ -13,7 +13,7 @@ PACKAGE = Path(nnql_bullet.__file__).resolve().parent
 # Low to high. A module imports from lower layers and, inside one folder, from its siblings. A new top-level module or
 # folder has to be given its place here.
 LAYERS = (
-    ("paper", "errors", "files"),
+    ("paper", "errors", "files", "colours"),
     ("config", "assets", "geometry", "seeding", "executors"),
     ("worlds", "vehicle", "sensing"),
     ("sim",),
@@ -22,6 +22,7 @@ LAYERS = (
     ("agents",),
     ("rollout",),
     ("training", "recording", "fidelity"),
+    ("render",),
     ("experiment",),
     ("runs", "tricycle_env", "diagnosis"),
     ("evaluation",),

@@ -1,0 +1,135 @@
+"""`nnql-bullet render`."""
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from nnql_bullet.cli.console import say
+from nnql_bullet.cli.driving import RECORDING, drive
+from nnql_bullet.cli.filming import FPS, SIZE, shoot, shoot_sheet
+from nnql_bullet.errors import UserError
+from nnql_bullet.recording import load_recording
+from nnql_bullet.render.camera import CameraName
+from nnql_bullet.render.film import Film, frame_times
+from nnql_bullet.render.solids import RendererName, best_renderer
+from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.render.video import VideoFormat
+from nnql_bullet.runs import drives_folder
+
+SMALLEST, LARGEST = 64, 7680
+"""Side of a picture [pixels]."""
+
+
+def render(
+    recording: Annotated[
+        Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING|RUN|RULE", help_behavior_hint="")
+    ],
+    /,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
+    seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    camera: Annotated[CameraName, tyro.conf.arg(help_behavior_hint="")] = "chase",
+    size: Annotated[str, tyro.conf.arg(metavar="WxH", help_behavior_hint="")] = f"{SIZE[0]}x{SIZE[1]}",
+    fps: Annotated[float, tyro.conf.arg(metavar="F", help_behavior_hint="")] = FPS,
+    speed: Annotated[float, tyro.conf.arg(metavar="X", help_behavior_hint="")] = 1.0,
+    begin: Annotated[float, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0.0,
+    end: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
+    renderer: Annotated[Literal["auto"] | RendererName, tyro.conf.arg(help_behavior_hint="")] = "auto",
+    format: Annotated[VideoFormat | None, tyro.conf.arg(help_behavior_hint="")] = None,
+    frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png", help_behavior_hint="")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
+) -> int:
+    """Draw a recorded drive as a video: what was recorded, without simulating anything again.
+
+    It shows the vehicle as it went, what its eight sensors read, the values of the five turns and which one was taken,
+    safe and non-safe states, and how it ended. Nothing of this needs a display or a graphics card.
+
+    For example:
+
+        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4
+        nnql-bullet render runs/paper-0/navigate/cover_10-4/trajectory.npz
+        nnql-bullet render runs/paper-0 --world traps --seed 1 --camera split --speed 2 --out traps.mp4
+        nnql-bullet render drive.npz --format gif --size 640x360 --fps 15 --begin 20 --end 30
+        nnql-bullet render drive.npz --sheet sheet.png
+
+    Args:
+        recording: A trajectory.npz, or what `navigate` takes: a run folder, policy file or rule, which is then driven
+            and recorded first, as `navigate` does.
+        world: Of that drive; see `navigate`.
+        seed: Of that drive; default 0.
+        out: The video; default beside the recording, under its name. With --frames or --sheet alone there is none.
+        camera: Behind the vehicle (chase, the default), the whole arena from above (top), round the vehicle (orbit), or
+            chase and top side by side (split).
+        size: Of the picture, even numbers of pixels; default 1280x720.
+        fps: Frames a second; default 30.
+        speed: How much faster than it happened; default 1.
+        begin: Where in the drive to begin [s].
+        end: Where to end [s]; default with the drive.
+        renderer: What draws the solid things: EGL where it works, else TinyRenderer (auto, the default), or either.
+        format: MP4 (H.264, plays in browsers) or GIF; default by the name given with --out, else mp4.
+        frames: Leave every frame as a PNG in this folder.
+        sheet: Leave the key moments of the drive as one picture.
+        workers: Processes that draw; default one a core. The result does not depend on it.
+    """
+    width, height = _size(size)
+    if not 1.0 <= fps <= 240.0:
+        raise UserError(f"--fps: must be between 1 and 240, not {fps:g}")
+    if not 0.0 < speed <= 1000.0:
+        raise UserError(f"--speed: must be above 0 and at most 1000, not {speed:g}")
+    if workers is not None and workers < 1:
+        raise UserError(f"--workers: must be at least 1, not {workers}")
+    kind = _kind(out, format)
+    if recording.suffix == ".npz":
+        if world is not None or seed is not None:
+            raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")
+        path = recording
+    else:
+        path = _driven(recording, world, seed or 0)
+    video = out or (None if frames or sheet else path.with_suffix(f".{kind}"))
+    duration = Timeline(load_recording(path)).duration
+    last = duration if end is None else min(end, duration)
+    if not 0.0 <= begin < last:
+        raise UserError(f"--begin, --end: the drive takes {duration:.1f} s; nothing is between {begin:g} and {last:g}")
+    film = Film(path, camera, width, height, best_renderer() if renderer == "auto" else renderer)
+    if video or frames:
+        shoot(film, frame_times(begin, last, fps, speed), video, kind, fps, frames, workers)
+    if sheet:
+        shoot_sheet(film, sheet, workers)
+    for what, where in (("video", video), ("frames", frames), ("sheet", sheet)):
+        if where:
+            say(f"{what}: {where}")
+    return 0
+
+
+def _driven(policy: Path, world: str | None, seed: int) -> Path:
+    """Where the recording of a drive of the policy lies, as `navigate` would have left it."""
+    recording, _ = drive(policy, seed, {"world": world, "simulator": "bullet", "physics": "reference"})
+    folder = drives_folder(policy) / f"{recording.world.name}-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    recording.save(folder / RECORDING)
+    return folder / RECORDING
+
+
+def _size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    width, height = (int(match[1]), int(match[2])) if match else (0, 0)
+    if not all(SMALLEST <= side <= LARGEST and side % 2 == 0 for side in (width, height)):
+        raise UserError(f"--size: give WIDTHxHEIGHT, even numbers from {SMALLEST} to {LARGEST}, not '{text}'")
+    return width, height
+
+
+def _kind(out: Path | None, given: VideoFormat | None) -> VideoFormat:
+    """The format that is asked for, by an option or a name.
+
+    Raises:
+        UserError: If they contradict each other, or the name says neither.
+    """
+    if out is None:
+        return given or "mp4"
+    suffix = out.suffix.lower()
+    if suffix not in (".mp4", ".gif") or (given and suffix != f".{given}"):
+        raise UserError(f"{out}: give --out a name that ends in {f'.{given}' if given else '.mp4 or .gif'}")
+    return "gif" if suffix == ".gif" else "mp4"

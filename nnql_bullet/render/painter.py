@@ -1,0 +1,114 @@
+"""A recording's instants as pictures: solid things, ground and light, and what is written over them."""
+
+from math import cos, sin
+
+import numpy as np
+
+from nnql_bullet import colours, paper
+from nnql_bullet.geometry import Array, as_rows, moved
+from nnql_bullet.render.camera import Camera
+from nnql_bullet.render.shading import (
+    NON_SAFE_PATH,
+    SAFE_PATH,
+    SHADOW,
+    Bytes,
+    Ground,
+    Inks,
+    eye_of,
+    paint_line,
+    paint_shadow,
+    shade,
+    shadow_reach,
+    smooth_edges,
+)
+from nnql_bullet.render.solids import Renderer
+from nnql_bullet.render.timeline import Moment, Timeline
+
+MOST_CELLS = 2200
+"""Of the ground's map, along the arena's longer side."""
+FINEST = 0.03
+"""Side of a cell, at least [m]."""
+PATH_WIDTH = 0.16
+"""Of the line of the path [m]."""
+VEHICLE_HEIGHT = 0.4
+"""That its shadow is cast from [m]."""
+INKS = Inks(
+    floor=(233.0, 234.0, 232.0),
+    outside=(205.0, 207.0, 208.0),
+    target=colours.rgb(colours.COLLISION),
+    safe=colours.rgb(colours.SAFE),
+    non_safe=colours.rgb(colours.NON_SAFE),
+    horizon=(214.0, 224.0, 233.0),
+)
+NEAR_TINT, MIDDLE_TINT, FAR_TINT = (214, 39, 40), (245, 170, 30), (46, 160, 67)
+"""Of a sector that reads nothing but what is close, half of the range, the whole range."""
+
+
+def tint(reading: Array) -> Array:
+    """Colours (..., 3) of sensor readings (...) [m]: from red over yellow to green."""
+    share = np.clip(np.asarray(reading) / paper.SENSOR_RANGE, 0.0, 1.0)[..., None]
+    low, middle, high = (np.array(colour, dtype=np.float64) for colour in (NEAR_TINT, MIDDLE_TINT, FAR_TINT))
+    return np.where(share < 0.5, low + 2 * share * (middle - low), middle + (2 * share - 1) * (high - middle))
+
+
+class Painter:
+    """Paints what a camera sees."""
+
+    def __init__(self, timeline: Timeline, renderer: Renderer) -> None:
+        self._timeline = timeline
+        self._renderer = renderer
+        world = timeline.recording.world
+        self._cell = max(max(world.width, world.depth) / MOST_CELLS, FINEST)
+        rows, columns = (int(np.ceil(side / self._cell)) for side in (world.depth, world.width))
+        self._layers = np.zeros((rows, columns, 3), np.uint8)
+        for box in as_rows(world.obstacles + world.walls):
+            paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
+        self._safe = timeline.safe()
+        self._painted = 1
+        """Places of the path that are in the map."""
+        self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
+
+    def paint(self, moment: Moment, camera: Camera) -> Bytes:
+        """Red, green, blue (height, width, 3) of what the camera sees at an instant."""
+        self._follow(moment)
+        solids, recording = self._renderer.draw(moment, camera), self._timeline.recording
+        readings = recording.readings[moment.step]
+        boxes = as_rows((moved(recording.footprint, moment.pose), *moment.movers))
+        reaches = [shadow_reach(box, height) for box, height in zip(boxes, self._heights, strict=True)]
+        picture = shade(
+            solids.colours,
+            solids.depths,
+            solids.gain,
+            eye_of(camera),
+            self._ground(moment),
+            INKS,
+            self._layers,
+            np.column_stack([boxes, self._heights, reaches]),
+            np.column_stack([readings, tint(readings)]),
+        )
+        return np.asarray(smooth_edges(picture, solids.depths))
+
+    def _follow(self, moment: Moment) -> None:
+        """Brings the path in the map up to the instant."""
+        places = self._timeline.path(moment.time)
+        if len(places) < self._painted:
+            self._layers[..., SAFE_PATH:] = 0
+            self._painted = 1
+        for k in range(self._painted, len(places)):
+            layer = self._layers[..., SAFE_PATH if self._safe[k - 1] else NON_SAFE_PATH]
+            paint_line(layer, self._cell, places[k - 1], places[k], PATH_WIDTH / 2)
+        self._painted = max(len(places), 1)
+
+    def _ground(self, moment: Moment) -> Ground:
+        recording = self._timeline.recording
+        world = recording.world
+        x, y, yaw = recording.state_pose[moment.step].tolist()
+        ahead, left, _ = recording.about["vehicle"]["sensor"]
+        c, s = cos(yaw), sin(yaw)
+        return Ground(
+            cell=self._cell,
+            width=world.width,
+            depth=world.depth,
+            target=(*world.target, world.target_radius),
+            scan=(x + c * ahead - s * left, y + s * ahead + c * left, yaw),
+        )

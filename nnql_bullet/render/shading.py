@@ -1,0 +1,468 @@
+"""The picture, pixel by pixel: light on what the renderer drew, and the ground where it drew nothing.
+
+Colours and depths are all that is taken from a renderer, so pictures look alike whichever it was: depths give the
+surfaces back, on which light falls from one direction and from the sky, and what is not covered by them is ground
+(where the ray through the pixel meets the plane z = 0) or sky. Deferred shading: Saito and Takahashi, Comprehensible
+rendering of 3-D shapes, SIGGRAPH 1990.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.render.camera import Camera
+
+F = TypeVar("F", bound=Callable[..., Any])
+Bytes = NDArray[np.uint8]
+Vector = tuple[float, float, float]
+
+SHADOW, SAFE_PATH, NON_SAFE_PATH = 0, 1, 2
+"""Layers of the ground's map."""
+
+LEAN = (0.49, -0.35)
+"""How far the shadow of a point falls from its foot, for each metre of its height: the direction of the light."""
+SOFTNESS = 0.12
+"""Half width of a shadow's edge [m]."""
+BEND = 0.01
+"""How much depths may bend from pixel to pixel on one surface, as a share of what they are short of 1."""
+RANGE = paper.SENSOR_RANGE
+
+
+def _kernel(function: F) -> F:
+    """Compiles a function."""
+    return cast(F, numba.njit(cache=True, fastmath=True, error_model="numpy")(function))
+
+
+def _part(function: F) -> F:
+    """Compiles a function into those that call it."""
+    return cast(F, numba.njit(cache=True, fastmath=True, error_model="numpy", inline="always")(function))
+
+
+class Eye(NamedTuple):
+    """A camera as the kernels take it."""
+
+    place: Vector
+    """[m]"""
+    ahead: Vector
+    """Unit vector."""
+    right: Vector
+    """From the middle of the picture to its right edge, at distance 1."""
+    up: Vector
+    """From its middle to its upper edge, likewise."""
+    near: float
+    """[m]"""
+    far: float
+    """[m]"""
+
+
+class Inks(NamedTuple):
+    """Colours: red, green, blue from 0 to 255."""
+
+    floor: Vector
+    outside: Vector
+    """Of the arena."""
+    target: Vector
+    safe: Vector
+    """Path driven in safe states."""
+    non_safe: Vector
+    """Path driven in others."""
+    horizon: Vector
+
+
+class Ground(NamedTuple):
+    """What lies on the ground, but for arrays: kernels count who holds those, which would take half of their time."""
+
+    cell: float
+    """Side of a cell of the map; the first one's lower left corner is the arena's [m]."""
+    width: float
+    """Of the arena [m]."""
+    depth: float
+    """Likewise [m]."""
+    target: Vector
+    """x, y, radius [m]."""
+    scan: Vector
+    """Where the sectors are seen from: x, y [m], yaw [rad]."""
+
+
+def eye_of(camera: Camera) -> Eye:
+    """A camera for the kernels."""
+    right, up, ahead = camera.axes
+    across, along = camera.half_extents
+    return Eye(camera.eye, _vector(ahead), _vector(right * across), _vector(up * along), camera.near, camera.far)
+
+
+def _vector(array: Array) -> Vector:
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+@_kernel
+def shadow_reach(box: Array, height: float) -> float:
+    """How far from the middle of a box (6,) its shadow falls [m]."""
+    return float(np.hypot(box[2], box[3]) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
+
+
+@_kernel
+def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
+    """Adds a box's shadow to the map.
+
+    Args:
+        layer: Of shadows (rows, columns).
+        cell: Side of its cells [m].
+        box: A row (6,) of `as_rows`.
+        height: Of the box [m].
+    """
+    reach = shadow_reach(box, height)
+    low_x, high_x = max(int((box[0] - reach) / cell), 0), min(int((box[0] + reach) / cell) + 1, layer.shape[1])
+    low_y, high_y = max(int((box[1] - reach) / cell), 0), min(int((box[1] + reach) / cell) + 1, layer.shape[0])
+    for row in range(low_y, high_y):
+        for column in range(low_x, high_x):
+            dark = _shadow((column + 0.5) * cell, (row + 0.5) * cell, box, height)
+            layer[row, column] = max(layer[row, column], np.uint8(255 * dark))
+
+
+@_kernel
+def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: float) -> None:
+    """Adds a straight line with round ends to the map, its edges smooth.
+
+    Args:
+        layer: (rows, columns)
+        cell: Side of its cells [m].
+        begin: x, y [m]
+        end: x, y [m]
+        half_width: [m]
+    """
+    margin = half_width + cell
+    low_x = max(int((min(begin[0], end[0]) - margin) / cell), 0)
+    high_x = min(int((max(begin[0], end[0]) + margin) / cell) + 1, layer.shape[1])
+    low_y = max(int((min(begin[1], end[1]) - margin) / cell), 0)
+    high_y = min(int((max(begin[1], end[1]) + margin) / cell) + 1, layer.shape[0])
+    way_x, way_y = end[0] - begin[0], end[1] - begin[1]
+    squared = max(way_x * way_x + way_y * way_y, 1e-12)
+    for row in range(low_y, high_y):
+        for column in range(low_x, high_x):
+            x, y = (column + 0.5) * cell - begin[0], (row + 0.5) * cell - begin[1]
+            along = min(max((x * way_x + y * way_y) / squared, 0.0), 1.0)
+            off = np.hypot(x - along * way_x, y - along * way_y)
+            cover = min(max((half_width - off) / cell + 0.5, 0.0), 1.0)
+            layer[row, column] = max(layer[row, column], np.uint8(255 * cover))
+
+
+@_kernel
+def shade(
+    colours: Bytes,
+    depths: NDArray[np.float32],
+    gain: float,
+    eye: Eye,
+    ground: Ground,
+    inks: Inks,
+    layers: Bytes,
+    casters: Array,
+    sectors: Array,
+) -> Bytes:
+    """The picture.
+
+    Args:
+        colours: Of solid things (h, w, 3 or 4).
+        depths: OpenGL's (h, w).
+        gain: What the colours are to be multiplied by.
+        eye: The camera.
+        ground: What lies on the ground.
+        inks: Colours.
+        layers: The map of the ground: how much shadow, path driven in safe states and in others there is, from 0 to 255
+            (rows, columns, 3).
+        casters: Things that move and cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
+        sectors: How far each is free [m], and its colour (8, 4).
+
+    Returns:
+        Red, green, blue (h, w, 3).
+    """
+    h, w = depths.shape
+    picture = np.empty((h, w, 3), np.uint8)
+    sun = _unit(-LEAN[0], -LEAN[1], 1.0)
+    height, pixel = eye.place[2], 2 * np.sqrt(_dot(eye.up, eye.up)) / h
+    for row in range(h):
+        for column in range(w):
+            ray = _ray(row, column, h, w, eye)
+            steep = abs(ray[2]) / np.sqrt(_dot(ray, ray))
+            if depths[row, column] < 1.0:
+                normal = _normal(row, column, depths, eye)
+                light = 0.62 + 0.14 * normal[2] + 0.34 * max(_dot(normal, sun), 0.0)
+                distance = _distance(depths[row, column], eye)
+                # The ground takes light away at the foot of things.
+                light *= gain * (0.86 + 0.14 * min(max((height + distance * ray[2]) / 0.35, 0.0), 1.0))
+                colour = (
+                    light * colours[row, column, 0],
+                    light * colours[row, column, 1],
+                    light * colours[row, column, 2],
+                )
+                colour = _haze(colour, distance, steep, inks)
+            elif ray[2] < -1e-6:
+                distance = -height / ray[2]
+                x, y = eye.place[0] + distance * ray[0], eye.place[1] + distance * ray[1]
+                if 0.0 <= x < ground.width and 0.0 <= y < ground.depth:
+                    colour = _floor(
+                        x, y, ray, pixel * distance, pixel * distance / steep, ground, inks, layers, casters, sectors
+                    )
+                else:
+                    colour = inks.outside
+                colour = _haze(colour, distance, steep, inks)
+            else:
+                up = min(steep / 0.35, 1.0)
+                sky = inks.horizon
+                colour = sky[0] * (1 - 0.20 * up), sky[1] * (1 - 0.14 * up), sky[2] * (1 - 0.08 * up)
+            for i in range(3):
+                picture[row, column, i] = np.uint8(min(max(colour[i], 0.0), 255.0))
+    return picture
+
+
+@_kernel
+def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
+    """The picture with the edges of solid things smoothed, where depths jump or bend.
+
+    Args:
+        picture: (h, w, 3)
+        depths: OpenGL's (h, w).
+
+    Returns:
+        Another picture (h, w, 3).
+    """
+    h, w = depths.shape
+    smooth = picture.copy()
+    for row in range(1, h - 1):
+        for column in range(1, w - 1):
+            here = 1.0 - depths[row, column]
+            left, right = 1.0 - depths[row, column - 1], 1.0 - depths[row, column + 1]
+            above, below = 1.0 - depths[row - 1, column], 1.0 - depths[row + 1, column]
+            nearest = max(here, left, right, above, below)
+            if nearest == 0.0:
+                continue
+            bend = max(abs(left + right - 2 * here), abs(above + below - 2 * here))
+            if bend > BEND * nearest:
+                for i in range(3):
+                    around = (
+                        np.int64(picture[row, column - 1, i])
+                        + picture[row, column + 1, i]
+                        + picture[row - 1, column, i]
+                        + picture[row + 1, column, i]
+                    )
+                    smooth[row, column, i] = np.uint8((4 * np.int64(picture[row, column, i]) + around) // 8)
+    return smooth
+
+
+@_part
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@_part
+def _unit(x: float, y: float, z: float) -> Vector:
+    length = max(np.sqrt(x * x + y * y + z * z), 1e-12)
+    return x / length, y / length, z / length
+
+
+@_part
+def _mix(colour: Vector, ink: Vector, share: float) -> Vector:
+    return (
+        colour[0] + share * (ink[0] - colour[0]),
+        colour[1] + share * (ink[1] - colour[1]),
+        colour[2] + share * (ink[2] - colour[2]),
+    )
+
+
+@_part
+def _inside(distance: float, soft: float) -> float:
+    """How much of a pixel of this size [m] is inside of an edge that is so far outwards from it [m]."""
+    return min(max(0.5 + distance / soft, 0.0), 1.0)
+
+
+@_part
+def _ray(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
+    """From the eye through a pixel, one metre ahead."""
+    x, y = (2 * column + 1) / w - 1.0, 1.0 - (2 * row + 1) / h
+    return (
+        eye.ahead[0] + x * eye.right[0] + y * eye.up[0],
+        eye.ahead[1] + x * eye.right[1] + y * eye.up[1],
+        eye.ahead[2] + x * eye.right[2] + y * eye.up[2],
+    )
+
+
+@_part
+def _distance(depth: float, eye: Eye) -> float:
+    """Ahead of the eye [m] of what has this depth: OpenGL's perspective matrix, solved for it."""
+    return 2 * eye.near * eye.far / (eye.far + eye.near - (2 * depth - 1) * (eye.far - eye.near))
+
+
+@_part
+def _normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
+    """Of the surface in a pixel: from the neighbours, across and along, that are nearest to it in depth."""
+    h, w = depths.shape
+    here = depths[row, column]
+    step = 2 + min(int(_distance(here, eye) / 15.0), 2)  # depths are the coarser the farther off
+    left, right = max(column - step, 0), min(column + step, w - 1)
+    above, below = max(row - step, 0), min(row + step, h - 1)
+    # Where the surface goes on to both sides, both neighbours: depths are not exact.
+    if abs(depths[row, left] + depths[row, right] - 2 * here) > BEND * (1.0 - here):
+        if abs(depths[row, left] - here) > abs(depths[row, right] - here):
+            left = column
+        else:
+            right = column
+    if abs(depths[above, column] + depths[below, column] - 2 * here) > BEND * (1.0 - here):
+        if abs(depths[above, column] - here) > abs(depths[below, column] - here):
+            above = row
+        else:
+            below = row
+    a, b = _place(row, left, depths, eye), _place(row, right, depths, eye)
+    c, d = _place(below, column, depths, eye), _place(above, column, depths, eye)
+    across, along = (b[0] - a[0], b[1] - a[1], b[2] - a[2]), (d[0] - c[0], d[1] - c[1], d[2] - c[2])
+    return _unit(
+        across[1] * along[2] - across[2] * along[1],
+        across[2] * along[0] - across[0] * along[2],
+        across[0] * along[1] - across[1] * along[0],
+    )
+
+
+@_part
+def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
+    """Of the surface in a pixel, from the eye [m]."""
+    ray = _ray(row, column, depths.shape[0], depths.shape[1], eye)
+    distance = _distance(depths[row, column], eye)
+    return distance * ray[0], distance * ray[1], distance * ray[2]
+
+
+@_part
+def _haze(colour: Vector, distance: float, steep: float, inks: Inks) -> Vector:
+    """Far things take on the horizon's colour, not so what is far below."""
+    return _mix(colour, inks.horizon, 0.75 * (1.0 - steep) * min(max((distance - 15.0) / 110.0, 0.0), 1.0))
+
+
+@_part
+def _floor(
+    x: float,
+    y: float,
+    ray: Vector,
+    fine: float,
+    coarse: float,
+    ground: Ground,
+    inks: Inks,
+    layers: Bytes,
+    casters: Array,
+    sectors: Array,
+) -> Vector:
+    """The colour of a place in the arena.
+
+    Args:
+        x: [m]
+        y: [m]
+        ray: Along which it is seen.
+        fine: What a pixel covers of the ground across the line of sight [m].
+        coarse: Along it [m].
+        ground: See `shade`, as for what follows.
+        inks: Colours.
+        layers: The map.
+        casters: Of shadows.
+        sectors: Of the sensors.
+    """
+    level = max(np.sqrt(ray[0] * ray[0] + ray[1] * ray[1]), 1e-9)
+    along_x, along_y = ray[0] / level, ray[1] / level
+    wide_x, wide_y = fine + (coarse - fine) * abs(along_x), fine + (coarse - fine) * abs(along_y)
+    soft = max(fine, 0.5 * coarse)
+    lines = 0.22 * _grid(x, y, wide_x, wide_y, 10.0, 0.035) + 0.09 * _grid(x, y, wide_x, wide_y, 2.0, 0.02)
+    colour = _mix(inks.floor, (0.0, 0.0, 0.0), lines)
+    dx, dy = x - ground.scan[0], y - ground.scan[1]
+    squared = dx * dx + dy * dy
+    if squared < RANGE * RANGE:
+        colour = _sector(colour, dx, dy, np.sqrt(squared), soft, ground.scan[2], sectors)
+    dx, dy, radius = x - ground.target[0], y - ground.target[1], ground.target[2] + soft
+    if dx * dx + dy * dy < radius * radius:
+        off = np.sqrt(dx * dx + dy * dy)
+        colour = _mix(colour, inks.target, 0.28 * _inside(ground.target[2] - off, soft))
+        colour = _mix(colour, inks.target, 0.9 * _inside(0.1 - abs(ground.target[2] - 0.1 - off), soft))
+        colour = _mix(colour, inks.target, 0.9 * _inside(0.25 - off, soft))
+    dark, safe, non_safe = _look_up(x, y, along_x, along_y, fine, coarse, ground.cell, layers)
+    for k in range(len(casters)):
+        dx, dy, reach = x - casters[k, 0], y - casters[k, 1], casters[k, 7]
+        if dx * dx + dy * dy < reach * reach:
+            dark = max(dark, _shadow(x, y, casters[k], casters[k, 6]))
+    colour = _mix(colour, (0.0, 0.0, 0.0), 0.42 * dark)
+    return _mix(_mix(colour, inks.safe, 0.85 * safe), inks.non_safe, 0.85 * non_safe)
+
+
+@_part
+def _grid(x: float, y: float, wide_x: float, wide_y: float, every: float, width: float) -> float:
+    """How much of a pixel a grid's lines cover."""
+    return max(_line(x, wide_x, every, width), _line(y, wide_y, every, width))
+
+
+@_part
+def _line(x: float, wide: float, every: float, width: float) -> float:
+    """How much of a pixel parallel lines cover: those that it shows or, of many, their share of the ground."""
+    off = abs(x - every * np.floor(x / every + 0.5))
+    line = min(max((width + wide) / 2 - off, 0.0), min(width, wide)) / wide
+    return float(line + (width / every - line) * min(max(wide / every - 0.5, 0.0), 1.0))
+
+
+@_part
+def _sector(colour: Vector, dx: float, dy: float, away: float, soft: float, yaw: float, sectors: Array) -> Vector:
+    """The free part of a sector, with a brighter rim where it ends."""
+    count = len(sectors)
+    wide = 2 * np.pi / count
+    turned = (np.arctan2(dy, dx) - yaw) / wide + 0.5
+    turned -= count * np.floor(turned / count)
+    sector = min(int(turned), count - 1)
+    reach = sectors[sector, 0]
+    if away > reach:
+        return colour
+    tint = sectors[sector, 1], sectors[sector, 2], sectors[sector, 3]
+    side = min(turned - sector, sector + 1 - turned) * wide * away
+    edge = max(0.75 * _inside(0.07 - (reach - away), soft), 0.25 * _inside(0.015 - side, soft))
+    return _mix(_mix(colour, tint, 0.24), tint, edge)
+
+
+@_part
+def _look_up(
+    x: float, y: float, along_x: float, along_y: float, fine: float, coarse: float, cell: float, layers: Bytes
+) -> Vector:
+    """The map's layers, averaged over what a pixel shows of the ground: as many looks as it has cells, up to a few."""
+    across, along = min(max(int(fine / cell), 1), 4), min(max(int(coarse / cell), 1), 4)
+    dark, safe, non_safe = 0.0, 0.0, 0.0
+    for i in range(across):
+        aside = ((i + 0.5) / across - 0.5) * fine
+        for j in range(along):
+            ahead = ((j + 0.5) / along - 0.5) * coarse
+            at_x, at_y = x + ahead * along_x - aside * along_y, y + ahead * along_y + aside * along_x
+            here = _between(at_x / cell - 0.5, at_y / cell - 0.5, layers)
+            dark, safe, non_safe = dark + here[0], safe + here[1], non_safe + here[2]
+    looks = 255.0 * across * along
+    return dark / looks, safe / looks, non_safe / looks
+
+
+@_part
+def _between(x: float, y: float, layers: Bytes) -> Vector:
+    """The map's layers at a point, in cells, interpolated between the middles of these; 0 beside the map."""
+    column, row = int(np.floor(x)), int(np.floor(y))
+    if column < 0 or row < 0 or column + 1 >= layers.shape[1] or row + 1 >= layers.shape[0]:
+        return 0.0, 0.0, 0.0
+    a, b = x - column, y - row
+    p, q, r, s = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+    c, d = column + 1, row + 1
+    return (
+        p * layers[row, column, 0] + q * layers[row, c, 0] + r * layers[d, column, 0] + s * layers[d, c, 0],
+        p * layers[row, column, 1] + q * layers[row, c, 1] + r * layers[d, column, 1] + s * layers[d, c, 1],
+        p * layers[row, column, 2] + q * layers[row, c, 2] + r * layers[d, column, 2] + s * layers[d, c, 2],
+    )
+
+
+@_part
+def _shadow(x: float, y: float, box: Array, height: float) -> float:
+    """How dark a point of the ground is under a box's shadow: the box's foot, pushed along to its top's."""
+    nearest = np.inf
+    for k in range(7):
+        up = height * k / 6
+        nearest = min(nearest, squared_distance(x - LEAN[0] * up, y - LEAN[1] * up, box))
+    return float(max(1.0 - np.sqrt(nearest) / (2 * SOFTNESS), 0.0))

@@ -1,0 +1,109 @@
+"""Solid things of a recording as a renderer draws them: boxes, walls and the vehicle, without ground and light."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.recording import Recording
+from nnql_bullet.render.camera import Camera
+from nnql_bullet.render.timeline import Moment
+from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind, works
+
+RendererName = Literal["tiny", "egl"]
+
+BOX: Colour = (0.52, 0.58, 0.66)
+WALL: Colour = (0.74, 0.75, 0.77)
+MOVING: Colour = (0.60, 0.44, 0.93)
+
+
+@dataclass(frozen=True, slots=True)
+class Solids:
+    """What a camera sees of them."""
+
+    colours: NDArray[np.uint8]
+    """(height, width, 3 or 4)"""
+    depths: NDArray[np.float32]
+    """OpenGL's (height, width): 1 where nothing is."""
+    gain: float
+    """What the colours are to be multiplied by."""
+
+
+class Renderer(Protocol):
+    """Draws solid things."""
+
+    def draw(self, moment: Moment, camera: Camera) -> Solids:
+        """What the camera sees at an instant."""
+
+    def close(self) -> None:
+        """Frees it."""
+
+
+def make_renderer(recording: Recording, name: RendererName) -> Renderer:
+    """The renderer of a name.
+
+    Raises:
+        UserError: If it does not work here, or the recording does not say what the vehicle looks like.
+    """
+    return BulletRenderer(recording, name)
+
+
+def best_renderer() -> RendererName:
+    """EGL where it works, else TinyRenderer."""
+    return "egl" if works("egl") else "tiny"
+
+
+class BulletRenderer:
+    """PyBullet's own renderers, and its window: a `scene` with what a recording says."""
+
+    def __init__(self, recording: Recording, kind: SceneKind) -> None:
+        """Builds the scene.
+
+        Args:
+            recording: Says what there is.
+            kind: See `BulletScene`.
+
+        Raises:
+            UserError: If the recording does not say what the vehicle looks like, or the renderer does not work here.
+        """
+        vehicle = recording.about["vehicle"]
+        if "urdf" not in vehicle:
+            raise UserError("this recording does not say what the vehicle looks like; record it again: navigate")
+        self.scene = BulletScene(kind)
+        world = recording.world
+        self._height = world.obstacle_height
+        for box in world.obstacles:
+            self._add_box(box, BOX)
+        for wall in world.walls:
+            self._add_box(wall, WALL)
+        self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
+        self._vehicle, joints = self.scene.add_robot(vehicle["urdf"])
+        names = vehicle["joints"]
+        self._joints = [joints[names[key]] for key in ("left_drive", "right_drive", "swivel", "caster_roll")]
+        self._axle_height = vehicle["wheel_radius"]
+
+    def show(self, moment: Moment) -> None:
+        """Puts everything where it is at an instant."""
+        pose = moment.pose
+        self.scene.place(self._vehicle, pose.x, pose.y, self._axle_height, pose.yaw)
+        for joint, angle in zip(self._joints, moment.joint_angles, strict=True):
+            self.scene.turn(self._vehicle, joint, angle)
+        for body, box in zip(self._movers, moment.movers, strict=True):
+            self.scene.place(body, box.x, box.y, self._height / 2, box.yaw)
+
+    def draw(self, moment: Moment, camera: Camera) -> Solids:
+        """What the camera sees at an instant."""
+        self.show(moment)
+        return Solids(*self.scene.picture(camera.view, camera.projection, camera.width, camera.height))
+
+    def close(self) -> None:
+        """Frees the engine."""
+        self.scene.close()
+
+    def _add_box(self, box: OrientedBox, colour: Colour) -> int:
+        body = self.scene.add_box((box.half_length, box.half_width, self._height / 2), colour)
+        self.scene.place(body, box.x, box.y, self._height / 2, box.yaw)
+        return body

@@ -1,0 +1,97 @@
+"""Frames as a file: a video, an animation, or one picture each."""
+
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Literal
+
+import imageio_ffmpeg
+from PIL import Image
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.files import write_atomically
+from nnql_bullet.render.shading import Bytes
+
+VideoFormat = Literal["mp4", "gif"]
+
+THREADS = 2
+"""Of the encoder, whatever the machine: what it makes depends on how many there are."""
+_PARAMETERS: dict[VideoFormat, list[str]] = {
+    # Plays in browsers while it is still being loaded.
+    "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
+    # A palette for each frame: one for all would have to wait for all of them.
+    "gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"],
+}
+_BITEXACT = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+
+
+def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps: float, kind: VideoFormat) -> None:
+    """Encodes frames as they come, and gives the file its name when it is whole.
+
+    Args:
+        path: Of the file.
+        frames: (h, w, 3)
+        size: Width and height in pixels, even ones.
+        fps: Frames a second.
+        kind: H.264 in MP4, or GIF.
+
+    Raises:
+        UserError: If there is no encoder, or it fails.
+        OSError: If it cannot be written.
+    """
+
+    def write(temporary: Path) -> None:
+        with _encoder(temporary, size, fps, kind) as encoder:
+            for frame in frames:
+                encoder.send(frame)
+
+    write_atomically(path, write)
+
+
+def write_pictures(folder: Path, frames: Iterable[Bytes]) -> Iterator[Bytes]:
+    """Writes each frame as it passes by: frame_00001.png and so on.
+
+    Raises:
+        UserError: If there are such pictures already.
+        OSError: If one cannot be written.
+    """
+    if any(folder.glob("frame_*.png")):
+        raise UserError(f"{folder}: holds frames already; give another folder, or empty this one")
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, frame in enumerate(frames, 1):
+        write_picture(folder / f"frame_{number:05d}.png", frame)
+        yield frame
+
+
+def write_picture(path: Path, picture: Bytes) -> None:
+    """Writes a PNG atomically."""
+    write_atomically(path, lambda temporary: Image.fromarray(picture).save(temporary))
+
+
+@contextmanager
+def _encoder(
+    path: Path, size: tuple[int, int], fps: float, kind: VideoFormat
+) -> Iterator[Generator[None, Bytes | None, None]]:
+    mp4 = kind == "mp4"
+    try:
+        encoder = imageio_ffmpeg.write_frames(
+            str(path),
+            size,
+            fps=fps,
+            codec="libx264" if mp4 else "gif",
+            pix_fmt_out="yuv420p" if mp4 else "pal8",
+            quality=None,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=[*_PARAMETERS[kind], *_BITEXACT],
+        )
+        with closing(encoder):
+            encoder.send(None)
+            yield encoder
+    except (RuntimeError, OSError) as error:
+        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+            raise
+        reason = " ".join(str(error).split())[:200]
+        raise UserError(
+            f"{path.name}: cannot be encoded ({reason}); `nnql-bullet doctor` tells what is there"
+        ) from None

@@ -1,0 +1,47 @@
+"""A recording in PyBullet's window, at the speed that it happened at."""
+
+import time
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.recording import Recording
+from nnql_bullet.render.camera import chase
+from nnql_bullet.render.solids import BulletRenderer
+from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.sim.bullet_scene import Colour, works
+
+RATE = 60.0
+"""Pictures a second."""
+LINGER = 3.0
+"""How long the ending is shown [s]."""
+THICK = 0.02
+"""Half height of the ground and of the target's disc [m]."""
+FLOOR: Colour = (0.90, 0.91, 0.90)
+DISC: Colour = (0.85, 0.35, 0.35)
+
+
+def watch(recording: Recording) -> None:
+    """Shows it, until it is over or the window is closed.
+
+    Raises:
+        UserError: If no window can be opened here, or the recording does not say what the vehicle looks like.
+    """
+    if not works("window"):  # where there is no display, the engine ends the process
+        raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
+    timeline, world = Timeline(recording), recording.world
+    renderer = BulletRenderer(recording, "window")
+    scene, follow = renderer.scene, chase(timeline, 1, 1)
+    ground = scene.add_box((world.width / 2, world.depth / 2, THICK), FLOOR)
+    scene.place(ground, world.width / 2, world.depth / 2, -THICK, 0.0)
+    target = scene.add_disc(world.target_radius, THICK, DISC)
+    scene.place(target, *world.target, 0.0, 0.0)
+    scene.show(True)
+    begin = time.monotonic()
+    try:
+        while scene.is_open and (now := time.monotonic() - begin) < timeline.duration + LINGER:
+            moment = timeline.at(now)
+            renderer.show(moment)
+            camera = follow(moment)
+            scene.look(camera.eye, camera.target)
+            time.sleep(1 / RATE)
+    finally:
+        renderer.close()
