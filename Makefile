@@ -19,7 +19,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' || \
 		{ echo "CPython 3.10 or 3.11 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,mujoco,ray,sb3,baselines,viz]'
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,mujoco,ray,sb3,baselines,viz,render]'
 	@touch $@
 
 demo: $(INSTALLED)

@@ -1,5 +1,6 @@
 """A recording's instants as pictures: solid things, ground and light, and what is written over them."""
 
+from dataclasses import replace
 from math import cos, sin
 
 import numpy as np
@@ -61,7 +62,7 @@ class Painter:
         self._cell = max(max(world.width, world.depth) / MOST_CELLS, FINEST)
         rows, columns = (int(np.ceil(side / self._cell)) for side in (world.depth, world.width))
         self._layers = np.zeros((rows, columns, 3), np.uint8)
-        for box in as_rows(world.obstacles + world.walls):
+        for box in as_rows(() if renderer.lights else world.obstacles + world.walls):
             paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
         self._safe = timeline.safe()
         self._painted = 1
@@ -71,7 +72,9 @@ class Painter:
     def paint(self, moment: Moment, camera: Camera) -> Bytes:
         """Red, green, blue (height, width, 3) of what the camera sees at an instant."""
         self._follow(moment)
-        solids, recording = self._renderer.draw(moment, camera), self._timeline.recording
+        samples, recording = self._renderer.samples, self._timeline.recording
+        camera = replace(camera, width=samples * camera.width, height=samples * camera.height)
+        solids = self._renderer.draw(moment, camera)
         readings = recording.readings[moment.step]
         boxes = as_rows((moved(recording.footprint, moment.pose), *moment.movers))
         reaches = [shadow_reach(box, height) for box, height in zip(boxes, self._heights, strict=True)]
@@ -79,14 +82,15 @@ class Painter:
             solids.colours,
             solids.depths,
             solids.gain,
+            solids.light,
             eye_of(camera),
             self._ground(moment),
             INKS,
             self._layers,
-            np.column_stack([boxes, self._heights, reaches]),
+            np.column_stack([boxes, self._heights, reaches])[: 0 if self._renderer.lights else None],
             np.column_stack([readings, tint(readings)]),
         )
-        return np.asarray(smooth_edges(picture, solids.depths))
+        return _averaged(smooth_edges(picture, solids.depths), samples)
 
     def _follow(self, moment: Moment) -> None:
         """Brings the path in the map up to the instant."""
@@ -112,3 +116,12 @@ class Painter:
             target=(*world.target, world.target_radius),
             scan=(x + c * ahead - s * left, y + s * ahead + c * left, yaw),
         )
+
+
+def _averaged(picture: Bytes, samples: int) -> Bytes:
+    """A picture in which each pixel is the mean of so many along either side."""
+    if samples == 1:
+        return picture
+    height, width, _ = picture.shape
+    squares = picture.reshape(height // samples, samples, width // samples, samples, 3)
+    return np.asarray(np.round(squares.mean(axis=(1, 3), dtype=np.float32)).astype(np.uint8))

@@ -33,7 +33,7 @@ BEND = 0.01
 RANGE = paper.SENSOR_RANGE
 
 
-def _kernel(function: F) -> F:
+def kernel(function: F) -> F:
     """Compiles a function."""
     return cast(F, numba.njit(cache=True, fastmath=True, error_model="numpy")(function))
 
@@ -101,13 +101,13 @@ def _vector(array: Array) -> Vector:
     return x, y, z
 
 
-@_kernel
+@kernel
 def shadow_reach(box: Array, height: float) -> float:
     """How far from the middle of a box (6,) its shadow falls [m]."""
     return float(np.hypot(box[2], box[3]) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
 
 
-@_kernel
+@kernel
 def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
     """Adds a box's shadow to the map.
 
@@ -126,7 +126,7 @@ def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
             layer[row, column] = max(layer[row, column], np.uint8(255 * dark))
 
 
-@_kernel
+@kernel
 def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: float) -> None:
     """Adds a straight line with round ends to the map, its edges smooth.
 
@@ -153,11 +153,12 @@ def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: 
             layer[row, column] = max(layer[row, column], np.uint8(255 * cover))
 
 
-@_kernel
+@kernel
 def shade(
     colours: Bytes,
     depths: NDArray[np.float32],
     gain: float,
+    known: NDArray[np.float32],
     eye: Eye,
     ground: Ground,
     inks: Inks,
@@ -171,6 +172,7 @@ def shade(
         colours: Of solid things (h, w, 3 or 4).
         depths: OpenGL's (h, w).
         gain: What the colours are to be multiplied by.
+        known: What light falls in each pixel (h, w), of what falls on open ground; (0, 0) if that is to be estimated.
         eye: The camera.
         ground: What lies on the ground.
         inks: Colours.
@@ -185,17 +187,20 @@ def shade(
     h, w = depths.shape
     picture = np.empty((h, w, 3), np.uint8)
     sun = _unit(-LEAN[0], -LEAN[1], 1.0)
-    height, pixel = eye.place[2], 2 * np.sqrt(_dot(eye.up, eye.up)) / h
+    height, pixel = eye.place[2], 2 * np.sqrt(dot(eye.up, eye.up)) / h
     for row in range(h):
         for column in range(w):
-            ray = _ray(row, column, h, w, eye)
-            steep = abs(ray[2]) / np.sqrt(_dot(ray, ray))
+            ray = ray_through(row, column, h, w, eye)
+            steep = abs(ray[2]) / np.sqrt(dot(ray, ray))
             if depths[row, column] < 1.0:
-                normal = _normal(row, column, depths, eye)
-                light = 0.62 + 0.14 * normal[2] + 0.34 * max(_dot(normal, sun), 0.0)
-                distance = _distance(depths[row, column], eye)
-                # The ground takes light away at the foot of things.
-                light *= gain * (0.86 + 0.14 * min(max((height + distance * ray[2]) / 0.35, 0.0), 1.0))
+                distance = distance_ahead(depths[row, column], eye)
+                if known.size:
+                    light = gain * known[row, column]
+                else:
+                    normal = surface_normal(row, column, depths, eye)
+                    light = 0.62 + 0.14 * normal[2] + 0.34 * max(dot(normal, sun), 0.0)
+                    # The ground takes light away at the foot of things.
+                    light *= gain * (0.86 + 0.14 * min(max((height + distance * ray[2]) / 0.35, 0.0), 1.0))
                 colour = (
                     light * colours[row, column, 0],
                     light * colours[row, column, 1],
@@ -211,6 +216,8 @@ def shade(
                     )
                 else:
                     colour = inks.outside
+                if known.size:
+                    colour = _mix((0.0, 0.0, 0.0), colour, known[row, column])
                 colour = _haze(colour, distance, steep, inks)
             else:
                 up = min(steep / 0.35, 1.0)
@@ -221,7 +228,7 @@ def shade(
     return picture
 
 
-@_kernel
+@kernel
 def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
     """The picture with the edges of solid things smoothed, where depths jump or bend.
 
@@ -256,7 +263,8 @@ def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
 
 
 @_part
-def _dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector, b: Vector) -> float:
+    """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -282,7 +290,7 @@ def _inside(distance: float, soft: float) -> float:
 
 
 @_part
-def _ray(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
+def ray_through(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
     """From the eye through a pixel, one metre ahead."""
     x, y = (2 * column + 1) / w - 1.0, 1.0 - (2 * row + 1) / h
     return (
@@ -293,17 +301,17 @@ def _ray(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
 
 
 @_part
-def _distance(depth: float, eye: Eye) -> float:
+def distance_ahead(depth: float, eye: Eye) -> float:
     """Ahead of the eye [m] of what has this depth: OpenGL's perspective matrix, solved for it."""
     return 2 * eye.near * eye.far / (eye.far + eye.near - (2 * depth - 1) * (eye.far - eye.near))
 
 
 @_part
-def _normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
+def surface_normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
     """Of the surface in a pixel: from the neighbours, across and along, that are nearest to it in depth."""
     h, w = depths.shape
     here = depths[row, column]
-    step = 2 + min(int(_distance(here, eye) / 15.0), 2)  # depths are the coarser the farther off
+    step = 2 + min(int(distance_ahead(here, eye) / 15.0), 2)  # depths are the coarser the farther off
     left, right = max(column - step, 0), min(column + step, w - 1)
     above, below = max(row - step, 0), min(row + step, h - 1)
     # Where the surface goes on to both sides, both neighbours: depths are not exact.
@@ -330,8 +338,8 @@ def _normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vec
 @_part
 def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
     """Of the surface in a pixel, from the eye [m]."""
-    ray = _ray(row, column, depths.shape[0], depths.shape[1], eye)
-    distance = _distance(depths[row, column], eye)
+    ray = ray_through(row, column, depths.shape[0], depths.shape[1], eye)
+    distance = distance_ahead(depths[row, column], eye)
     return distance * ray[0], distance * ray[1], distance * ray[2]
 
 

@@ -1,6 +1,6 @@
 """Solid things of a recording as a renderer draws them: boxes, walls and the vehicle, without ground and light."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
 from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind, works
 
-RendererName = Literal["tiny", "egl"]
+RendererName = Literal["tiny", "egl", "vtk"]
 
 BOX: Colour = (0.52, 0.58, 0.66)
 WALL: Colour = (0.74, 0.75, 0.77)
@@ -30,10 +30,18 @@ class Solids:
     """OpenGL's (height, width): 1 where nothing is."""
     gain: float
     """What the colours are to be multiplied by."""
+    light: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    """What falls in each pixel on surface or ground, as a share of what falls on open ground (height, width); (0, 0) of
+    a renderer that does not say."""
 
 
 class Renderer(Protocol):
     """Draws solid things."""
+
+    lights: bool
+    """Whether it says what light falls where, shadows and all."""
+    samples: int
+    """How many pixels it wants to draw for one of the picture, along either side."""
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
         """What the camera sees at an instant."""
@@ -48,7 +56,13 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     Raises:
         UserError: If it does not work here, or the recording does not say what the vehicle looks like.
     """
-    return BulletRenderer(recording, name)
+    if name != "vtk":
+        return BulletRenderer(recording, name)
+    try:
+        from nnql_bullet.render.vtk import VtkRenderer
+    except ImportError:
+        raise UserError("VTK is not installed; install it with: pip install 'nnql-bullet[render]'") from None
+    return VtkRenderer(recording)
 
 
 def best_renderer() -> RendererName:
@@ -58,6 +72,9 @@ def best_renderer() -> RendererName:
 
 class BulletRenderer:
     """PyBullet's own renderers, and its window: a `scene` with what a recording says."""
+
+    lights = False
+    samples = 1
 
     def __init__(self, recording: Recording, kind: SceneKind) -> None:
         """Builds the scene.

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
+from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
 from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.looks import Looks, Shape

@@ -89,9 +89,11 @@ class BulletScene:
         return body, {bullet.getJointInfo(body, joint, self.client)[1].decode(): joint for joint in joints}
 
     def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
-        """Puts something somewhere [m, rad]."""
+        """Puts the frame of something somewhere [m, rad]."""
         turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))
-        bullet.resetBasePositionAndOrientation(body, (x, y, z), turned, self.client)
+        ahead, left, up = bullet.getDynamicsInfo(body, -1, self.client)[3]  # the engine places centres of mass
+        middle = x + cos(yaw) * ahead - sin(yaw) * left, y + sin(yaw) * ahead + cos(yaw) * left, z + up
+        bullet.resetBasePositionAndOrientation(body, middle, turned, self.client)
 
     def turn(self, body: int, joint: int, angle: float) -> None:
         """Turns a joint to an angle [rad]."""

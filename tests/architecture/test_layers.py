@@ -126,6 +126,12 @@ def test_only_the_rrd_report_imports_rerun(module):
 
 
 @modules_and_root
+def test_only_the_vtk_renderer_imports_vtk(module):
+    libraries = {name.split(".")[0] for name in imported(module)}
+    assert not libraries & {"pyvista", "vtk", "vtkmodules"} or module == "nnql_bullet.render.vtk"
+
+
+@modules_and_root
 @pytest.mark.parametrize(("library", "home"), [("stable_baselines3", "training.sb3"), ("deap", "training.evolution")])
 def test_libraries_that_only_train_are_imported_in_one_module(module, library, home):
     assert library not in {name.split(".")[0] for name in imported(module)} or module == f"nnql_bullet.{home}"

@@ -1,0 +1,367 @@
+"""Light as it falls: what each place sees of the sun and of the sky, found by rays from it.
+
+A place on the ground or on a solid thing is lit by the sun's disc, whose shadows have soft edges, by the whole sky,
+which leaves corners and what is under the vehicle darker (ambient occlusion: Zhukov, Iones and Kronin, An ambient light
+illumination model, EGWR 1998), and by what the ground throws back. Rays meet the shapes themselves, so shadows have no
+resolution (Whitted, An improved illumination model for shaded display, CACM 1980).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.geometry import Array, OrientedBox, as_rows, squared_distance
+from nnql_bullet.render.shading import LEAN, Eye, Vector, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.vehicle.looks import Kind, Shape
+from nnql_bullet.worlds.spec import WorldSpec
+
+SUN_SHARE = 0.42
+"""Of the light on open ground, that comes from the sun; the rest comes from the sky."""
+BOUNCE = 0.6
+"""What the ground throws back on what faces it, of the light on open ground."""
+SUN_RADIUS = 0.03
+"""Of the sun's disc [rad]: some six times the true one, for softer edges."""
+SUN_RAYS, SKY_RAYS, BEARINGS = 16, 128, 48
+"""Into the sun's disc; into the sky, past the vehicle; and round, past boxes."""
+REACH = 4.0
+"""Boxes farther off take no light away [m]."""
+VEHICLE_REACH = 0.8
+"""Nor does the vehicle, from the sphere that holds it [m]."""
+FAR = 1e9
+"""As good as infinite [m], which the compiler's fast arithmetic does not know."""
+CELL = 1.0
+"""Of the grid that says which boxes are near [m]."""
+MARGIN = 3.0
+"""That it reaches beyond the arena [m]."""
+KINDS: dict[Kind, int] = {"box": 0, "cylinder": 1, "sphere": 2}
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+class Boxes(NamedTuple):
+    """Boxes that stand on the ground, and which of them are near each cell of a grid."""
+
+    rows: Array
+    """Of `as_rows` (n + m, 6): n that stand still, m that move."""
+    height: float
+    """Of all of them [m]."""
+    still: int
+    """n"""
+    first: NDArray[np.int64]
+    """Where in `near` those begin that stand still near each cell (rows, columns + 1)."""
+    near: NDArray[np.int64]
+
+
+class Parts(NamedTuple):
+    """The vehicle's shapes."""
+
+    kinds: NDArray[np.int64]
+    half_sizes: Array
+    """(k, 3) [m]"""
+    frames: Array
+    """From the world to each (k, 3, 4)."""
+    spheres: Array
+    """That hold each: middle and radius (k, 4) [m]."""
+    sphere: Vector
+    """Middle of the one that holds all [m]."""
+    radius: float
+    """[m]"""
+
+
+def sky_directions(count: int) -> Array:
+    """Directions (count, 3) spread evenly over the upper half of all: a Fibonacci spiral."""
+    up = (np.arange(count) + 0.5) / count
+    angle, level = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - up**2)
+    return np.column_stack([level * np.cos(angle), level * np.sin(angle), up])
+
+
+def sun_directions(count: int) -> Array:
+    """Directions (count, 3) spread evenly over the sun's disc: Vogel's spiral."""
+    middle = np.array([-LEAN[0], -LEAN[1], 1.0])
+    middle /= np.linalg.norm(middle)
+    aside = np.cross(middle, (0.0, 0.0, 1.0))
+    aside /= np.linalg.norm(aside)
+    angle, radius = GOLDEN_ANGLE * np.arange(count), SUN_RADIUS * np.sqrt((np.arange(count) + 0.5) / count)
+    spread = np.outer(radius * np.cos(angle), aside) + np.outer(radius * np.sin(angle), np.cross(middle, aside))
+    directions = middle + spread
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+SUN, SKY = sun_directions(SUN_RAYS), sky_directions(SKY_RAYS)
+ROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 2 * np.pi * (np.arange(BEARINGS) + 0.5) / BEARINGS])
+
+
+def standing_boxes(world: WorldSpec) -> Boxes:
+    """The world's boxes and walls, sorted into the grid."""
+    rows, columns = (int(np.ceil((side + 2 * MARGIN) / CELL)) for side in (world.depth, world.width))
+    first, near = _sorted_into_cells(world.solids, rows, columns)
+    return Boxes(world.solids, world.obstacle_height, len(world.solids), first, near)
+
+
+def with_movers(boxes: Boxes, movers: tuple[OrientedBox, ...]) -> Boxes:
+    """The same with boxes that move where they are."""
+    return boxes._replace(rows=np.concatenate([boxes.rows[: boxes.still], as_rows(movers)]))
+
+
+def placed_parts(shapes: Sequence[Shape], frames: Sequence[Array]) -> Parts:
+    """Shapes in frames, from each of theirs to the world (4, 4)."""
+    placed = np.array(frames)
+    half_sizes = np.array([shape.half_sizes for shape in shapes])
+    middles, radii = placed[:, :3, 3], np.linalg.norm(half_sizes, axis=1)
+    x, y, z = (middles.min(axis=0) + middles.max(axis=0)).tolist()
+    return Parts(
+        kinds=np.array([KINDS[shape.kind] for shape in shapes], dtype=np.int64),
+        half_sizes=half_sizes,
+        frames=np.ascontiguousarray(np.linalg.inv(placed)[:, :3]),
+        spheres=np.column_stack([middles, radii]),
+        sphere=(x / 2, y / 2, z / 2),
+        radius=float(np.max(np.linalg.norm(middles - (x / 2, y / 2, z / 2), axis=1) + radii)),
+    )
+
+
+@kernel
+def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """What `Boxes` calls `first` and `near`: counted, then noted."""
+    first = np.zeros((rows, columns + 1), np.int64)
+    near = np.empty(0, np.int64)
+    for noting in (False, True):
+        count = 0
+        for row in range(rows):
+            for column in range(columns):
+                x, y = (column + 0.5) * CELL - MARGIN, (row + 0.5) * CELL - MARGIN
+                first[row, column] = count
+                for k in range(len(boxes)):
+                    if squared_distance(x, y, boxes[k]) < (REACH + CELL) ** 2:
+                        if noting:
+                            near[count] = k
+                        count += 1
+            first[row, columns] = count
+        if not noting:
+            near = np.empty(count, np.int64)
+    return first, near
+
+
+@kernel
+def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: Parts) -> NDArray[np.float32]:
+    """How much light falls on what each pixel shows, as a share of what falls on open ground.
+
+    Args:
+        depths: OpenGL's (h, w); where nothing is, there is ground or sky.
+        eye: The camera.
+        boxes: Standing and moving ones.
+        parts: Of the vehicle.
+
+    Returns:
+        (h, w); 1 in the sky.
+    """
+    h, w = depths.shape
+    light = np.ones((h, w), np.float32)
+    near = np.empty(len(boxes.rows), np.int64)
+    for row in range(h):
+        for column in range(w):
+            ray = ray_through(row, column, h, w, eye)
+            if depths[row, column] < 1.0:
+                normal = surface_normal(row, column, depths, eye)
+                distance = distance_ahead(depths[row, column], eye)
+            elif ray[2] < -1e-6:
+                normal = 0.0, 0.0, 1.0
+                distance = -eye.place[2] / ray[2]
+            else:
+                continue
+            off = 0.002 + 3e-4 * distance  # depths are not exact
+            place = (
+                eye.place[0] + distance * ray[0] + off * normal[0],
+                eye.place[1] + distance * ray[1] + off * normal[1],
+                max(eye.place[2] + distance * ray[2], 0.0) + off * normal[2],
+            )
+            light[row, column] = light_at(place, normal, boxes, parts, near)
+    return light
+
+
+@kernel
+def light_at(place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: NDArray[np.int64]) -> float:
+    """How much light falls on a surface, as a share of what falls on open ground.
+
+    Args:
+        place: Just before it [m].
+        normal: Of it, unit vector.
+        boxes: Standing and moving ones.
+        parts: Of the vehicle.
+        near: Room for as many numbers as there are boxes.
+    """
+    count = _find_near(place, boxes, near)
+    away = place[0] - parts.sphere[0], place[1] - parts.sphere[1], place[2] - parts.sphere[2]
+    by_vehicle = dot(away, away) < (VEHICLE_REACH + parts.radius) ** 2
+    sun = _from_sun(place, normal, boxes, near, count, parts, by_vehicle)
+    sky = _from_sky(place, normal, boxes, near, count)
+    if by_vehicle:
+        sky *= _past_vehicle(place, normal, parts)
+    return SUN_SHARE * sun + (1 - SUN_SHARE) * sky + BOUNCE * (1 - normal[2]) / 2
+
+
+@kernel
+def _find_near(place: Vector, boxes: Boxes, near: NDArray[np.int64]) -> int:
+    """Notes the boxes that may take light away; how many there are."""
+    count = 0
+    if place[2] >= boxes.height:
+        return count
+    row, column = int((place[1] + MARGIN) / CELL), int((place[0] + MARGIN) / CELL)
+    if 0 <= row < boxes.first.shape[0] and 0 <= column < boxes.first.shape[1] - 1:
+        for k in range(boxes.first[row, column], boxes.first[row, column + 1]):
+            near[count] = boxes.near[k]
+            count += 1
+    for k in range(boxes.still, len(boxes.rows)):
+        dx, dy = place[0] - boxes.rows[k, 0], place[1] - boxes.rows[k, 1]
+        if np.hypot(dx, dy) < REACH + np.hypot(boxes.rows[k, 2], boxes.rows[k, 3]):
+            near[count] = k
+            count += 1
+    return count
+
+
+@kernel
+def _from_sun(
+    place: Vector,
+    normal: Vector,
+    boxes: Boxes,
+    near: NDArray[np.int64],
+    count: int,
+    parts: Parts,
+    by_vehicle: bool,
+) -> float:
+    """Light from the sun, as a share of what open ground has of it."""
+    arriving, all_of_it = 0.0, 0.0
+    for i in range(SUN_RAYS):
+        direction = SUN[i, 0], SUN[i, 1], SUN[i, 2]
+        all_of_it += direction[2]
+        facing = dot(normal, direction)
+        if facing <= 0.0:
+            continue
+        level = np.hypot(direction[0], direction[1])
+        at_top = (boxes.height - place[2]) / direction[2] * level  # how far away the ray is above all boxes
+        free = True
+        for k in range(count):
+            if _way_to_box(place, direction[0] / level, direction[1] / level, boxes.rows, near[k]) < at_top:
+                free = False
+                break
+        if free and not (by_vehicle and meets_parts(place, direction, parts)):
+            arriving += facing
+    return arriving / all_of_it
+
+
+@kernel
+def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int64], count: int) -> float:
+    """Light from the sky above the boxes, as a share of what open ground has of it.
+
+    All boxes stand on the ground and are of one height, so in each bearing the sky begins above the nearest one. With
+    the normal's parts a toward the bearing and c upward, what arrives from there is the integral of (a cos + c sin) cos
+    over elevations from there on.
+    """
+    arriving = 0.0
+    for i in range(BEARINGS):
+        a, c = normal[0] * ROUND[i, 0] + normal[1] * ROUND[i, 1], normal[2]
+        if a <= 0.0 and c <= 1e-3:
+            continue
+        away = FAR
+        for k in range(count):
+            away = min(away, _way_to_box(place, ROUND[i, 0], ROUND[i, 1], boxes.rows, near[k]))
+        lowest = max(np.arctan2(boxes.height - place[2], away), 0.0)
+        if a < 0.0:
+            lowest = max(lowest, np.arctan2(-a, c))  # the surface itself is in the way
+        level = a * ((np.pi / 2 - lowest) / 2 - np.sin(2 * lowest) / 4)
+        arriving += max(level + c * np.cos(lowest) ** 2 / 2, 0.0)
+    return 2 * arriving / BEARINGS
+
+
+@kernel
+def _past_vehicle(place: Vector, normal: Vector, parts: Parts) -> float:
+    """The share of the sky's light that the vehicle lets pass."""
+    arriving, all_of_it = 0.0, 1e-9
+    for i in range(SKY_RAYS):
+        direction = SKY[i, 0], SKY[i, 1], SKY[i, 2]
+        facing = dot(normal, direction)
+        if facing > 0.0:
+            all_of_it += facing
+            if not meets_parts(place, direction, parts):
+                arriving += facing
+    return arriving / all_of_it
+
+
+@kernel
+def _way_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> float:
+    """How far a level ray goes to a box of the rows [m]; `FAR` if it misses it (see `geometry.ray_distances`)."""
+    dx, dy, c, s = place[0] - rows[k, 0], place[1] - rows[k, 1], rows[k, 4], rows[k, 5]
+    enter, leave = _between_planes(0.0, REACH, c * dx + s * dy, c * ux + s * uy, rows[k, 2])
+    enter, leave = _between_planes(enter, leave, c * dy - s * dx, c * uy - s * ux, rows[k, 3])
+    return enter if enter < leave else FAR
+
+
+@kernel
+def _between_planes(enter: float, leave: float, start: float, rate: float, half: float) -> tuple[float, float]:
+    """The part of a stretch of a ray where a coordinate, at first `start` and growing at `rate`, is within +-half."""
+    if abs(rate) < 1e-9:
+        return (enter, leave) if abs(start) < half else (enter, enter)
+    first, second = (-half - start) / rate, (half - start) / rate
+    return max(enter, min(first, second)), min(leave, max(first, second))
+
+
+@kernel
+def meets_parts(place: Vector, direction: Vector, parts: Parts) -> bool:
+    """Whether a ray from a place in a direction, a unit vector, meets one of the vehicle's shapes."""
+    if _passes(place, direction, parts.sphere, parts.radius):
+        return False
+    for k in range(len(parts.kinds)):
+        middle = parts.spheres[k, 0], parts.spheres[k, 1], parts.spheres[k, 2]
+        if not _passes(place, direction, middle, parts.spheres[k, 3]) and _meets_part(place, direction, parts, k):
+            return True
+    return False
+
+
+@kernel
+def _passes(place: Vector, direction: Vector, middle: Vector, radius: float) -> bool:
+    """Whether a ray passes by a sphere, or leaves it behind."""
+    away = middle[0] - place[0], middle[1] - place[1], middle[2] - place[2]
+    along = dot(away, direction)
+    return along < -radius or dot(away, away) - along * along > radius * radius
+
+
+@kernel
+def _meets_part(place: Vector, direction: Vector, parts: Parts, k: int) -> bool:
+    """Whether a ray meets a shape: slabs (Kay and Kajiya, SIGGRAPH 1986), and a quadratic for what is round."""
+    x, y, z = _in_frame(parts.frames, k, place, 1.0)
+    u, v, w = _in_frame(parts.frames, k, direction, 0.0)
+    enter, leave = _between_planes(0.0, FAR, z, w, parts.half_sizes[k, 2])
+    kind, radius = parts.kinds[k], parts.half_sizes[k, 0]
+    if kind == 0:
+        enter, leave = _between_planes(enter, leave, x, u, radius)
+        enter, leave = _between_planes(enter, leave, y, v, parts.half_sizes[k, 1])
+        return enter < leave
+    bends = 1.0 if kind == 2 else 0.0  # along z too, as a sphere does
+    a, b = u * u + v * v + bends * w * w, x * u + y * v + bends * z * w
+    c = x * x + y * y + bends * z * z - radius * radius
+    if a < 1e-12:
+        return c < 0.0 and enter < leave
+    squared = b * b - a * c
+    if squared <= 0.0:
+        return False
+    root = np.sqrt(squared)
+    return bool(max(enter, (-b - root) / a) < min(leave, (-b + root) / a))
+
+
+@kernel
+def _in_frame(frames: Array, k: int, vector: Vector, moved: float) -> Vector:
+    """A vector, or with `moved` = 1 a place, in another frame."""
+    return (
+        frames[k, 0, 0] * vector[0]
+        + frames[k, 0, 1] * vector[1]
+        + frames[k, 0, 2] * vector[2]
+        + moved * frames[k, 0, 3],
+        frames[k, 1, 0] * vector[0]
+        + frames[k, 1, 1] * vector[1]
+        + frames[k, 1, 2] * vector[2]
+        + moved * frames[k, 1, 3],
+        frames[k, 2, 0] * vector[0]
+        + frames[k, 2, 1] * vector[1]
+        + frames[k, 2, 2] * vector[2]
+        + moved * frames[k, 2, 3],
+    )

@@ -1,0 +1,113 @@
+"""Solid things drawn by VTK, for pictures that go into papers (needs the extra `render`).
+
+Round things are round, and the light is the true one of `light.py`: soft shadows on everything, darker corners.
+"""
+
+import os
+from typing import Any
+
+import numpy as np
+import pyvista
+from numpy.typing import NDArray
+from vtkmodules.vtkCommonCore import vtkFloatArray, vtkLogger, vtkUnsignedCharArray
+
+from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.recording import Recording
+from nnql_bullet.render.camera import Camera
+from nnql_bullet.render.light import light_in_pixels, placed_parts, standing_boxes, with_movers
+from nnql_bullet.render.shading import eye_of
+from nnql_bullet.render.solids import BOX, MOVING, WALL, Solids
+from nnql_bullet.render.timeline import Moment
+from nnql_bullet.vehicle.looks import Colour, Looks, Shape, upright
+
+FACETS = 96
+"""Of what is round."""
+
+
+class VtkRenderer:
+    """VTK without a window. Not to be used in turns with PyBullet's EGL, which draws into whatever is current."""
+
+    lights = True
+    samples = 2
+
+    def __init__(self, recording: Recording) -> None:
+        """Builds the scene.
+
+        Args:
+            recording: Says what there is.
+
+        Raises:
+            UserError: If the recording does not say what the vehicle looks like.
+        """
+        self._looks = Looks(recording.about["vehicle"])
+        world = recording.world
+        self._height = world.obstacle_height
+        self._boxes = standing_boxes(world)
+        os.environ.setdefault(
+            "LP_NUM_THREADS", "1"
+        )  # Mesa's software renderer: pictures are drawn in several processes
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it tries a display, EGL and OSMesa, and tells
+        self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
+        self._plotter.disable_anti_aliasing()  # a pixel has one depth
+        for boxes, colour in ((world.obstacles, BOX), (world.walls, WALL)):
+            for box in boxes:
+                self._add_box(box, colour)
+        self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
+        self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._looks.shapes]
+
+    def draw(self, moment: Moment, camera: Camera) -> Solids:
+        """What the camera sees at an instant."""
+        frames = self._looks.frames(moment.pose, moment.joint_angles)
+        for part, frame in zip(self._parts, frames, strict=True):
+            part.user_matrix = frame
+        for mover, box in zip(self._movers, moment.movers, strict=True):
+            mover.user_matrix = upright(box.x, box.y, self._height / 2, box.yaw)
+        colours, depths = self._picture(camera)
+        boxes, parts = with_movers(self._boxes, moment.movers), placed_parts(self._looks.shapes, frames)
+        light = light_in_pixels(depths, eye_of(camera), boxes, parts)
+        return Solids(colours, depths, 1.0, light)
+
+    def close(self) -> None:
+        """Frees VTK."""
+        self._plotter.close()
+
+    def _picture(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Colours (h, w, 3) and OpenGL's depths (h, w)."""
+        view = self._plotter.camera
+        view.position, view.focal_point, view.up = camera.eye, camera.target, camera.axes[1]
+        view.view_angle = np.degrees(camera.field_of_view)
+        view.clipping_range = camera.near, camera.far
+        self._plotter.window_size = camera.width, camera.height
+        window = self._plotter.render_window
+        window.Render()
+        colours, depths = vtkUnsignedCharArray(), vtkFloatArray()
+        last = camera.width - 1, camera.height - 1
+        window.GetPixelData(0, 0, *last, False, colours, 0)
+        window.GetZbufferData(0, 0, *last, depths)
+        shape = camera.height, camera.width  # from the lower left corner up
+        return (
+            np.ascontiguousarray(pyvista.convert_array(colours).reshape(*shape, 3)[::-1]),
+            np.ascontiguousarray(pyvista.convert_array(depths).reshape(shape)[::-1]),
+        )
+
+    def _add_box(self, box: OrientedBox, colour: Colour) -> Any:
+        actor = self._add(_cuboid(box.half_length, box.half_width, self._height / 2), colour)
+        actor.user_matrix = upright(box.x, box.y, self._height / 2, box.yaw)
+        return actor
+
+    def _add(self, mesh: Any, colour: Colour) -> Any:
+        return self._plotter.add_mesh(mesh, color=colour, lighting=False)
+
+
+def _mesh(shape: Shape) -> Any:
+    x, y, z = shape.half_sizes
+    if shape.kind == "box":
+        return _cuboid(x, y, z)
+    if shape.kind == "cylinder":
+        return pyvista.Cylinder(direction=(0, 0, 1), radius=x, height=2 * z, resolution=FACETS)
+    return pyvista.Sphere(radius=x, theta_resolution=FACETS, phi_resolution=FACETS // 2)
+
+
+def _cuboid(x: float, y: float, z: float) -> Any:
+    """A box about the origin, of these half sizes [m]."""
+    return pyvista.Cube(x_length=2 * x, y_length=2 * y, z_length=2 * z)
