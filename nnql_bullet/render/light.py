@@ -23,7 +23,7 @@ BOUNCE = 0.6
 """What the ground throws back on what faces it, of the light on open ground."""
 SUN_RADIUS = 0.03
 """Of the sun's disc [rad]: some six times the true one, for softer edges."""
-SUN_RAYS, SKY_RAYS, BEARINGS = 16, 128, 48
+SUN_RAYS, SKY_RAYS, BEARINGS = 16, 64, 48
 """Into the sun's disc; into the sky, past the vehicle; and round, past boxes."""
 REACH = 4.0
 """Boxes farther off take no light away [m]."""
@@ -89,6 +89,9 @@ def sun_directions(count: int) -> Array:
 
 
 SUN, SKY = sun_directions(SUN_RAYS), sky_directions(SKY_RAYS)
+LEVEL = np.hypot(SUN[:, 0], SUN[:, 1])
+SUN_BEARINGS = np.column_stack([SUN[:, 0] / LEVEL, SUN[:, 1] / LEVEL, LEVEL / SUN[:, 2]])
+"""Of the same directions: x, y of their level parts, and how far along these each gets while it rises one metre."""
 ROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 2 * np.pi * (np.arange(BEARINGS) + 0.5) / BEARINGS])
 
 
@@ -237,11 +240,10 @@ def _from_sun(
         facing = dot(normal, direction)
         if facing <= 0.0:
             continue
-        level = np.hypot(direction[0], direction[1])
-        at_top = (boxes.height - place[2]) / direction[2] * level  # how far away the ray is above all boxes
+        at_top = (boxes.height - place[2]) * SUN_BEARINGS[i, 2]  # how far away the ray is above all boxes
         free = True
         for k in range(count):
-            if _way_to_box(place, direction[0] / level, direction[1] / level, boxes.rows, near[k]) < at_top:
+            if _way_to_box(place, SUN_BEARINGS[i, 0], SUN_BEARINGS[i, 1], boxes.rows, near[k]) < at_top:
                 free = False
                 break
         if free and not (by_vehicle and meets_parts(place, direction, parts)):
@@ -255,21 +257,27 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
 
     All boxes stand on the ground and are of one height, so in each bearing the sky begins above the nearest one. With
     the normal's parts a toward the bearing and c upward, what arrives from there is the integral of (a cos + c sin) cos
-    over elevations from there on.
+    over elevations from where the sky begins.
     """
-    arriving = 0.0
+    c = normal[2]
+    if count == 0:
+        return (1 + c) / 2
+    arriving, height = 0.0, boxes.height - place[2]
     for i in range(BEARINGS):
-        a, c = normal[0] * ROUND[i, 0] + normal[1] * ROUND[i, 1], normal[2]
+        a = normal[0] * ROUND[i, 0] + normal[1] * ROUND[i, 1]
         if a <= 0.0 and c <= 1e-3:
             continue
         away = FAR
         for k in range(count):
             away = min(away, _way_to_box(place, ROUND[i, 0], ROUND[i, 1], boxes.rows, near[k]))
-        lowest = max(np.arctan2(boxes.height - place[2], away), 0.0)
-        if a < 0.0:
-            lowest = max(lowest, np.arctan2(-a, c))  # the surface itself is in the way
-        level = a * ((np.pi / 2 - lowest) / 2 - np.sin(2 * lowest) / 4)
-        arriving += max(level + c * np.cos(lowest) ** 2 / 2, 0.0)
+        rise, run = height, away  # to where the sky begins
+        if a < 0.0 and -a * run > rise * c:
+            rise, run = -a, c  # the surface itself is in the way
+        squared = rise * rise + run * run
+        part = c * run * run / (2 * squared)
+        if a != 0.0:
+            part += a * ((np.pi / 2 - np.arctan2(rise, run)) - rise * run / squared) / 2
+        arriving += max(part, 0.0)
     return 2 * arriving / BEARINGS
 
 
