@@ -277,7 +277,7 @@ def _layout(recording: Recording) -> rrb.Blueprint:
     world = recording.world
     x, y, far = world.width / 2, world.depth / 2, max(world.width, world.depth)
     whole = rrb.EyeControls3D(position=(x, y - 0.4 * far, 1.15 * far), look_target=(x, y, 0.0))
-    behind = rrb.EyeControls3D(position=(-8.0, 0.0, 5.0), look_target=(3.0, 0.0, 0.0))
+    behind = rrb.EyeControls3D(position=(-5.6, 0.0, 3.3), look_target=(2.6, 0.0, 0.0))
     scenes = rrb.Vertical(
         rrb.Spatial3DView(origin="world", name="world", eye_controls=whole, line_grid=False),
         rrb.Spatial3DView(
