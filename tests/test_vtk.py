@@ -23,7 +23,7 @@ from nnql_bullet.rollout import run_episode
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.vehicle.looks import Looks, upright
+from nnql_bullet.vehicle.looks import upright
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
@@ -133,18 +133,6 @@ class TestSolids:
         assert local[:, 0].max() == pytest.approx(box.x + box.half_length, abs=0.02)
         assert local[:, 1].min() == pytest.approx(-box.half_width, abs=0.02)
 
-    def test_wheels_turn_with_their_joints(self, recording: Recording, moment: Moment) -> None:
-        body = Looks(recording.about["vehicle"])
-        quarter = replace(moment, joint_angles=(np.pi / 2, 0.0, 0.0, 0.0))
-        before, after = (
-            body.frames(m.pose, m.joint_angles) for m in (replace(moment, joint_angles=(0.0,) * 4), quarter)
-        )
-        turned = {s.link for s, a, b in zip(body.shapes, before, after, strict=True) if not np.allclose(a, b)}
-        assert turned == {"left_wheel"}
-        frame = upright(moment.pose.x, moment.pose.y, 0.125, moment.pose.yaw)
-        middle = next(a for s, a in zip(body.shapes, after, strict=True) if s.link == "left_wheel")[:3, 3]
-        assert np.linalg.inv(frame) @ (*middle, 1.0) == pytest.approx([0.0, 0.3, 0.0, 1.0], abs=1e-9)
-
     def test_it_sees_what_pybullet_sees(self, recording: Recording, moment: Moment, renderer: Renderer) -> None:
         """The vehicle's outline too, but for pixels on edges."""
         close = Camera((9.5, 6.0, 1.0), (moment.pose.x, moment.pose.y, 0.2), radians(30), 480, 300, near=1.0)
@@ -201,17 +189,3 @@ def test_without_the_extra_it_names_it(recording: Recording, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(UserError, match=r"nnql-bullet\[render\]"):
         make_renderer(recording, "vtk")
-
-
-class TestRefusal:
-    def test_a_recording_that_does_not_say_what_the_vehicle_looks_like(self, recording: Recording) -> None:
-        old = {key: value for key, value in recording.about["vehicle"].items() if key != "urdf"}
-        with pytest.raises(UserError, match="record it again"):
-            Looks(old)
-
-    def test_meshes(self, recording: Recording) -> None:
-        vehicle = recording.about["vehicle"]
-        urdf = vehicle["urdf"].replace('<cylinder radius="0.025" length="0.2" />', '<mesh filename="mast.stl" />')
-        assert urdf != vehicle["urdf"]
-        with pytest.raises(UserError, match="'chassis' of the vehicle looks like a mesh"):
-            Looks({**vehicle, "urdf": urdf})
