@@ -37,7 +37,7 @@ NOWHERE = placed_parts([AWAY], [upright(-900.0, 0.0, 0.0, 0.0)])
 
 
 def light(place: Vector, boxes: Boxes, parts: Parts = NOWHERE, normal: Vector = UP) -> float:
-    return float(light_at(place, normal, boxes, parts, np.empty(len(boxes.rows), np.int64)))
+    return float(light_at(place, normal, boxes, parts, np.empty(len(boxes.rows), np.int64), 0, 1))
 
 
 def sun_of(found: float, sky: float) -> float:

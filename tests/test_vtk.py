@@ -17,7 +17,8 @@ from nnql_bullet.geometry import OrientedBox, Pose, as_rows, squared_distance
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.painter import Painter
-from nnql_bullet.render.solids import BOX, MOVING, WALL, BulletRenderer, Renderer, Solids, make_renderer
+from nnql_bullet.render.renderers import make_renderer
+from nnql_bullet.render.solids import BOX, MOVING, WALL, BulletRenderer, Renderer, Solids
 from nnql_bullet.render.timeline import Moment, Timeline
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.sim.base import DriveOptions

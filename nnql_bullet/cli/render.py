@@ -13,7 +13,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Film, frame_times
-from nnql_bullet.render.solids import RendererName, best_renderer
+from nnql_bullet.render.renderers import RendererName, best_renderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat
 from nnql_bullet.runs import drives_folder

@@ -13,8 +13,8 @@ from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import PATHS, Camera, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
+from nnql_bullet.render.renderers import RendererName, make_renderer
 from nnql_bullet.render.shading import Bytes
-from nnql_bullet.render.solids import RendererName, make_renderer
 from nnql_bullet.render.timeline import Timeline
 
 HOLD = 1.5

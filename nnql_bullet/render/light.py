@@ -23,8 +23,10 @@ BOUNCE = 0.6
 """What the ground throws back on what faces it, of the light on open ground."""
 SUN_RADIUS = 0.03
 """Of the sun's disc [rad]: some six times the true one, for softer edges."""
-SUN_RAYS, SKY_RAYS, BEARINGS = 16, 64, 48
+SUN_RAYS, SKY_RAYS, BEARINGS = 32, 256, 48
 """Into the sun's disc; into the sky, past the vehicle; and round, past boxes."""
+SAMPLES = 2
+"""Along either side of a square of pixels, which share the rays into the sun and the sky among them."""
 REACH = 4.0
 """Boxes farther off take no light away [m]."""
 VEHICLE_REACH = 0.8
@@ -178,12 +180,15 @@ def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: 
                 eye.place[1] + distance * ray[1] + off * normal[1],
                 max(eye.place[2] + distance * ray[2], 0.0) + off * normal[2],
             )
-            light[row, column] = light_at(place, normal, boxes, parts, near)
+            first = row % SAMPLES * SAMPLES + column % SAMPLES
+            light[row, column] = light_at(place, normal, boxes, parts, near, first, SAMPLES * SAMPLES)
     return light
 
 
 @kernel
-def light_at(place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: NDArray[np.int64]) -> float:
+def light_at(
+    place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: NDArray[np.int64], first: int, every: int
+) -> float:
     """How much light falls on a surface, as a share of what falls on open ground.
 
     Args:
@@ -192,14 +197,16 @@ def light_at(place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: ND
         boxes: Standing and moving ones.
         parts: Of the vehicle.
         near: Room for as many numbers as there are boxes.
+        first: Of the rays into the sun and the sky that are used.
+        every: How many it is to the next one.
     """
     count = _find_near(place, boxes, near)
     away = place[0] - parts.sphere[0], place[1] - parts.sphere[1], place[2] - parts.sphere[2]
     by_vehicle = dot(away, away) < (VEHICLE_REACH + parts.radius) ** 2
-    sun = _from_sun(place, normal, boxes, near, count, parts, by_vehicle)
+    sun = _from_sun(place, normal, boxes, near, count, parts, by_vehicle, first, every)
     sky = _from_sky(place, normal, boxes, near, count)
     if by_vehicle:
-        sky *= _past_vehicle(place, normal, parts)
+        sky *= _past_vehicle(place, normal, parts, first, every)
     return SUN_SHARE * sun + (1 - SUN_SHARE) * sky + BOUNCE * (1 - normal[2]) / 2
 
 
@@ -231,10 +238,12 @@ def _from_sun(
     count: int,
     parts: Parts,
     by_vehicle: bool,
+    first: int,
+    every: int,
 ) -> float:
     """Light from the sun, as a share of what open ground has of it."""
     arriving, all_of_it = 0.0, 0.0
-    for i in range(SUN_RAYS):
+    for i in range(first, SUN_RAYS, every):
         direction = SUN[i, 0], SUN[i, 1], SUN[i, 2]
         all_of_it += direction[2]
         facing = dot(normal, direction)
@@ -282,10 +291,10 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
 
 
 @kernel
-def _past_vehicle(place: Vector, normal: Vector, parts: Parts) -> float:
+def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every: int) -> float:
     """The share of the sky's light that the vehicle lets pass."""
     arriving, all_of_it = 0.0, 1e-9
-    for i in range(SKY_RAYS):
+    for i in range(first, SKY_RAYS, every):
         direction = SKY[i, 0], SKY[i, 1], SKY[i, 2]
         facing = dot(normal, direction)
         if facing > 0.0:

@@ -1,7 +1,7 @@
 """Solid things of a recording as a renderer draws them: boxes, walls and the vehicle, without ground and light."""
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
-from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind, works
-
-RendererName = Literal["tiny", "egl", "vtk"]
+from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind
 
 BOX: Colour = (0.52, 0.58, 0.66)
 WALL: Colour = (0.74, 0.75, 0.77)
@@ -48,26 +46,6 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Frees it."""
-
-
-def make_renderer(recording: Recording, name: RendererName) -> Renderer:
-    """The renderer of a name.
-
-    Raises:
-        UserError: If it does not work here, or the recording does not say what the vehicle looks like.
-    """
-    if name != "vtk":
-        return BulletRenderer(recording, name)
-    try:
-        from nnql_bullet.render.vtk import VtkRenderer
-    except ImportError:
-        raise UserError("VTK is not installed; install it with: pip install 'nnql-bullet[render]'") from None
-    return VtkRenderer(recording)
-
-
-def best_renderer() -> RendererName:
-    """EGL where it works, else TinyRenderer."""
-    return "egl" if works("egl") else "tiny"
 
 
 class BulletRenderer:

@@ -14,7 +14,7 @@ from vtkmodules.vtkCommonCore import vtkFloatArray, vtkLogger, vtkUnsignedCharAr
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
-from nnql_bullet.render.light import light_in_pixels, placed_parts, standing_boxes, with_movers
+from nnql_bullet.render.light import SAMPLES, light_in_pixels, placed_parts, standing_boxes, with_movers
 from nnql_bullet.render.shading import eye_of
 from nnql_bullet.render.solids import BOX, MOVING, WALL, Solids
 from nnql_bullet.render.timeline import Moment
@@ -28,7 +28,7 @@ class VtkRenderer:
     """VTK without a window. Not to be used in turns with PyBullet's EGL, which draws into whatever is current."""
 
     lights = True
-    samples = 2
+    samples = SAMPLES
 
     def __init__(self, recording: Recording) -> None:
         """Builds the scene.
