@@ -3,6 +3,7 @@
 from math import cos, sin
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet import colours, paper
 from nnql_bullet.geometry import Array, as_rows, moved
@@ -68,8 +69,8 @@ class Painter:
         """Places of the path that are in the map."""
         self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
 
-    def paint(self, moment: Moment, camera: Camera) -> Bytes:
-        """Red, green, blue (height, width, 3) of what the camera sees at an instant."""
+    def paint(self, moment: Moment, camera: Camera) -> tuple[Bytes, NDArray[np.float32]]:
+        """What the camera sees at an instant: red, green, blue (height, width, 3), and the `Solids.depths`."""
         self._follow(moment)
         solids, recording = self._renderer.draw(moment, camera), self._timeline.recording
         readings = recording.readings[moment.step]
@@ -86,7 +87,7 @@ class Painter:
             np.column_stack([boxes, self._heights, reaches]),
             np.column_stack([readings, tint(readings)]),
         )
-        return np.asarray(smooth_edges(picture, solids.depths))
+        return smooth_edges(picture, solids.depths), solids.depths
 
     def _follow(self, moment: Moment) -> None:
         """Brings the path in the map up to the instant."""
