@@ -92,7 +92,7 @@ def _write(found: Failures, recordings: Path, folder: Path) -> None:
     for one in found.replays:
         (recordings / one.failed.film.name).replace(folder / one.failed.film.name)
     for name, its in found.groups.items():
-        shown = report.varied(its, report.SHOWN)
+        shown = report.varied(its, [one.failed.place for one in its], report.SHOWN)
         drives = [(one.failed.title, load_recording(folder / one.failed.film.name), one.features) for one in shown]
         report.draw_sheet(drives, folder / report.sheet(name))
     write_text(folder / "failures.md", report.failures_markdown(found))

@@ -33,8 +33,8 @@ of the speed goes along the surface than into it."""
 STRUCK = 0.5
 """Least share of the speed at which vehicle and box meet that is the box's own, if it struck the vehicle."""
 HESITATION = 4.0
-"""Turns to and fro count this long before a collision [s]: at the paper's speed the vehicle could have turned round in
-that time, and been 5 m away."""
+"""Turns to and fro count so long before a collision [s]: time in which the paper's vehicle drives 8 m, and could have
+turned right round."""
 TURN = pi / 12
 """A smaller change of heading is no turn to a side [rad]: half of the smallest of the paper's."""
 REVERSALS = 2

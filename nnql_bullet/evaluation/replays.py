@@ -3,7 +3,7 @@
 import csv
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,26 +86,26 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet evaluate") from None
 
 
+def earlier_alike(keys: Iterable[Hashable]) -> list[int]:
+    """Of each key, how many before it are the same."""
+    seen: Counter[Hashable] = Counter()
+    found = []
+    for key in keys:
+        found.append(seen[key])
+        seen[key] += 1
+    return found
+
+
 def choose(failed: Sequence[FailedDrive], most: int) -> list[FailedDrive]:
     """Of each method in each kind of world so many at most: the first of each of its policies, then the second, ...
 
     Returns:
         Those chosen, in the order in which they were given.
     """
-    drives: Counter[tuple[str, str]] = Counter()
-    ranked: list[tuple[int, int]] = []
-    for number, one in enumerate(failed):
-        whose = one.film.policy.name, one.film.tier.name
-        ranked.append((drives[whose], number))
-        drives[whose] += 1
-    taken: Counter[tuple[str, str]] = Counter()
-    chosen = []
-    for _, number in sorted(ranked):
-        place = failed[number].place
-        taken[place] += 1
-        if taken[place] <= most:
-            chosen.append(number)
-    return [failed[number] for number in sorted(chosen)]
+    ranks = earlier_alike((one.film.policy.name, one.film.tier.name) for one in failed)
+    by_rank = sorted(range(len(failed)), key=lambda number: (ranks[number], number))
+    before = earlier_alike(failed[number].place for number in by_rank)
+    return [failed[number] for number in sorted(n for n, rank in zip(by_rank, before, strict=True) if rank < most)]
 
 
 def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]) -> None:

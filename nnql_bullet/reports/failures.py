@@ -1,11 +1,11 @@
 """Groups of failures as text and pictures."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import asdict
 from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ from nnql_bullet.evaluation.failures import (
     Features,
     Group,
 )
-from nnql_bullet.evaluation.replays import Failures, Replay
+from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.plots import (
@@ -48,6 +48,8 @@ from nnql_bullet.reports.plots import (
     save_figure,
 )
 from nnql_bullet.reports.tables import markdown_table
+
+T = TypeVar("T")
 
 SHOWN = 12
 """Most drives on a contact sheet."""
@@ -79,14 +81,11 @@ def sheet(group: Group) -> str:
     return f"{group.replace(' ', '-')}.png"
 
 
-def varied(replays: Sequence[Replay], most: int) -> list[Replay]:
-    """So many of them at most, of as many methods and kinds of worlds as possible, in their order."""
-    seen: Counter[tuple[str, str]] = Counter()
-    ranked = []
-    for number, one in enumerate(replays):
-        ranked.append((seen[one.failed.place], number))
-        seen[one.failed.place] += 1
-    return [replays[number] for number in sorted(number for _, number in sorted(ranked)[:most])]
+def varied(drives: Sequence[T], places: Iterable[Hashable], most: int) -> list[T]:
+    """So many drives at most, from as many places (methods and worlds) as possible, in their order."""
+    ranks = earlier_alike(places)
+    first = sorted(range(len(drives)), key=lambda number: (ranks[number], number))[:most]
+    return [drives[number] for number in sorted(first)]
 
 
 def counted(found: Failures) -> str:
