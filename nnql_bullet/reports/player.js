@@ -4,6 +4,7 @@
 const SECTOR = Math.PI / 4;
 const MARGIN = 2; // around the arena [m]
 const CLOSE = 13; // half side of what is drawn around the vehicle [m]
+const SMALL = 4; // half a vehicle that is too small to see is drawn as large as this [CSS pixels]
 const LONGEST = 20; // time that it takes at most to play a drive [s]
 
 const sums = (differences) => {
@@ -99,7 +100,10 @@ const draw = (canvas, drive, i, x, y, half) => {
   };
   shape(path(true), null, colour("safe"), 2);
   shape(path(false), null, colour("non-safe"), 2);
-  shape(within(drive.x[i], drive.y[i], drive.yaw[i], box(drive.footprint)), colour("vehicle"), colour("ink"));
+  const [ahead, aside, length] = drive.footprint;
+  const dot = () => context.arc(ahead, aside, SMALL * pixel, 0, 2 * Math.PI);
+  const vehicle = length < SMALL * pixel ? dot : box(drive.footprint);
+  shape(within(drive.x[i], drive.y[i], drive.yaw[i], vehicle), colour("vehicle"), colour("ink"));
 };
 
 const element = (name, attributes = {}) => {
