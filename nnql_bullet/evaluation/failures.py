@@ -27,9 +27,9 @@ GROUPS: dict[Group, str] = {
 }
 """What each shows, in the order of the rules: a failure belongs to the first that fits."""
 
-HEAD_ON = pi / 4
-"""Largest angle from the heading to the way straight through what was touched, for it to be ahead [rad]: beyond it more
-of the speed goes along the surface than into it."""
+HEAD_ON = pi / 3
+"""Largest angle from the heading to the way straight through what was touched, for it to be ahead [rad]: beyond it less
+than half of the speed goes into the surface."""
 STRUCK = 0.5
 """Least share of the speed at which vehicle and box meet that is the box's own, if it struck the vehicle."""
 HESITATION = 4.0

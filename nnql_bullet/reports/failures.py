@@ -1,7 +1,7 @@
 """Groups of failures as text and pictures."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import degrees
 from pathlib import Path
@@ -81,11 +81,19 @@ def sheet(group: Group) -> str:
     return f"{group.replace(' ', '-')}.png"
 
 
-def varied(drives: Sequence[T], places: Iterable[Hashable], most: int) -> list[T]:
-    """So many drives at most, from as many places (methods and worlds) as possible, in their order."""
+def varied(drives: Sequence[T], places: Sequence[tuple[str, str]], most: int) -> list[T]:
+    """So many drives at most, in their order: of as many methods as possible, and of each in as many worlds.
+
+    Args:
+        drives: To choose from.
+        places: Method and world of each.
+        most: How many.
+    """
     ranks = earlier_alike(places)
-    first = sorted(range(len(drives)), key=lambda number: (ranks[number], number))[:most]
-    return [drives[number] for number in sorted(first)]
+    by_world = sorted(range(len(drives)), key=lambda number: (ranks[number], number))
+    turns = earlier_alike(places[number][0] for number in by_world)
+    first = sorted(zip(turns, by_world, strict=True))[:most]
+    return [drives[number] for number in sorted(number for _, number in first)]
 
 
 def counted(found: Failures) -> str:
