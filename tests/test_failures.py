@@ -4,7 +4,6 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from math import atan2, cos, hypot, pi, radians, sin
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from PIL import Image
 
 from nnql_bullet.cli import main
 from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier
-from nnql_bullet.evaluation.failures import GROUPS, Contact, features, group
+from nnql_bullet.evaluation.failures import GROUPS, Contact, Lateness, features, group
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.replays import FailedDrive, choose
 from nnql_bullet.geometry import Array, OrientedBox
@@ -106,8 +105,8 @@ def circle(x: float, y: float, radius: float, seconds: float, way: int = 1) -> A
 
 
 def contact_of(its: Recording) -> Contact:
-    found = features(its).contact
-    assert found
+    found = features(its).end
+    assert isinstance(found, Contact)
     return found
 
 
@@ -215,8 +214,10 @@ class TestContact:
 
 
 class TestLateness:
-    def late(self, poses: Array, **world: Any) -> Any:
-        return features(recording(poses, "timeout", **world)).lateness
+    def late(self, poses: Array, **world: Any) -> Lateness:
+        found = features(recording(poses, "timeout", **world)).end
+        assert isinstance(found, Lateness)
+        return found
 
     @pytest.mark.parametrize("way", [1, -1])
     def test_rounds_are_those_of_the_last_minute(self, way: int) -> None:
@@ -277,11 +278,6 @@ class TestGroups:
     def test_a_drive_that_comes_by_the_target_and_leaves_does_not_circle_it(self) -> None:
         by = recording(circle(60.0, 60.0, 4.0, 250.0), "timeout", target=(69.0, 60.0))
         assert group(features(by)) == "circling"
-
-    def test_a_drive_that_arrived_is_none(self) -> None:
-        arrived = replace(features(MADE["wandering"]), lateness=None)
-        with pytest.raises(ValueError, match="no failure"):
-            group(arrived)
 
 
 def failed(*drives: tuple[str, str, int]) -> list[FailedDrive]:

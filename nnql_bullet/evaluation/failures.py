@@ -102,32 +102,25 @@ class Features:
     """At the end [m]."""
     least_target_distance: float
     """Ever [m]."""
-    contact: Contact | None
-    """Of a collision."""
-    lateness: Lateness | None
-    """Of a drive that ran out of time."""
+    end: Contact | Lateness
+    """Of a collision, or of a drive that ran out of time."""
 
 
 def features(recording: Recording) -> Features:
     """Of a drive that collided or ran out of time."""
-    collided = recording.about["ending"] == "collision"
     away = np.hypot(*(recording.sample_pose[:, :2] - recording.about["world"]["target"]).T)
     return Features(
         time=float(recording.state_time[-1]),
         target_distance=float(away[-1]),
         least_target_distance=float(away.min()),
-        contact=_contact(recording) if collided else None,
-        lateness=None if collided else _lateness(recording, away),
+        end=_contact(recording) if recording.about["ending"] == "collision" else _lateness(recording, away),
     )
 
 
 def group(features: Features) -> Group:
     """The first of `GROUPS` that fits."""
-    if features.contact:
-        return _group_of_contact(features.contact)
-    if features.lateness:
-        return _group_of_lateness(features.lateness)
-    raise ValueError("a drive without contact that had time left is no failure")
+    end = features.end
+    return _group_of_contact(end) if isinstance(end, Contact) else _group_of_lateness(end)
 
 
 def _group_of_contact(contact: Contact) -> Group:

@@ -27,6 +27,7 @@ from nnql_bullet.evaluation.failures import (
     SAME,
     STRUCK,
     TURN,
+    Contact,
     Features,
     Group,
 )
@@ -185,23 +186,21 @@ def _drive_table(replays: Sequence[Replay]) -> tuple[tuple[str, ...], list[tuple
 
 def _cells(features: Features) -> dict[str, str]:
     """Features by what they are called in a table."""
-    cells = {"time [s]": f"{features.time:.1f}"}
-    if contact := features.contact:
-        cells |= {
-            "touched": contact.touched,
-            "angle of impact [degrees]": f"{degrees(contact.angle):.0f}",
-            "touched at [degrees]": f"{degrees(contact.bearing):+.0f}",
-            "turns changed sides": str(contact.reversals),
+    time, end = {"time [s]": f"{features.time:.1f}"}, features.end
+    if isinstance(end, Contact):
+        return time | {
+            "touched": end.touched,
+            "angle of impact [degrees]": f"{degrees(end.angle):.0f}",
+            "touched at [degrees]": f"{degrees(end.bearing):+.0f}",
+            "turns changed sides": str(end.reversals),
         }
-    if late := features.lateness:
-        cells |= {
-            "stayed within [m]": f"{late.extent:.0f}",
-            "rounds": f"{late.rounds:+.1f}",
-            "where it had been [%]": f"{100 * late.revisited:.0f}",
-            "target at the end [m]": f"{features.target_distance:.0f}",
-            "nearest ever [m]": f"{features.least_target_distance:.0f}",
-        }
-    return cells
+    return time | {
+        "stayed within [m]": f"{end.extent:.0f}",
+        "rounds": f"{end.rounds:+.1f}",
+        "where it had been [%]": f"{100 * end.revisited:.0f}",
+        "target at the end [m]": f"{features.target_distance:.0f}",
+        "nearest ever [m]": f"{features.least_target_distance:.0f}",
+    }
 
 
 def failures_values(found: Failures) -> dict[str, Any]:
@@ -274,8 +273,8 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
 def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
     """Middle (2,) and half side of what is enlarged: where something was touched, or the last minute was spent [m]."""
     world = recording.about["world"]
-    if features.contact:
-        return np.array(features.contact.place), CLOSE
+    if isinstance(features.end, Contact):
+        return np.array(features.end.place), CLOSE
     late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
     half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
     least, most = half - MARGIN, np.array([world["width"], world["depth"]]) - half + MARGIN
@@ -291,9 +290,9 @@ def _draw_whole(axes: Axes, recording: Recording) -> None:
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
     draw_world(axes, recording, recording.state_time[-1])
-    draw_path(axes, recording, 1.5 if features.contact else 1.0, cross=False)
-    if features.contact:
-        axes.plot(*features.contact.place, "o", mfc=COLLISION, mec="white", ms=6, zorder=8)
+    draw_path(axes, recording, 1.5 if isinstance(features.end, Contact) else 1.0, cross=False)
+    if isinstance(features.end, Contact):
+        axes.plot(*features.end.place, "o", mfc=COLLISION, mec="white", ms=6, zorder=8)
     axes.set_axis_on()
     axes.set_xticks([])
     axes.set_yticks([])
@@ -301,8 +300,8 @@ def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
 
 
 def _what(features: Features) -> str:
-    if features.contact:
-        return f"{features.contact.touched}, {degrees(features.contact.angle):.0f} degrees, at {features.time:.1f} s"
+    if isinstance(features.end, Contact):
+        return f"{features.end.touched}, {degrees(features.end.angle):.0f} degrees, at {features.time:.1f} s"
     return f"the last minute of {features.time:.0f} s" if features.time > LATE else f"all {features.time:.0f} s"
 
 
