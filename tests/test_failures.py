@@ -20,6 +20,7 @@ from nnql_bullet.evaluation.replays import FailedDrive, choose
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import varied
+from nnql_bullet.reports.player import player_text
 from nnql_bullet.worlds.spec import Patrol
 
 RunCli = Callable[..., tuple[int, str, str]]
@@ -278,6 +279,18 @@ class TestGroups:
     def test_a_drive_that_comes_by_the_target_and_leaves_does_not_circle_it(self) -> None:
         by = recording(circle(60.0, 60.0, 4.0, 250.0), "timeout", target=(69.0, 60.0))
         assert group(features(by)) == "circling"
+
+
+def test_what_a_player_is_told_can_stand_in_html_and_names_boxes_that_move() -> None:
+    text = player_text(MADE["struck"], "</script><b> & co")
+    assert not set("<>&") & set(text)
+    told = json.loads(text)
+    assert told["title"] == "</script><b> & co"
+    (patrol,) = told["patrols"]
+    assert patrol["box"] == pytest.approx([50.35, 51.325, 1.0, 1.0, 0.0], abs=6e-4)
+    assert (patrol["end"], patrol["speed"], patrol["phase"]) == ([50.35, 30.0], 1.0, 0.0)
+    assert len(told["x"]) == len(told["y"]) == len(told["yaw"]) == 10 * told["rate"] + 1
+    assert told["end"] == 10.0
 
 
 def failed(*drives: tuple[str, str, int]) -> list[FailedDrive]:

@@ -23,10 +23,12 @@ from matplotlib.figure import Figure
 
 from nnql_bullet.cli import main
 from nnql_bullet.config import read_toml
+from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports import plots
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.worlds.spec import Patrol
 
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
@@ -471,7 +473,9 @@ class TestInABrowser:
       const button = first.querySelector("button");
       const labels = [button.textContent];
       for (let k = 0; k < 2; k += 1) labels.push((button.click(), button.textContent));
-      document.body.dataset.seen = JSON.stringify([seen, labels]);
+      const patrol = { box: [5, 7, 1, 0.5, 0.9], end: [17, 16], speed: 0.8, phase: 0.3 };
+      const places = [0, 3.5, 10, 19, 40, 61.25].map((time) => patrolAt(patrol, time));
+      document.body.dataset.seen = JSON.stringify([seen, labels, places]);
     </script>"""
 
     def test_the_player_draws_the_vehicle_where_it_was(
@@ -479,8 +483,13 @@ class TestInABrowser:
     ) -> None:
         looked_at = page.source.replace("default-src 'none'", "default-src 'none'; script-src 'unsafe-inline'")
         shown, _ = browse(looked_at.replace("</body>", self.MOVE + "</body>"))
-        seen, labels = json.loads(shown.all("body")[0].attributes["data-seen"])
+        seen, labels, places = json.loads(shown.all("body")[0].attributes["data-seen"])
         assert labels == ["Play", "Pause", "Play"]
+        patrol = Patrol(OrientedBox(5.0, 7.0, 1.0, 0.5, 0.9), (17.0, 16.0), 0.8, 0.3)
+        boxes = [patrol.at(time) for time in (0.0, 3.5, 10.0, 19.0, 40.0, 61.25)]
+        assert np.array(places) == pytest.approx(
+            np.array([(box.x, box.y, box.half_length, box.half_width, box.yaw) for box in boxes])
+        )
         drive = json.loads(page.all("script")[0].text)
         x, y, yaw = (np.cumsum(drive[name]) / 100 for name in ("x", "y", "yaw"))
         ahead, side = drive["footprint"][0], max(drive["arena"]) + 4.0
