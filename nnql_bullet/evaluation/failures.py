@@ -12,7 +12,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, bearing, moved
 from nnql_bullet.recording import Recording
-from nnql_bullet.worlds.spec import WorldSpec, track_velocities
+from nnql_bullet.worlds.spec import track_velocities
 
 Group = Literal["struck", "flank", "dithering", "head-on", "target circling", "circling", "trapped", "wandering"]
 GROUPS: dict[Group, str] = {
@@ -108,7 +108,7 @@ class Features:
 
 def features(recording: Recording) -> Features:
     """Of a drive that collided or ran out of time."""
-    away = np.hypot(*(recording.sample_pose[:, :2] - recording.about["world"]["target"]).T)
+    away = np.hypot(*(recording.sample_pose[:, :2] - recording.world.target).T)
     return Features(
         time=float(recording.state_time[-1]),
         target_distance=float(away[-1]),
@@ -141,7 +141,7 @@ def _group_of_lateness(late: Lateness) -> Group:
 
 def _contact(recording: Recording) -> Contact:
     end, pose = float(recording.state_time[-1]), Pose(*recording.state_pose[-1])
-    footprint, walls, patrols = moved(recording.footprint, pose), _walls(recording), recording.patrols
+    footprint, walls, patrols = moved(recording.footprint, pose), recording.world.walls, recording.patrols
     solids = (*walls, *recording.boxes_at(end))
     surfaces = [_surface(footprint, box) for box in solids]
     touched = int(np.argmin([apart for apart, _ in surfaces]))
@@ -161,12 +161,6 @@ def _contact(recording: Recording) -> Contact:
         share=share,
         reversals=_reversals(recording.heading_command[recording.state_time[:-1] >= end - HESITATION]),
     )
-
-
-def _walls(recording: Recording) -> tuple[OrientedBox, ...]:
-    world = recording.about["world"]
-    arena = {name: world[name] for name in ("name", "seed", "width", "depth", "target_radius", "obstacle_height")}
-    return WorldSpec(**arena, obstacles=(), start=Pose(**world["start"]), target=tuple(world["target"])).walls
 
 
 def _surface(footprint: OrientedBox, box: OrientedBox) -> tuple[float, Array]:

@@ -272,20 +272,20 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
 
 def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
     """Middle (2,) and half side of what is enlarged: where something was touched, or the last minute was spent [m]."""
-    world = recording.about["world"]
+    world = recording.world
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE
     late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
     half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
-    least, most = half - MARGIN, np.array([world["width"], world["depth"]]) - half + MARGIN
+    least, most = half - MARGIN, np.array([world.width, world.depth]) - half + MARGIN
     return np.clip((late.min(axis=0) + late.max(axis=0)) / 2, least, np.maximum(most, least)), half
 
 
 def _draw_whole(axes: Axes, recording: Recording) -> None:
-    world = recording.about["world"]
+    world = recording.world
     draw_world(axes, recording, recording.state_time[-1])
     draw_path(axes, recording, 0.6)
-    axes.set(xlim=(-MARGIN, world["width"] + MARGIN), ylim=(-MARGIN, world["depth"] + MARGIN), aspect="equal")
+    axes.set(xlim=(-MARGIN, world.width + MARGIN), ylim=(-MARGIN, world.depth + MARGIN), aspect="equal")
 
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array
+from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
 
 RATE = 10
@@ -25,7 +25,7 @@ def player_text(recording: Recording, title: str) -> str:
 
 
 def _values(recording: Recording, title: str) -> dict[str, Any]:
-    world, vehicle, end = recording.about["world"], recording.about["vehicle"], float(recording.state_time[-1])
+    world, end = recording.world, float(recording.state_time[-1])
     times = np.append(np.arange(0.0, end - 1e-6, 1.0 / RATE), end)
     known = np.concatenate([[0.0], recording.sample_time])
     poses = np.concatenate([recording.state_pose[:1], recording.sample_pose])
@@ -33,20 +33,14 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
     return {
         "title": title,
         "ending": recording.about["ending"],
-        "arena": [world["width"], world["depth"]],
-        "target": [*world["target"], world["target_radius"]],
-        "boxes": [_rounded(box.x, box.y, box.half_length, box.half_width, box.yaw) for box in recording.obstacles],
+        "arena": [world.width, world.depth],
+        "target": [*world.target, world.target_radius],
+        "boxes": [_box(box) for box in world.obstacles],
         "patrols": [
-            {
-                "box": _rounded(p.box.x, p.box.y, p.box.half_length, p.box.half_width, p.box.yaw),
-                "end": _rounded(*p.end),
-                "speed": p.speed,
-                "phase": p.phase,
-            }
-            for p in recording.patrols
+            {"box": _box(p.box), "end": _rounded(*p.end), "speed": p.speed, "phase": p.phase} for p in world.patrols
         ],
-        "footprint": _rounded(*(vehicle["footprint"][key] for key in ("x", "y", "half_length", "half_width", "yaw"))),
-        "sensor": _rounded(*vehicle["sensor"][:2]),
+        "footprint": _box(recording.footprint),
+        "sensor": _rounded(*recording.about["vehicle"]["sensor"][:2]),
         "range": paper.SENSOR_RANGE,
         "rate": RATE,
         "end": round(end, 3),
@@ -57,6 +51,10 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
         "readings": np.rint(10 * recording.readings).astype(int).ravel().tolist(),
         "states": "".join(label[0] for label in recording.state_property.tolist()),
     }
+
+
+def _box(box: OrientedBox) -> list[float]:
+    return _rounded(box.x, box.y, box.half_length, box.half_width, box.yaw)
 
 
 def _rounded(*numbers: float) -> list[float]:
