@@ -7,11 +7,13 @@ import shlex
 import shutil
 import subprocess
 import threading
-from base64 import b64decode
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from html.parser import HTMLParser
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -21,9 +23,12 @@ from matplotlib.figure import Figure
 
 from nnql_bullet.cli import main
 from nnql_bullet.config import read_toml
+from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.recording import load_recording
 from nnql_bullet.reports import plots
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.worlds.spec import Patrol
 
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
@@ -56,7 +61,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         element = Element(tag, {name: value or "" for name, value in attrs})
         self.elements.append(element)
-        if tag not in ("img", "meta"):
+        if tag not in ("img", "input", "meta"):
             self._open.append(element)
 
     def handle_endtag(self, tag: str) -> None:
@@ -94,6 +99,8 @@ def call(*arguments: object) -> None:
 def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path) -> Iterator[Path]:
     """A working folder with two runs of one recipe, evaluated beside a rule, and the gap of the first. Read only.
 
+    `report.html` shows their failures sorted, `unsorted.html` is from before that.
+
     Their vehicles have 60 steps, so that no world of 100 m is crossed: there are failures.
     """
     folder = tmp_path_factory.mktemp("work")
@@ -105,6 +112,8 @@ def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path) -> Iterat
         driving = ("--worlds", 2, "--sim", "twin", "--executor", "inline")
         call("evaluate", "runs/tiny-0", "runs/tiny-1", "straight", "--cover", "5,10", *driving)
         call("gap", "runs/tiny-0", "--worlds", 2, "--physics", "fast", "--no-faults", "--workers", 1)
+        call("report", "runs/tiny-0", "runs/tiny-1", "--out", "runs/unsorted.html")
+        call("failures", "--workers", 1)
         call("report", "runs/tiny-0", "runs/tiny-1")
         yield folder
 
@@ -123,6 +132,11 @@ def page(work: Path) -> Page:
     return Page((work / "runs" / "report.html").read_text(encoding="utf-8"))
 
 
+@pytest.fixture(scope="module")
+def unsorted(work: Path) -> Page:
+    return Page((work / "runs" / "unsorted.html").read_text(encoding="utf-8"))
+
+
 def table_cells(markdown: str) -> list[str]:
     rows = [line for line in markdown.splitlines() if line.startswith("| ") and not line.startswith("| ---")]
     return [cell.strip().replace("`", "") for row in rows for cell in row.strip("|").split("|")]
@@ -132,9 +146,22 @@ class TestPage:
     def test_it_holds_all_that_it_shows(self, page: Page) -> None:
         links = [e.attributes[name] for e in page.elements for name in ("href", "src") if name in e.attributes]
         assert all(link.startswith(("#", "data:image/png;base64,")) for link in links)
-        assert not {"script", "link", "iframe", "object"} & {element.tag for element in page.elements}
+        assert not {"link", "iframe", "object"} & {element.tag for element in page.elements}
         assert not re.search(r"url\(|@import|https?://", page.source)
         assert "default-src 'none'" in page.source
+
+    def test_the_only_script_that_may_run_is_the_player(self, page: Page, unsorted: Page) -> None:
+        *data, script = page.all("script")
+        assert {element.attributes.get("type") for element in data} == {"application/json"}
+        assert script.attributes == {}
+        assert script.text == (resources.files("nnql_bullet.reports") / "player.js").read_text(encoding="utf-8")
+        digest = b64encode(sha256(script.text.encode()).digest()).decode()
+        allowed = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+        policies = [e.attributes.get("content") for e in page.all("meta") if "http-equiv" in e.attributes]
+        assert policies == [allowed]
+        assert not re.search(r"\bfetch|XMLHttp|import|eval|innerHTML", script.text)
+        assert not unsorted.all("script")
+        assert "script-src" not in unsorted.source
 
     def test_the_contents_lead_to_its_sections(self, page: Page) -> None:
         targets = [link.attributes["href"] for link in page.all("a")]
@@ -170,14 +197,50 @@ class TestPage:
         assert len(keys) > 25
         assert not set(keys) - {cell.strip() for cell in page.cells}
 
-    def test_failures_of_the_runs_alone_are_shown(self, page: Page, work: Path) -> None:
+    def test_failures_of_the_runs_alone_are_shown_by_group(self, page: Page, work: Path) -> None:
+        groups = json.loads((work / "runs/evaluate/failures/failures.json").read_text())["groups"]
+        commands = [command for command in page.commands if command.startswith("nnql-bullet navigate")]
+        shown = []
+        for group in groups:
+            theirs = [one["replay"] for one in group["failures"] if one["policy"] != "straight"]
+            its = [command for command in commands if command in theirs]
+            assert len(its) == min(len(theirs), 4)
+            assert (f"{group['name'].capitalize()}: {len(theirs)}" in page.section("failures")) == bool(theirs)
+            shown += its
+        assert len(shown) >= 2
+        assert commands == shown
+        sheets = [image for image in page.all("img") if ": paths of" in image.attributes["alt"]]
+        assert len(sheets) == sum(any(one["policy"] != "straight" for one in group["failures"]) for group in groups)
+        assert len(page.all("figure")) >= len(shown) + len(sheets)
+
+    def test_a_player_is_told_what_was_recorded(self, page: Page, work: Path) -> None:
+        groups = json.loads((work / "runs/evaluate/failures/failures.json").read_text())["groups"]
+        recordings = {one["title"]: one["recording"] for group in groups for one in group["failures"]}
+        told = [json.loads(e.text) for e in page.all("script") if e.attributes]
+        assert len(told) >= 2
+        for drive in told:
+            its = load_recording(work / "runs/evaluate" / recordings[drive["title"]])
+            x, y, times = (np.cumsum(drive[name]) / 100 for name in ("x", "y", "times"))
+            assert times == pytest.approx(its.state_time, abs=0.006)
+            at = np.rint(its.state_time[:-1] * drive["rate"]).astype(int)  # decisions fall on poses, but for the last
+            assert np.column_stack([x, y])[at] == pytest.approx(its.state_pose[:-1, :2], abs=0.006)
+            assert (x[-1], y[-1]) == pytest.approx(tuple(its.state_pose[-1, :2]), abs=0.006)
+            yaw = np.cumsum(drive["yaw"]) / 100
+            assert np.cos(yaw[at] - its.state_pose[:-1, 2]) == pytest.approx(1.0, abs=1e-4)
+            assert np.reshape(drive["readings"], (-1, 8)) / 10 == pytest.approx(its.readings, abs=0.051)
+            assert drive["states"] == "".join(label[0] for label in its.state_property)
+            assert len(drive["boxes"]) == len(its.obstacles)
+            assert drive["ending"] == its.about["ending"]
+
+    def test_without_groups_the_first_failures_are_shown_and_how_to_sort_them(self, unsorted: Page, work: Path) -> None:
         failures = json.loads((work / "runs/evaluate/results.json").read_text())["failures"]
         theirs = [one["replay"] for one in failures if one["policy"] != "straight"]
         rules = [one["replay"] for one in failures if one["policy"] == "straight"]
         assert len(theirs) >= 2
-        assert [command for command in page.commands if command in theirs] == theirs
-        assert not set(rules) & set(page.commands)
-        assert sum(image.attributes["alt"].startswith("Path of") for image in page.all("img")) == len(theirs)
+        assert [command for command in unsorted.commands if command in theirs] == theirs
+        assert not set(rules) & set(unsorted.commands)
+        assert sum(image.attributes["alt"].startswith("Path of") for image in unsorted.all("img")) == len(theirs)
+        assert "nnql-bullet failures runs/evaluate" in unsorted.commands
 
     def test_it_names_neither_the_machine_nor_a_path_of_it(self, page: Page) -> None:
         assert platform.node() not in page.section("versions")
@@ -200,7 +263,7 @@ class TestPage:
         page = Page(Path("odd.html").read_text())
         assert page.all("h1")[0].text == "<b>x & y"
         assert odd_text in page.section("evaluation")
-        assert not page.all("script")
+        assert all(script.attributes.get("type") for script in page.all("script")[:-1])
         assert all(link.attributes["href"].startswith("#") for link in page.all("a"))
 
 
@@ -209,11 +272,13 @@ class TestCommands:
         shutil.rmtree("runs")
         for file in (pre for pre in page.all("pre") if "title" in pre.attributes):
             Path(file.attributes["title"]).write_text(file.text)
-        quicker = {"evaluate": ("--executor", "inline"), "gap": ("--workers", 1)}  # which change no result
-        for command in page.commands[-5:]:
+        quicker = {"evaluate": ("--executor", "inline"), "gap": ("--workers", 1), "failures": ("--workers", 1)}
+        # which change no result
+        for command in page.commands[-6:]:
             _, verb, *arguments = shlex.split(command)
             assert run_cli(verb, *arguments, *quicker.get(verb, ()))[0] == 0
-        for name in ("tiny-1/episodes.csv", "evaluate/results.json", "gap/gap.json", "report.html"):
+        made = ("tiny-1/episodes.csv", "evaluate/results.json", "evaluate/failures/failures.json", "gap/gap.json")
+        for name in (*made, "report.html"):
             assert Path("runs", name).read_bytes() == (work / "runs" / name).read_bytes()
 
     def test_a_preset_is_named_where_it_says_it_all(self, here: Path, run_cli: RunCli) -> None:
@@ -285,6 +350,7 @@ class TestRefusals:
             ("evaluate/results.json", b"[]", "evaluate"),
             ("gap/gap.md", None, "gap.md"),
             ("evaluate/outcomes.png", b"GIF89a", "outcomes.png"),
+            ("evaluate/failures/failures.json", b"{}", "evaluate"),
             ("tiny-0/learning_curve.png", b"", "learning_curve.png"),
         ],
     )
@@ -384,6 +450,74 @@ class TestInABrowser:
         assert sizes == [f"{width}x{height}" for width, height in expected]
         assert broken == "0x0"
         assert shown.all("html")[0].attributes["lang"] == "0"
+
+    MOVE = """<script>
+      const [first] = document.querySelectorAll("figure.player");
+      const [whole, close] = first.querySelectorAll("canvas");
+      const scrubber = first.querySelector("input");
+      const vehicle = (canvas) => {  // where its colour is, as shares of the canvas
+        const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let [count, x, y] = [0, 0, 0];
+        for (let k = 0; k < width * height; k += 1) {
+          const [red, green, blue] = data.slice(4 * k, 4 * k + 3);
+          if (Math.abs(red - 250) + Math.abs(green - 176) + Math.abs(blue - 5) > 60) continue;
+          [count, x, y] = [count + 1, x + ((k % width) + 0.5) / width, y + (Math.floor(k / width) + 0.5) / height];
+        }
+        return [count, x / count, y / count];
+      };
+      const seen = [0, 0.5, 1].map((share) => {
+        scrubber.value = Math.round(share * scrubber.max);
+        scrubber.dispatchEvent(new Event("input"));
+        return [Number(scrubber.value), scrubber.getAttribute("aria-valuetext"), vehicle(whole), vehicle(close)];
+      });
+      const button = first.querySelector("button");
+      const labels = [button.textContent];
+      for (let k = 0; k < 2; k += 1) labels.push((button.click(), button.textContent));
+      const patrol = { box: [5, 7, 1, 0.5, 0.9], end: [17, 16], speed: 0.8, phase: 0.3 };
+      const places = [0, 3.5, 10, 19, 40, 61.25].map((time) => patrolAt(patrol, time));
+      document.body.dataset.seen = JSON.stringify([seen, labels, places]);
+    </script>"""
+
+    def test_the_player_draws_the_vehicle_where_it_was(
+        self, page: Page, browse: Callable[[str], tuple[Page, list[str]]]
+    ) -> None:
+        looked_at = page.source.replace("default-src 'none'", "default-src 'none'; script-src 'unsafe-inline'")
+        shown, _ = browse(looked_at.replace("</body>", self.MOVE + "</body>"))
+        seen, labels, places = json.loads(shown.all("body")[0].attributes["data-seen"])
+        assert labels == ["Play", "Pause", "Play"]
+        patrol = Patrol(OrientedBox(5.0, 7.0, 1.0, 0.5, 0.9), (17.0, 16.0), 0.8, 0.3)
+        boxes = [patrol.at(time) for time in (0.0, 3.5, 10.0, 19.0, 40.0, 61.25)]
+        assert np.array(places) == pytest.approx(
+            np.array([(box.x, box.y, box.half_length, box.half_width, box.yaw) for box in boxes])
+        )
+        drive = json.loads(page.all("script")[0].text)
+        x, y, yaw = (np.cumsum(drive[name]) / 100 for name in ("x", "y", "yaw"))
+        ahead, side = drive["footprint"][0], max(drive["arena"]) + 4.0
+        assert [i for i, *_ in seen] == [0, round((len(x) - 1) / 2), len(x) - 1]
+        for i, said, whole, close in seen:
+            time = min(i / drive["rate"], drive["end"])
+            assert said.startswith(f"{time:.1f} s, ")
+            assert said.endswith(drive["ending"]) == (i == len(x) - 1)
+            middle = np.array([x[i] + ahead * np.cos(yaw[i]), y[i] + ahead * np.sin(yaw[i])])
+            assert whole[0] > 0
+            there = (whole[1] - 0.5) * side + drive["arena"][0] / 2, (0.5 - whole[2]) * side + drive["arena"][1] / 2
+            assert there == pytest.approx(tuple(middle), abs=0.8)
+            assert close[0] > 10
+            around = (close[1] - 0.5) * 26.0, (0.5 - close[2]) * 26.0
+            assert around == pytest.approx((ahead * np.cos(yaw[i]), ahead * np.sin(yaw[i])), abs=0.15)
+
+    def test_the_pages_own_policy_lets_the_player_run_and_no_other_script(
+        self, page: Page, browse: Callable[[str], tuple[Page, list[str]]]
+    ) -> None:
+        drives = [json.loads(e.text) for e in page.all("script") if e.attributes]
+        shown, asked = browse(page.source)
+        assert asked == []
+        assert len(shown.all("canvas")) == 2 * len(drives)
+        assert [e.text for e in shown.all("output")] == [f"{one['end']:.1f} s, {one['ending']}" for one in drives]
+        assert [e.text for e in shown.all("button")] == ["Play"] * len(drives)
+        assert all(e.attributes["aria-label"] for e in shown.elements if e.tag in ("canvas", "input"))
+        other, _ = browse(page.source.replace('"use strict";', '"use strict"; '))
+        assert not other.all("canvas")
 
     def test_nothing_is_asked_from_a_network(self, page: Page, browse: Callable[[str], tuple[Page, list[str]]]) -> None:
         careless = '<!DOCTYPE html><img src="http://pictures.example/one.png" alt="one">'

@@ -169,8 +169,9 @@ class TestLight:
         assert solids.light.max() < 1.5
         assert dark.sum() > 100
         assert bright.sum() > 10000
-        picture = Painter(timeline, renderer).paint(moment, CAMERA)
+        picture, depths = Painter(timeline, renderer).paint(moment, CAMERA)
         assert picture.shape == (180, 320, 3)
+        assert np.mean((depths < 1) == ~ground) > 0.99
         assert picture[dark].mean() < 0.6 * picture[bright].mean()
         deck = _pixels(CAMERA, upright(moment.pose.x, moment.pose.y, 0.125, moment.pose.yaw), 0.26)
         assert solids.light[deck].min() < 0.7 < 0.95 < solids.light[deck].max()  # the mast's shadow lies on it

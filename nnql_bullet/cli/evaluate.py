@@ -8,7 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from nnql_bullet.cli.console import complain, say
+from nnql_bullet.cli.console import complain, say, say_table
+from nnql_bullet.cli.failures import clear
 from nnql_bullet.cli.work import run_all, run_kept
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import (
@@ -61,8 +62,9 @@ def evaluate(
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
     evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures: how drives ended,
-    success against cover, paths of failures. The same inputs give the same bytes. Pieces that are done are kept in
-    DIR/parts: after an interrupt the same command goes on, and a longer one reuses them.
+    success against cover, paths of failures; `nnql-bullet failures DIR` then sorts these. The same inputs give the same
+    bytes. Pieces that are done are kept in DIR/parts: after an interrupt the same command goes on, and a longer one
+    reuses them.
 
     For example:
 
@@ -159,8 +161,7 @@ def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out:
     values = json.dumps(report.evaluation_values(evaluation, found, tests, tasks), indent=1)
     failures = out / "failures"
     failures.mkdir(exist_ok=True)
-    for old in failures.glob("*.npz"):
-        old.unlink()
+    clear(failures)
     for task, recording in films:
         recording.save(failures / task.name)
     for name in ("cover.png", "failures.png"):
@@ -176,8 +177,5 @@ def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out:
         say(values)
         return
     say(f"success in %, {evaluation.setting.title}, {len(evaluation.tiers[0].seeds)} worlds each (95 % intervals)")
-    header, body = report.success_table(evaluation, found)
-    widths = [max(len(line[column]) for line in (header, *body)) for column in range(len(header))]
-    for line in (header, *body):
-        say("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip())
+    say_table(*report.success_table(evaluation, found))
     say(f"report: {out / 'evaluation.md'}")

@@ -15,6 +15,7 @@ from nnql_bullet.cli.console import complain, say
 from nnql_bullet.cli.doctor import doctor
 from nnql_bullet.cli.envelope import envelope
 from nnql_bullet.cli.evaluate import evaluate
+from nnql_bullet.cli.failures import failures
 from nnql_bullet.cli.fidelity import fidelity
 from nnql_bullet.cli.gap import gap
 from nnql_bullet.cli.ledger import ledger
@@ -33,6 +34,7 @@ VERBS: dict[str, Callable[..., int]] = {
     "render": render,
     "view": view,
     "evaluate": evaluate,
+    "failures": failures,
     "ledger": ledger,
     "gap": gap,
     "report": report,

@@ -115,7 +115,7 @@ def orbit(timeline: Timeline, width: int, height: int) -> Path:
 
     def camera(moment: Moment) -> Camera:
         angle, (x, y) = 2 * np.pi * moment.time / LAP + np.pi * 1.25, (moment.pose.x, moment.pose.y)
-        return Camera((x + 5 * cos(angle), y + 5 * sin(angle), 2.6), (x, y, 0.2), radians(48), width, height, 1.8)
+        return Camera((x + 5 * cos(angle), y + 5 * sin(angle), 3.6), (x, y, 0.2), radians(50), width, height, 2.4)
 
     return camera
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from nnql_bullet.executors import Executor
 from nnql_bullet.recording import load_recording
-from nnql_bullet.render.camera import PATHS, Camera, CameraName
+from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
@@ -112,14 +112,8 @@ class Studio:
         """A frame (height, width, 3)."""
         moment = self._timeline.at(time)
         cameras = [path(moment) for path in self._paths]
-        picture = np.concatenate([self._painter.paint(moment, camera) for camera in cameras], axis=1)
-        return self._overlay.write(picture, moment, _places(cameras))
-
-
-def _places(cameras: Sequence[Camera]) -> tuple[tuple[int, Camera], ...]:
-    """Where in the frame the picture of each begins."""
-    lefts = np.cumsum([0, *(camera.width for camera in cameras)]).tolist()
-    return tuple(zip(lefts, cameras, strict=False))
+        pictures, depths = zip(*(self._painter.paint(moment, camera) for camera in cameras), strict=True)
+        return self._overlay.write(np.hstack(pictures), np.hstack(depths), moment, cameras)
 
 
 @lru_cache(maxsize=1)  # a process draws many pieces of one film

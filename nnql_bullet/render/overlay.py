@@ -1,5 +1,6 @@
 """What is written over a picture: what the vehicle sees, holds best and does, and what came of it."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import degrees
 from pathlib import Path
@@ -37,19 +38,23 @@ class Overlay:
         self._timeline = timeline
         self._recording = timeline.recording
         self._size = height / DESIGNED_FOR
+        self._safe = timeline.safe()
 
-    def write(self, picture: Bytes, moment: Moment, cameras: tuple[tuple[int, Camera], ...]) -> Bytes:
+    def write(self, picture: Bytes, depths: NDArray[np.float32], moment: Moment, cameras: Sequence[Camera]) -> Bytes:
         """The picture with everything written over it.
 
         Args:
             picture: (h, w, 3)
+            depths: 1 where nothing stands between the camera and the ground or the sky (h, w).
             moment: What it shows.
-            cameras: Where the picture of each camera begins, from the left [pixels].
+            cameras: Whose pictures it is made of, from left to right.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
-        for left, camera in cameras:
-            self._mark(draw, moment, left, camera)
+        left = 0
+        for camera in cameras:
+            self._mark(draw, depths, moment, left, camera)
+            left += camera.width
         self._title(draw)
         self._numbers(draw, moment, image.width)
         self._values(draw, moment, image.height)
@@ -65,27 +70,50 @@ class Overlay:
     def _font(self, size: float, bold: bool = False) -> ImageFont.FreeTypeFont:
         return text_font(max(round(self._px(size)), 7), bold)
 
-    def _mark(self, draw: ImageDraw.ImageDraw, moment: Moment, left: int, camera: Camera) -> None:
-        """What each sector reads, at its rim; from afar, a ring around the vehicle."""
-        recording, pose = self._recording, moment.pose
-        (at,), (away,) = camera.project(np.array([[pose.x, pose.y, 0.3]]))
-        if away > FAR_OFF:
-            x, y, r = left + at[0], at[1], self._px(13)
-            draw.ellipse((x - r, y - r, x + r, y + r), outline=colours.INK, width=max(round(self._px(2)), 1))
-            return
-        x, y, yaw = recording.state_pose[moment.step].tolist()
-        readings, ahead = recording.readings[moment.step], recording.about["vehicle"]["sensor"][0]
+    def _mark(
+        self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
+    ) -> None:
+        """What is at a place of the world: from afar the path and the vehicle, else the sectors' readings."""
+        pose = moment.pose
+        if np.linalg.norm(np.subtract(camera.eye, (pose.x, pose.y, 0.0))) > FAR_OFF:
+            self._mark_path(draw, moment, left, camera)
+        else:
+            self._mark_readings(draw, depths, moment, left, camera)
+
+    def _mark_path(self, draw: ImageDraw.ImageDraw, moment: Moment, left: int, camera: Camera) -> None:
+        """The path so far, and a ring around the vehicle."""
+        places = self._timeline.path(moment.time)
+        pixels, _ = camera.project(np.column_stack([places, np.zeros(len(places))]))
+        safe = self._safe[: len(places) - 1]
+        changes = np.flatnonzero(np.diff(safe)) + 1
+        for part in np.split(np.arange(len(safe)), changes):
+            if len(part):
+                points = [(left + x, y) for x, y in pixels[part[0] : part[-1] + 2].tolist()]
+                colour = colours.SAFE if safe[part[0]] else colours.NON_SAFE
+                draw.line(points, fill=colour, width=round(self._px(2)) or 1)
+        ((x, y),), _ = camera.project(np.array([[moment.pose.x, moment.pose.y, 0.3]]))
+        r = self._px(13)
+        ring = (left + x - r, y - r, left + x + r, y + r)
+        draw.ellipse(ring, outline=colours.INK, width=round(self._px(2)) or 1)
+
+    def _mark_readings(
+        self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
+    ) -> None:
+        """What each sector reads, at its rim, if that is on the ground that is seen."""
+        recording, font = self._recording, self._font(15)
+        (x, y, yaw), readings = recording.state_pose[moment.step].tolist(), recording.readings[moment.step]
+        ahead = recording.about["vehicle"]["sensor"][0]
         angles = yaw + np.arange(paper.SECTORS) * 2 * np.pi / paper.SECTORS
-        reach = np.minimum(readings, paper.SENSOR_RANGE) - 0.45
-        origin = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)])
-        points = np.column_stack(
-            [origin[0] + reach * np.cos(angles), origin[1] + reach * np.sin(angles), np.zeros(len(angles))]
+        reach = readings - 0.45
+        across, along = (
+            x + ahead * np.cos(yaw) + reach * np.cos(angles),
+            y + ahead * np.sin(yaw) + reach * np.sin(angles),
         )
-        pixels, distances = camera.project(points)
-        for (u, v), distance, reading in zip(pixels, distances, readings, strict=True):
-            if 0 < u < camera.width and 0 < v < camera.height and distance > camera.near and reading < RANGE_SHOWN:
-                text = f"{reading:.1f} m"
-                draw.text((left + u, v), text, fill=INK, font=self._font(15), anchor="mm")
+        pixels, _ = camera.project(np.column_stack([across, along, np.zeros(len(angles))]))
+        for (u, v), reading in zip(pixels, readings, strict=True):
+            inside = 0 <= u < camera.width and 0 <= v < camera.height
+            if inside and reading < RANGE_SHOWN and depths[int(v), left + int(u)] == 1.0:
+                draw.text((left + u, v), f"{reading:.1f} m", fill=INK, font=font, anchor="mm")
 
     def _title(self, draw: ImageDraw.ImageDraw) -> None:
         about, world = self._recording.about, self._recording.world
@@ -117,32 +145,30 @@ class Overlay:
         """The Q-values of the five turns as bars, left turns to the left, and the action that was chosen."""
         values, action = self._recording.q_values[moment.step], int(self._recording.action[moment.step])
         pad, bar, tall = self._px(12), self._px(40), self._px(86)
-        wide, high = 5 * bar + 2 * pad, tall + self._px(66)
+        asked = bool(np.isfinite(values).all())
+        text, font = "Q of the five turns" if asked else _action(action), self._font(16, bold=not asked)
+        wide, high = 2 * pad + max(5 * bar if asked else 0, font.getlength(text)), self._px(34)
+        if asked:
+            high += tall + self._px(32)
         left, above = pad, height - self._px(30) - high
         self._panel(draw, (left, above, left + wide, above + high))
-        asked = bool(np.isfinite(values).all())
-        title = "Q of the five turns" if asked else "toward the target" if action == len(paper.TURNS) else "by rule"
-        draw.text((left + pad, above + self._px(7)), title, fill=INK, font=self._font(16, bold=not asked))
+        draw.text((left + pad, above + self._px(7)), text, fill=INK, font=font)
+        if not asked:
+            return
         floor = above + self._px(36) + tall
-        low, most = (min(values.min(), 0.0), max(values.max(), 0.0)) if asked else (0.0, 0.0)
+        low, most = min(values.min(), 0.0), max(values.max(), 0.0)
         scale = (tall - self._px(16)) / max(most - low, 1e-9)
         zero = floor + low * scale
         order = sorted(range(len(paper.TURNS)), key=lambda k: -paper.TURNS[k])
         for place, k in enumerate(order):
-            x = left + pad + place * bar
-            chosen = k == action
-            ink = colours.NON_SAFE if chosen else colours.TIMEOUT
-            if asked:
-                y = zero - float(values[k]) * scale
-                box = (x + self._px(6), min(y, zero), x + bar - self._px(6), max(y, zero, min(y, zero) + 1))
-                draw.rectangle(box, fill=ink)
-                text, font = f"{values[k]:.2f}", self._font(11)
-                draw.text((x + bar / 2, box[1] - self._px(3)), text, fill=INK, font=font, anchor="ms")
-            turn = f"{degrees(paper.TURNS[k]):+.0f}°" if paper.TURNS[k] else "0°"
-            font = self._font(14, bold=chosen)
-            draw.text((x + bar / 2, floor + self._px(14)), turn, fill=INK if chosen else FAINT, font=font, anchor="mm")
-        if asked:
-            draw.line((left + pad, zero, left + pad + 5 * bar, zero), fill=INK, width=1)
+            x, y, chosen = left + pad + place * bar, zero - float(values[k]) * scale, k == action
+            box = (x + self._px(6), min(y, zero), x + bar - self._px(6), max(y, zero, min(y, zero) + 1))
+            draw.rectangle(box, fill=colours.NON_SAFE if chosen else colours.TIMEOUT)
+            middle, above_bar = x + bar / 2, box[1] - self._px(3)
+            draw.text((middle, above_bar), f"{values[k]:.2f}", fill=INK, font=self._font(11), anchor="ms")
+            ink, font = INK if chosen else FAINT, self._font(14, bold=chosen)
+            draw.text((middle, floor + self._px(14)), _action(k), fill=ink, font=font, anchor="mm")
+        draw.line((left + pad, zero, left + pad + 5 * bar, zero), fill=INK, width=1)
 
     def _state(self, draw: ImageDraw.ImageDraw, moment: Moment, width: int, height: int) -> None:
         step = len(self._recording.action) if moment.over else moment.step
@@ -176,6 +202,14 @@ class Overlay:
 
     def _panel(self, draw: ImageDraw.ImageDraw, box: Box) -> None:
         draw.rounded_rectangle(box, radius=self._px(8), fill=PAPER)
+
+
+def _action(action: int) -> str:
+    """What an action is called."""
+    if action == len(paper.TURNS):
+        return "toward the target"
+    turn = degrees(paper.TURNS[action])
+    return f"{turn:+.0f}°" if turn else "0°"
 
 
 RANGE_SHOWN = paper.SENSOR_RANGE - 0.05

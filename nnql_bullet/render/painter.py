@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import cos, sin
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet import colours, paper
 from nnql_bullet.geometry import Array, as_rows, moved
@@ -69,8 +70,8 @@ class Painter:
         """Places of the path that are in the map."""
         self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
 
-    def paint(self, moment: Moment, camera: Camera) -> Bytes:
-        """Red, green, blue (height, width, 3) of what the camera sees at an instant."""
+    def paint(self, moment: Moment, camera: Camera) -> tuple[Bytes, NDArray[np.float32]]:
+        """What the camera sees at an instant: red, green, blue (height, width, 3), and the `Solids.depths`."""
         self._follow(moment)
         samples, recording = self._renderer.samples, self._timeline.recording
         camera = replace(camera, width=samples * camera.width, height=samples * camera.height)
@@ -90,7 +91,7 @@ class Painter:
             np.column_stack([boxes, self._heights, reaches])[: 0 if self._renderer.lights else None],
             np.column_stack([readings, tint(readings)]),
         )
-        return _averaged(smooth_edges(picture, solids.depths), samples)
+        return _averaged(smooth_edges(picture, solids.depths), samples), solids.depths[::samples, ::samples]
 
     def _follow(self, moment: Moment) -> None:
         """Brings the path in the map up to the instant."""

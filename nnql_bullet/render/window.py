@@ -7,7 +7,7 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import chase
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
-from nnql_bullet.sim.bullet_scene import Colour, works
+from nnql_bullet.sim.bullet_scene import Colour, silenced, works
 
 RATE = 60.0
 """Pictures a second."""
@@ -27,6 +27,11 @@ def watch(recording: Recording) -> None:
     """
     if not works("window"):  # where there is no display, the engine ends the process
         raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
+    with silenced():  # its threads tell this and that as long as it is open
+        _show(recording)
+
+
+def _show(recording: Recording) -> None:
     timeline, world = Timeline(recording), recording.world
     renderer = BulletRenderer(recording, "window")
     scene, follow = renderer.scene, chase(timeline, 1, 1)

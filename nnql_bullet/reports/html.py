@@ -7,6 +7,7 @@ import shlex
 from base64 import b64encode
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,18 +18,25 @@ from markdown_it import MarkdownIt
 from markdown_it.renderer import RendererHTML
 from markdown_it.token import Token
 from markupsafe import Markup, escape
+from PIL import Image
 
 from nnql_bullet import __version__
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Share
 from nnql_bullet.experiment import PRESETS, RunConfig, load_config
 from nnql_bullet.recording import Recording, load_recording
+from nnql_bullet.reports.failures import draw_sheet, varied
+from nnql_bullet.reports.player import player_text
 from nnql_bullet.reports.plots import DPI, draw_success, draw_trajectory
 from nnql_bullet.runs import LEARNING_CURVE, Run
 
 TEMPLATE = "report.html.j2"
+PLAYER = "player.js"
+PLAYED = 4
+"""Most failures of a group that the page shows: each costs it up to 50 kB."""
 LIBRARIES = ("numpy", "scipy", "numba", "torch", "gymnasium", "pybullet", "mujoco", "trimesh", "yourdfpy", "matplotlib")
 """That results may depend on."""
 CSS_DPI = 96
@@ -58,6 +66,28 @@ class Failure:
     recording: Path
     replay: str
     """The command that drives it again."""
+    place: tuple[str, str]
+    """Policy and world."""
+
+
+@dataclass(frozen=True, slots=True)
+class FailureGroup:
+    """Failures that look alike."""
+
+    name: str
+    about: str
+    failures: list[Failure]
+
+
+@dataclass(frozen=True, slots=True)
+class FailureGroups:
+    """What `failures` left of the policies of a page."""
+
+    command: str
+    """That makes it again."""
+    most: int
+    """Failures of each method in each kind of world that were driven again."""
+    groups: list[FailureGroup]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +109,8 @@ class Results:
     """Of those that do, if it is an evaluation: method, worlds, share."""
     failures: list[Failure]
     """Of those that do, if it is an evaluation."""
+    grouped: FailureGroups | None
+    """Likewise, if `failures` sorted them."""
 
 
 def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Results | None:
@@ -111,7 +143,8 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
             absent=[policy.name for policy in policies if policy.fingerprint not in there],
             methods=methods,
             success=_success(values, methods),
-            failures=_failures(values, driving, folder),
+            failures=_failures(values.get("failures", ()), values, driving, folder),
+            grouped=_grouped(values, driving, folder),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
@@ -129,7 +162,13 @@ def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[
     return found
 
 
-def _failures(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], folder: Path) -> list[Failure]:
+def _failures(
+    failures: Sequence[Mapping[str, Any]],
+    values: Mapping[str, Any],
+    driving: Sequence[Mapping[str, Any]],
+    folder: Path,
+) -> list[Failure]:
+    """Those of the policies that drive, of some that a file lists."""
     names = {policy.get("name") for policy in driving}
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
     return [
@@ -137,10 +176,30 @@ def _failures(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], f
             title=f"{one['policy']} in {titles[one['world']]}, seed {one['seed']}",
             recording=folder / one["recording"],
             replay=one["replay"],
+            place=(one["policy"], one["world"]),
         )
-        for one in values.get("failures", ())
+        for one in failures
         if one["policy"] in names
     ]
+
+
+def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], folder: Path) -> FailureGroups | None:
+    file = folder / "failures" / "failures.json"
+    if not file.is_file():
+        return None
+    sorted_out = json.loads(file.read_text(encoding="utf-8"))
+    groups = [
+        FailureGroup(group["name"], group["about"], its)
+        for group in sorted_out["groups"]
+        if (its := _failures(group["failures"], values, driving, folder))
+    ]
+    most = sorted_out["most"]
+    return FailureGroups(f"{failures_command(folder)} --most {most}", most, groups)
+
+
+def failures_command(results: Path) -> str:
+    """The command that sorts the failures of an evaluation."""
+    return shlex.join(["nnql-bullet", "failures", str(results)])
 
 
 def page(
@@ -168,6 +227,7 @@ def page(
     )
     pairs = list(zip(runs, policies, strict=True))
     paths = [str(run.folder) for run in runs]
+    player = (Path(__file__).parent / PLAYER).read_text(encoding="utf-8")
     return environment.get_template(TEMPLATE).render(
         runs=[_run_row(run, policy) for run, policy in pairs],
         **_settings(pairs),
@@ -179,13 +239,19 @@ def page(
         failures=[
             (failure, load_recording(failure.recording)) for failure in (evaluation.failures if evaluation else ())
         ],
+        sort_failures=evaluation and failures_command(evaluation.folder),
         trajectory=_trajectory,
+        groups=[_group(group) for group in evaluation.grouped.groups] if evaluation and evaluation.grouped else None,
+        played=PLAYED,
+        player=Markup(player),
+        player_hash=b64encode(sha256(player.encode()).digest()).decode(),
         gap=gap,
         gap_text=gap and _html(gap),
         make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
         commands=[
             *(_training_command(run, policy) for run, policy in pairs),
             *(f"{its.command} --out {shlex.quote(str(its.folder))}" for its in (evaluation, gap) if its),
+            *([evaluation.grouped.command] if evaluation and evaluation.grouped else []),
             again,
         ],
         files=_recipe_files(pairs),
@@ -317,15 +383,38 @@ def _curve(run: Run, policy: Policy) -> tuple[str, Markup | None]:
     return policy.name, _image(path, alt) if path.is_file() else None
 
 
+def _group(group: FailureGroup) -> dict[str, Any]:
+    """What is shown of a group: its contact sheet, and drives to be played."""
+    shown = varied(group.failures, [failure.place for failure in group.failures], PLAYED)
+    recordings = [load_recording(failure.recording) for failure in shown]
+    drives = [
+        (failure.title, recording, features(recording)) for failure, recording in zip(shown, recordings, strict=True)
+    ]
+    alt = f"{group.name}: paths of {'; '.join(failure.title for failure in shown)}"
+    return {
+        "name": group.name,
+        "about": group.about,
+        "count": len(group.failures),
+        "sheet": _drawn(lambda path: draw_sheet(drives, path), alt),
+        "drives": [
+            (failure, recording, Markup(player_text(recording, failure.title)))
+            for failure, recording in zip(shown, recordings, strict=True)
+        ],
+    }
+
+
 def _trajectory(recording: Recording, title: str) -> Markup:
     return _drawn(lambda path: draw_trajectory(recording, path), f"Path of {title}: {recording.about['ending']}")
 
 
 def _drawn(draw: Callable[[Path], None], alt: str) -> Markup:
-    """What a function draws, as an element."""
+    """What a function draws, as an element; in 256 colours, which are enough and take a third of the room."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         draw(path)
+        with Image.open(path) as picture:
+            few = picture.convert("RGB").quantize(256)
+        few.save(path, optimize=True)
         return _image(path, alt)
 
 

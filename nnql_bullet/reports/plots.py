@@ -149,8 +149,15 @@ def draw_world(axes: Axes, recording: Recording, time: float) -> None:
     axes.plot(world["start"]["x"], world["start"]["y"], "o", color=INK, ms=5, zorder=5)
 
 
-def draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
-    """The path coloured by safe and non-safe, with outlines of the vehicle, and where it ended."""
+def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:
+    """The path coloured by safe and non-safe, with outlines of the vehicle, and where it ended.
+
+    Args:
+        axes: To draw on.
+        recording: Of the drive.
+        detail: How much thicker lines are and how much closer outlines.
+        cross: Whether a collision is marked by a cross on the vehicle.
+    """
     points = recording.sample_pose[:, :2]
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
@@ -159,7 +166,7 @@ def draw_path(axes: Axes, recording: Recording, detail: float = 1.0) -> None:
         axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
     last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
     axes.add_patch(Polygon(last.corners(), fc=VEHICLE, ec=INK, lw=0.8 * detail, zorder=6))
-    if recording.about["ending"] == "collision":
+    if cross and recording.about["ending"] == "collision":
         axes.plot(last.x, last.y, "X", color=COLLISION, mec="white", ms=11, zorder=7)
 
 

@@ -22,6 +22,9 @@ from nnql_bullet.sim.contact import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
 
+NOTHING = 1 - 1e-6
+"""Depth from which on there is nothing: TinyRenderer's is 1 but for rounding."""
+
 Colour = tuple[float, float, float]
 """Red, green, blue, from 0 to 1."""
 
@@ -43,7 +46,7 @@ class BulletScene:
             UserError: If it does not work here.
         """
         self._kind = kind
-        with _silenced():
+        with silenced():
             self.client = bullet.connect(bullet.GUI if kind == "window" else bullet.DIRECT)
             if self.client < 0:
                 raise UserError("PyBullet gives no more scenes in this process; close some first")
@@ -56,7 +59,7 @@ class BulletScene:
 
     def close(self) -> None:
         """Frees it."""
-        with _silenced():
+        with silenced():
             if bullet.isConnected(self.client):
                 bullet.disconnect(self.client)
 
@@ -83,17 +86,18 @@ class BulletScene:
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(_one_look_a_link(urdf) if self._kind == "window" else urdf, encoding="utf-8")
-            with _silenced():  # it complains of links without a mass
+            with silenced():  # it complains of links without a mass
                 body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
         joints = range(bullet.getNumJoints(body, self.client))
         return body, {bullet.getJointInfo(body, joint, self.client)[1].decode(): joint for joint in joints}
 
     def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
-        """Puts the frame of something somewhere [m, rad]."""
-        turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))
+        """Puts the origin of something somewhere [m, rad]."""
         ahead, left, up = bullet.getDynamicsInfo(body, -1, self.client)[3]  # the engine places centres of mass
-        middle = x + cos(yaw) * ahead - sin(yaw) * left, y + sin(yaw) * ahead + cos(yaw) * left, z + up
-        bullet.resetBasePositionAndOrientation(body, middle, turned, self.client)
+        c, s = cos(yaw), sin(yaw)
+        centre = (x + c * ahead - s * left, y + s * ahead + c * left, z + up)
+        turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))
+        bullet.resetBasePositionAndOrientation(body, centre, turned, self.client)
 
     def turn(self, body: int, joint: int, angle: float) -> None:
         """Turns a joint to an angle [rad]."""
@@ -117,7 +121,7 @@ class BulletScene:
         egl = self._kind == "egl"
         # Without a direction, EGL's light is the same everywhere, and half of what it should be.
         light = {"lightDirection": (0.0, 0.0, 0.0)} if egl else {"lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0}
-        with _silenced():
+        with silenced():
             _, _, colours, depths, _ = bullet.getCameraImage(
                 width,
                 height,
@@ -131,7 +135,8 @@ class BulletScene:
                 **light,
             )
         shape = (height, width)
-        return np.reshape(colours, (*shape, 4)), np.reshape(depths, shape), 2.0 if egl else 1.0
+        there = np.where(np.reshape(depths, shape) < NOTHING, np.reshape(depths, shape), np.float32(1.0))
+        return np.reshape(colours, (*shape, 4)), there, 2.0 if egl else 1.0
 
     def show(self, on: bool) -> None:
         """Whether the window draws; at first it does not, which makes building the scene quicker."""
@@ -198,7 +203,7 @@ def _one_look_a_link(urdf: str) -> str:
 
 
 @contextmanager
-def _silenced() -> Iterator[None]:
+def silenced() -> Iterator[None]:
     """Keeps what C code prints off what this program prints: which graphics it found, again and again."""
     c = ctypes.CDLL(None)
     kept = os.dup(1), os.dup(2)

@@ -60,8 +60,10 @@ def urdf_text(vehicle: VehicleSpec) -> str:
     ElementTree.SubElement(inertial, "mass", value=repr(payload.mass))
     moments = {"ixx": inertia, "iyy": inertia, "izz": inertia, "ixy": "0", "ixz": "0", "iyz": "0"}
     ElementTree.SubElement(inertial, "inertia", moments)
-    visual = ElementTree.SubElement(ElementTree.SubElement(link, "visual"), "geometry")
-    ElementTree.SubElement(visual, "box", size=" ".join([repr(payload.side)] * 3))
+    visual = ElementTree.SubElement(link, "visual")
+    geometry = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(geometry, "box", size=" ".join([repr(payload.side)] * 3))
+    ElementTree.SubElement(ElementTree.SubElement(visual, "material", name=LINK), "color", rgba="0.66 0.50 0.34 1")
     joint = ElementTree.SubElement(robot, "joint", name=LINK, type="fixed")
     ElementTree.SubElement(joint, "parent", link=base)
     ElementTree.SubElement(joint, "child", link=LINK)

@@ -1,0 +1,184 @@
+"""Drives that failed in an evaluation that is over: found in what `evaluate` left, and driven again."""
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
+from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
+from nnql_bullet.evaluation.policies import Policy, open_policies
+
+
+@dataclass(frozen=True, slots=True)
+class FailedDrive:
+    """A drive of an evaluation that did not arrive."""
+
+    film: FilmTask
+    ending: str
+    steps: int
+
+    @property
+    def seed(self) -> int:
+        """See `executors.Task`."""
+        return self.film.seed
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Method and kind of world."""
+        return self.film.policy.method, self.film.tier.name
+
+    @property
+    def title(self) -> str:
+        """As it is printed."""
+        return f"{self.film.policy.name} in {self.film.tier.title}, seed {self.seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedEvaluation:
+    """What `evaluate` left."""
+
+    command: str
+    """That makes it again, but for the folder."""
+    failed: list[FailedDrive]
+    """In the order of its policies, worlds and seeds."""
+
+
+def open_evaluation(folder: Path) -> FinishedEvaluation:
+    """Reads what `evaluate` left in a folder.
+
+    Raises:
+        UserError: If there is nothing, or it is damaged.
+    """
+    if not (folder / "results.json").is_file():
+        raise UserError(f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {folder}")
+    try:
+        values = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+        setting = Setting(values["split"], values["simulator"], values["physics"])
+        policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
+        tiers = {
+            tier["name"]: Tier(
+                file=tier["file"],
+                name=tier["name"],
+                cover=tier["cover"],
+                seeds=range(tier["worlds"][0]["seed"], tier["worlds"][-1]["seed"] + 1),
+                digests=tuple(world["digest"] for world in tier["worlds"]),
+                frozen=tier["frozen"],
+            )
+            for tier in values["tiers"]
+        }
+        with (folder / "episodes.csv").open(encoding="utf-8", newline="") as file:
+            failed = [
+                FailedDrive(
+                    FilmTask(policies[row["policy"]], tiers[row["world"]], setting, int(row["world_seed"])),
+                    row["ending"],
+                    int(row["steps"]),
+                )
+                for row in csv.DictReader(file)
+                if row["ending"] != "goal"
+            ]
+        return FinishedEvaluation(values["command"], failed)
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet evaluate") from None
+
+
+def earlier_alike(keys: Iterable[Hashable]) -> list[int]:
+    """Of each key, how many before it are the same."""
+    seen: Counter[Hashable] = Counter()
+    found = []
+    for key in keys:
+        found.append(seen[key])
+        seen[key] += 1
+    return found
+
+
+def choose(failed: Sequence[FailedDrive], most: int) -> list[FailedDrive]:
+    """Of each method in each kind of world so many at most: the first of each of its policies, then the second, ...
+
+    Returns:
+        Those chosen, in the order in which they were given.
+    """
+    ranks = earlier_alike((one.film.policy.name, one.film.tier.name) for one in failed)
+    by_rank = sorted(range(len(failed)), key=lambda number: (ranks[number], number))
+    before = earlier_alike(failed[number].place for number in by_rank)
+    return [failed[number] for number in sorted(n for n, rank in zip(by_rank, before, strict=True) if rank < most)]
+
+
+def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]) -> None:
+    """Policies that have learned on since show before anything is driven.
+
+    Raises:
+        UserError: If one cannot be read, or is not what it was.
+    """
+    for policy in dict.fromkeys(one.film.policy for one in failed):
+        (now,) = open_policies([Path(policy.path)])
+        if now.fingerprint != policy.fingerprint:
+            raise UserError(f"{policy.path}: is not what was evaluated; evaluate anew: {evaluation.command}")
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A failed drive that was driven again."""
+
+    failed: FailedDrive
+    ending: str
+    """As it ended now."""
+    steps: int
+    """Likewise."""
+    digest: str
+    """Of the world, now."""
+    features: Features
+
+    @property
+    def group(self) -> Group:
+        """Its only one."""
+        return group(self.features)
+
+
+def replay(failed: FailedDrive, folder: Path) -> Replay:
+    """Drives it again, and leaves the recording in a folder."""
+    recording = film(failed.film)
+    recording.save(folder / failed.film.name)
+    about = recording.about
+    return Replay(failed, about["ending"], len(recording.action), about["world"]["digest"], features(recording))
+
+
+def check_replay(evaluation: FinishedEvaluation, replayed: Replay) -> None:
+    """A drive that went another way shows.
+
+    Raises:
+        UserError: If it did, or its world is another.
+    """
+    failed, again = replayed.failed, f"evaluate anew: {evaluation.command}"
+    tier = failed.film.tier
+    if replayed.digest != tier.digests[tier.seeds.index(failed.seed)]:
+        raise UserError(f"{failed.title}: its world is not what it was, the world file or program changed; {again}")
+    if (replayed.ending, replayed.steps) != (failed.ending, failed.steps):
+        raise UserError(
+            f"{failed.title}: {failed.ending} after {failed.steps} decisions in the evaluation, but {replayed.ending} "
+            f"after {replayed.steps} now; the program changed, so {again}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """Failures of an evaluation, or as many of them as were driven again."""
+
+    evaluation: FinishedEvaluation
+    replays: Sequence[Replay]
+    most: int
+    """Of each method in each kind of world."""
+
+    @property
+    def groups(self) -> dict[Group, list[Replay]]:
+        """Those that there are, in the order of the rules."""
+        return {name: its for name in GROUPS if (its := [one for one in self.replays if one.group == name])}
+
+    @property
+    def places(self) -> list[tuple[str, str]]:
+        """Methods and kinds of worlds in which there are failures."""
+        return list(dict.fromkeys(one.failed.place for one in self.replays))

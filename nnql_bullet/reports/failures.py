@@ -1,0 +1,320 @@
+"""Groups of failures as text and pictures."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from math import degrees
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+
+from nnql_bullet import __version__
+from nnql_bullet.evaluation.failures import (
+    GROUPS,
+    HEAD_ON,
+    HESITATION,
+    LATE,
+    NEAR_TARGET,
+    RETURN,
+    REVERSALS,
+    REVISITED,
+    ROUNDS,
+    SAME,
+    STRUCK,
+    TURN,
+    Contact,
+    Features,
+    Group,
+)
+from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
+from nnql_bullet.geometry import Array
+from nnql_bullet.recording import Recording
+from nnql_bullet.reports.plots import (
+    BOX,
+    BOX_EDGE,
+    COLLISION,
+    INK,
+    MOVING,
+    MOVING_EDGE,
+    NON_SAFE,
+    SAFE,
+    VEHICLE,
+    draw_path,
+    draw_world,
+    save_figure,
+)
+from nnql_bullet.reports.tables import markdown_table
+
+T = TypeVar("T")
+
+SHOWN = 12
+"""Most drives on a contact sheet."""
+COLUMNS = 6
+"""Of them, side by side."""
+CLOSE = 4.0
+"""Least half side of what is shown enlarged [m]."""
+MARGIN = 1.0
+"""Around the arena [m]."""
+
+RULES: dict[Group, str] = {
+    "struck": f"A moving box was touched, and at least {STRUCK:.0%} of the speed at which they met was its own.",
+    "flank": f"From the heading to the way straight through what was touched it is more than {degrees(HEAD_ON):.0f} "
+    "degrees.",
+    "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(TURN):.0f} degrees changed sides at least "
+    f"{REVERSALS} times.",
+    "head-on": "Every other collision.",
+    "target circling": f"In the last {LATE:g} s it was never more than {NEAR_TARGET:g} m from the target.",
+    "circling": f"In the last {LATE:g} s it made at least {ROUNDS:g} full turns more to one side than to the other.",
+    "trapped": f"At least {REVISITED:.0%} of the last {LATE:g} s it was less than {SAME:g} m from where it had been "
+    f"{RETURN:g} s before or earlier.",
+    "wandering": "Every other drive that ran out of time.",
+}
+"""Of `evaluation.failures`, in words."""
+
+
+def sheet(group: Group) -> str:
+    """The name of a group's contact sheet."""
+    return f"{group.replace(' ', '-')}.png"
+
+
+def varied(drives: Sequence[T], places: Sequence[tuple[str, str]], most: int) -> list[T]:
+    """So many drives at most, in their order: of as many methods as possible, and of each in as many worlds.
+
+    Args:
+        drives: To choose from.
+        places: Method and world of each.
+        most: How many.
+    """
+    ranks = earlier_alike(places)
+    by_world = sorted(range(len(drives)), key=lambda number: (ranks[number], number))
+    turns = earlier_alike(places[number][0] for number in by_world)
+    first = sorted(zip(turns, by_world, strict=True))[:most]
+    return [drives[number] for number in sorted(number for _, number in first)]
+
+
+def counted(found: Failures) -> str:
+    """How many failures there are, and how many of them were driven again."""
+    total, driven = len(found.evaluation.failed), len(found.replays)
+    if not total:
+        return "no drive of this evaluation failed"
+    if driven == total:
+        return f"all {total} failures"
+    return f"{driven} of {total} failures: of each method in each kind of world at most {found.most}"
+
+
+def count_table(found: Failures) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows: how many failures of each method are in each group."""
+    counts = Counter((one.failed.place[0], one.group) for one in found.replays)
+    methods = dict.fromkeys(method for method, _ in found.places)
+    rows = [(method, *(str(counts[method, name] or "-") for name in found.groups)) for method in methods]
+    return ("method", *found.groups), rows
+
+
+def failures_markdown(found: Failures) -> str:
+    """The report: counts, and of each group a description, its contact sheet and its drives."""
+    lines = [
+        "# How drives failed",
+        "",
+        f"{counted(found).capitalize()}. `{found.evaluation.command}`; nnql-bullet {__version__}.",
+        "",
+    ]
+    if not found.replays:
+        return "\n".join(lines)
+    lines += [
+        "Each was driven again and is in one group: the first whose rule fits. Groups describe what is seen; they are "
+        "not causes.",
+        "",
+        _counts(found),
+        "",
+        markdown_table(("group", "ending", "rule"), [(name, _ending(name), RULES[name]) for name in GROUPS]),
+        "",
+    ]
+    for name, its in found.groups.items():
+        few = f" The sheet shows {SHOWN} of them." if len(its) > SHOWN else ""
+        lines += [
+            f"## {name.capitalize()}: {len(its)}",
+            "",
+            f"{GROUPS[name]}{few}",
+            "",
+            f"![{name}]({sheet(name)})",
+            "",
+            markdown_table(*_drive_table(its)),
+            "",
+            "They are driven again, exactly, by:",
+            "",
+            "```",
+            *(one.failed.film.replay for one in its),
+            "```",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _counts(found: Failures) -> str:
+    """Failures of each method in each kind of world: all, those driven again, and those of each group."""
+    everything = Counter(one.place for one in found.evaluation.failed)
+    driven = Counter(one.failed.place for one in found.replays)
+    counts = Counter((one.failed.place, one.group) for one in found.replays)
+    titles = {one.failed.place: one.failed.film.tier.title for one in found.replays}
+    rows = [
+        (
+            place[0],
+            titles[place],
+            everything[place],
+            driven[place],
+            *(counts[place, name] or "" for name in found.groups),
+        )
+        for place in found.places
+    ]
+    return markdown_table(("method", "worlds", "failures", "driven again", *found.groups), rows)
+
+
+def _ending(group: Group) -> str:
+    return "collision" if group in ("struck", "flank", "dithering", "head-on") else "timeout"
+
+
+def _drive_table(replays: Sequence[Replay]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows: drives of one group with their features."""
+    rows = [{"drive": one.failed.title, **_cells(one.features)} for one in replays]
+    return tuple(rows[0]), [tuple(row.values()) for row in rows]
+
+
+def _cells(features: Features) -> dict[str, str]:
+    """Features by what they are called in a table."""
+    time, end = {"time [s]": f"{features.time:.1f}"}, features.end
+    if isinstance(end, Contact):
+        return time | {
+            "touched": end.touched,
+            "angle of impact [degrees]": f"{degrees(end.angle):.0f}",
+            "touched at [degrees]": f"{degrees(end.bearing):+.0f}",
+            "turns changed sides": str(end.reversals),
+        }
+    return time | {
+        "stayed within [m]": f"{end.extent:.0f}",
+        "rounds": f"{end.rounds:+.1f}",
+        "where it had been [%]": f"{100 * end.revisited:.0f}",
+        "target at the end [m]": f"{features.target_distance:.0f}",
+        "nearest ever [m]": f"{features.least_target_distance:.0f}",
+    }
+
+
+def failures_values(found: Failures) -> dict[str, Any]:
+    """The same as plain values, for JSON."""
+    return {
+        "version": __version__,
+        "evaluation": found.evaluation.command,
+        "most": found.most,
+        "failures": len(found.evaluation.failed),
+        "replayed": len(found.replays),
+        "groups": [
+            {
+                "name": name,
+                "about": GROUPS[name],
+                "rule": RULES[name],
+                "sheet": f"failures/{sheet(name)}",
+                "failures": [
+                    {
+                        "policy": one.failed.film.policy.name,
+                        "world": one.failed.film.tier.name,
+                        "title": one.failed.title,
+                        "seed": one.failed.seed,
+                        "ending": one.ending,
+                        "recording": f"failures/{one.failed.film.name}",
+                        "replay": one.failed.film.replay,
+                        "features": asdict(one.features),
+                    }
+                    for one in its
+                ],
+            }
+            for name, its in found.groups.items()
+        ],
+    }
+
+
+def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) -> None:
+    """A contact sheet: of each drive the whole arena, and below it the end enlarged.
+
+    Args:
+        drives: Titles, recordings and features; at least one.
+        path: Of the picture.
+    """
+    columns = min(COLUMNS, len(drives))
+    rows = -(-len(drives) // columns)
+    figure = Figure(figsize=(max(2.25 * columns, 5.0), 4.85 * rows + 0.6), layout="constrained")
+    grid = figure.subplots(2 * rows, columns, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for number, (title, recording, features) in enumerate(drives):
+        row, column = divmod(number, columns)
+        whole, end = grid[2 * row][column], grid[2 * row + 1][column]
+        middle, half = _frame(recording, features)
+        _draw_whole(whole, recording)
+        left, low = middle - half
+        whole.add_patch(Rectangle((left, low), 2 * half, 2 * half, fc="none", ec=INK, lw=0.8, alpha=0.8, zorder=8))
+        whole.set_title(title, fontsize=7.5, color=INK)
+        _draw_end(end, recording, features)
+        end.set(xlim=middle[0] + (-half, half), ylim=middle[1] + (-half, half), aspect="equal")
+        end.set_title(_what(features), fontsize=7, color=INK, pad=3)
+        about_size = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
+        end.text(
+            0.03, 0.03, f"{2 * half:.0f} m", transform=end.transAxes, fontsize=7, color=INK, zorder=9, bbox=about_size
+        )
+    handles = _legend([recording for _, recording, _ in drives])
+    across = min(len(handles), columns + 1)
+    figure.legend(handles=handles, loc="outside lower center", ncols=across, frameon=False, fontsize=8.5)
+    save_figure(figure, path)
+
+
+def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
+    """Middle (2,) and half side of what is enlarged: where something was touched, or the last minute was spent [m]."""
+    world = recording.world
+    if isinstance(features.end, Contact):
+        return np.array(features.end.place), CLOSE
+    late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
+    half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
+    least, most = half - MARGIN, np.array([world.width, world.depth]) - half + MARGIN
+    return np.clip((late.min(axis=0) + late.max(axis=0)) / 2, least, np.maximum(most, least)), half
+
+
+def _draw_whole(axes: Axes, recording: Recording) -> None:
+    world = recording.world
+    draw_world(axes, recording, recording.state_time[-1])
+    draw_path(axes, recording, 0.6)
+    axes.set(xlim=(-MARGIN, world.width + MARGIN), ylim=(-MARGIN, world.depth + MARGIN), aspect="equal")
+
+
+def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
+    draw_world(axes, recording, recording.state_time[-1])
+    draw_path(axes, recording, 1.5 if isinstance(features.end, Contact) else 1.0, cross=False)
+    if isinstance(features.end, Contact):
+        axes.plot(*features.end.place, "o", mfc=COLLISION, mec="white", ms=6, zorder=8)
+    axes.set_axis_on()
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set(color=INK, lw=0.8, alpha=0.8)
+
+
+def _what(features: Features) -> str:
+    if isinstance(features.end, Contact):
+        return f"{features.end.touched}, {degrees(features.end.angle):.0f} degrees, at {features.time:.1f} s"
+    return f"the last minute of {features.time:.0f} s" if features.time > LATE else f"all {features.time:.0f} s"
+
+
+def _legend(recordings: Sequence[Recording]) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=SAFE, lw=2, label="in a safe state"),
+        Line2D([], [], color=NON_SAFE, lw=2, label="in a non-safe state"),
+        Patch(facecolor=VEHICLE, edgecolor=INK, label="vehicle at the end"),
+        Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=8, label="target"),
+        Patch(facecolor=BOX, edgecolor=BOX_EDGE, label="box"),
+    ]
+    if any(recording.patrols for recording in recordings):
+        handles.append(Patch(facecolor=MOVING, edgecolor=MOVING_EDGE, label="moving box, at the end"))
+    if any(recording.about["ending"] == "collision" for recording in recordings):
+        handles.append(Line2D([], [], marker="o", ls="", mfc=COLLISION, mec="white", ms=7, label="touched here"))
+    return handles

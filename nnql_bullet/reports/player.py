@@ -1,0 +1,67 @@
+"""What a page's player draws a drive from: a recording as few numbers, for player.js, which stands beside it."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.recording import Recording
+
+RATE = 10
+"""Poses a second."""
+
+
+def player_text(recording: Recording, title: str) -> str:
+    """The drive as JSON that can stand in an HTML element: no character in it means anything there.
+
+    Lengths are in metres and angles in radians, but for series: `x`, `y` and `yaw` of the rear axle (`RATE` a second,
+    and at the end) and `times` of the decisions hold differences from one to the next in hundredths, and `readings`,
+    eight a decision, tenths.
+    """
+    values = json.dumps(_values(recording, title), separators=(",", ":"))
+    return values.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _values(recording: Recording, title: str) -> dict[str, Any]:
+    world, end = recording.world, float(recording.state_time[-1])
+    times = np.append(np.arange(0.0, end - 1e-6, 1.0 / RATE), end)
+    known = np.concatenate([[0.0], recording.sample_time])
+    poses = np.concatenate([recording.state_pose[:1], recording.sample_pose])
+    x, y, yaw = (np.interp(times, known, series) for series in (*poses[:, :2].T, np.unwrap(poses[:, 2])))
+    return {
+        "title": title,
+        "ending": recording.about["ending"],
+        "arena": [world.width, world.depth],
+        "target": [*world.target, world.target_radius],
+        "boxes": [_box(box) for box in world.obstacles],
+        "patrols": [
+            {"box": _box(p.box), "end": _rounded(*p.end), "speed": p.speed, "phase": p.phase} for p in world.patrols
+        ],
+        "footprint": _box(recording.footprint),
+        "sensor": _rounded(*recording.about["vehicle"]["sensor"][:2]),
+        "range": paper.SENSOR_RANGE,
+        "rate": RATE,
+        "end": round(end, 3),
+        "x": _differences(x),
+        "y": _differences(y),
+        "yaw": _differences(yaw),
+        "times": _differences(recording.state_time),
+        "readings": np.rint(10 * recording.readings).astype(int).ravel().tolist(),
+        "states": "".join(label[0] for label in recording.state_property.tolist()),
+    }
+
+
+def _box(box: OrientedBox) -> list[float]:
+    return _rounded(box.x, box.y, box.half_length, box.half_width, box.yaw)
+
+
+def _rounded(*numbers: float) -> list[float]:
+    return [round(number, 3) for number in numbers]
+
+
+def _differences(series: Array) -> list[int]:
+    """From one number (n,) to the next in hundredths, the first from 0: their sums are right to half of one."""
+    found: list[int] = np.diff(np.rint(100 * series), prepend=0).astype(int).tolist()
+    return found

@@ -1,0 +1,634 @@
+"""Recordings as moving pictures: instants, cameras, renderers, the ground, the overlay, and files of frames."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import atan2, cos, pi, radians, sin, tan
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from nnql_bullet import colours
+from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.env import Navigation, Observations
+from nnql_bullet.errors import UserError
+from nnql_bullet.executors import InlineExecutor, ProcessExecutor
+from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.recording import Recorder, Recording, load_recording
+from nnql_bullet.render import shading
+from nnql_bullet.render.camera import PATHS, Camera
+from nnql_bullet.render.film import Film, FramesLost, Studio, frame_times, frames
+from nnql_bullet.render.painter import Painter, tint
+from nnql_bullet.render.sheet import contact_sheet, key_moments
+from nnql_bullet.render.solids import BulletRenderer
+from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.render.video import write_pictures, write_video
+from nnql_bullet.rollout import Reflex, run_episode
+from nnql_bullet.sim.base import DriveOptions
+from nnql_bullet.sim.bullet import bullet
+from nnql_bullet.sim.bullet_scene import BulletScene, _one_look_a_link, works
+from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
+
+SIZE = 320, 180
+NEEDS_EGL = pytest.mark.skipif(not works("egl"), reason="EGL is not installed (Debian: libegl1)")
+RENDERERS = ["tiny", pytest.param("egl", marks=NEEDS_EGL)]
+Run = Callable[..., tuple[int, str, str]]
+
+
+def record(vehicle: VehicleSpec, world: WorldSpec, action: int, max_steps: int = 500, **about: object) -> Recording:
+    """A drive of one action over and over, by an ideal vehicle."""
+    simulator = TwinSimulator(vehicle, DriveOptions())
+    recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
+
+    def policy(observations: Observations) -> NDArray[np.int64]:
+        return np.full(len(observations.property), action)
+
+    run_episode(Navigation(simulator, TaskOptions(max_steps=max_steps)), world, Reflex(policy), watcher=recorder)
+    simulator.close()
+    return recorder.recording(policy="script", simulator="twin", **about)
+
+
+@pytest.fixture(scope="module")
+def drive(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> Recording:
+    """Straight ahead past a box, then a collision after 9 s with another."""
+    boxes = OrientedBox(12.0, 13.0, 2.0, 1.0, 0.3), OrientedBox(25.0, 10.0, 1.0, 4.0)
+    return record(vehicle, world_of(*boxes, side=40.0, start=Pose(5.0, 10.0, 0.0), target=(36.0, 36.0)), 0)
+
+
+@pytest.fixture(scope="module")
+def drive_file(drive: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "drive.npz"
+    drive.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def circles(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> Recording:
+    """Left turns, among them some over the angle where yaws jump, with a box that moves."""
+    patrol = Patrol(OrientedBox(10.0, 30.0, 0.5, 0.5), (30.0, 30.0), 1.0, 0.25)
+    world = world_of(side=40.0, start=Pose(20.0, 15.0, 3.0), target=(3.0, 36.0))
+    return record(vehicle, replace(world, patrols=(patrol,)), 2, max_steps=20)
+
+
+@pytest.fixture
+def renderer_of() -> Iterator[Callable[..., BulletRenderer]]:
+    made: list[BulletRenderer] = []
+
+    def make(recording: Recording, kind: str) -> BulletRenderer:
+        made.append(BulletRenderer(recording, kind))  # type: ignore[arg-type]
+        return made[-1]
+
+    yield make
+    for renderer in made:
+        renderer.close()
+
+
+def camera_over(x: float, y: float, up: float = 20.0) -> Camera:
+    """Straight down."""
+    return Camera((x, y, up), (x, y, 0.0), radians(40), *SIZE, near=up - 5.0, far=up + 5.0)
+
+
+# Instants
+
+
+def test_between_samples_a_straight_drive_is_where_constant_speed_takes_it(drive: Recording) -> None:
+    timeline = Timeline(drive)
+    for time in np.linspace(0.0, timeline.duration, 97):
+        moment = timeline.at(time)
+        assert moment.pose.x == pytest.approx(5.0 + 2.0 * time, abs=1e-6)
+        assert (moment.pose.y, moment.pose.yaw) == (10.0, 0.0)
+        assert moment.speed == pytest.approx(2.0)
+        rolled = 2.0 * max(time, 1 / 30) / 0.125  # the first sample is what is known of the joints at the start
+        assert moment.joint_angles[:2] == (pytest.approx(rolled), pytest.approx(rolled))
+        assert moment.step == min(int(time / 0.5), len(drive.action) - 1)
+        assert moment.over == (time >= timeline.duration)
+
+
+def test_yaws_are_interpolated_the_short_way_round(circles: Recording, vehicle: VehicleSpec) -> None:
+    timeline = Timeline(circles)
+    assert np.ptp(circles.sample_pose[:, 2]) > 6.0  # it jumps from pi to -pi
+    turned = np.unwrap([timeline.at(time).pose.yaw for time in np.arange(0.0, timeline.duration, 1 / 480)])
+    assert np.abs(np.diff(turned)).max() <= vehicle.limits.yaw_rate / 480 + 1e-9  # never faster than the vehicle turns
+    assert turned[-1] - turned[0] > 2 * pi
+
+
+def test_moving_boxes_are_where_their_tracks_say(circles: Recording) -> None:
+    (box,) = Timeline(circles).at(3.0).movers
+    assert (box.x, box.y) == (pytest.approx(10.0 + 40.0 * 0.25 + 3.0), 30.0)
+
+
+def test_the_path_grows_with_time_and_knows_safe_states(drive: Recording) -> None:
+    timeline = Timeline(drive)
+    assert len(timeline.path(0.0)) == 1
+    assert len(timeline.path(1.0)) == 31
+    assert len(timeline.path(timeline.duration)) == len(drive.sample_time) + 1 == len(timeline.safe()) + 1
+    states = drive.state_property[np.clip(((np.arange(len(timeline.safe())) + 0.5) / 15).astype(int), 0, None)]
+    assert timeline.safe().tolist() == (states != "NS").tolist()
+
+
+# Cameras
+
+
+@pytest.mark.parametrize("eye", [(3.0, -2.0, 2.5), (-4.0, 1.0, 6.0)])
+def test_a_camera_has_the_matrices_that_pybullet_computes(eye: tuple[float, float, float]) -> None:
+    camera = Camera(eye, (1.0, 0.5, 0.2), radians(50), 640, 360, near=0.3, far=90.0)
+    view = bullet.computeViewMatrix(eye, camera.target, (0, 0, 1))
+    projection = bullet.computeProjectionMatrixFOV(50.0, 640 / 360, 0.3, 90.0)
+    assert np.allclose(camera.view.T.ravel(), view, atol=1e-6)
+    assert np.allclose(camera.projection.T.ravel(), projection, atol=1e-6)
+
+
+def test_what_is_in_the_middle_appears_there_and_what_is_behind_nowhere() -> None:
+    camera = Camera((0.0, 0.0, 2.0), (10.0, 0.0, 0.0), radians(50), 640, 360, near=0.3, far=90.0)
+    pixels, distances = camera.project(np.array([[10.0, 0.0, 0.0], [-10.0, 0.0, 0.0], [10.0, 1.0, 0.0]]))
+    assert pixels[0] == pytest.approx((320.0, 180.0))
+    assert distances[0] == pytest.approx(np.hypot(10.0, 2.0))
+    assert np.isnan(pixels[1]).all()
+    assert pixels[2, 0] < 320.0  # the left of somebody who looks along x
+
+
+def test_from_above_a_metre_is_as_many_pixels_as_the_pinhole_model_says() -> None:
+    camera = camera_over(5.0, 7.0)
+    pixels, _ = camera.project(np.array([[5.0, 7.0, 0.0], [6.0, 7.0, 0.0], [5.0, 8.0, 0.0]]))
+    metre = SIZE[1] / 2 / tan(radians(20)) / 20.0
+    assert pixels - pixels[0] == pytest.approx(np.array([[0, 0], [metre, 0], [0, -metre]]))
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_every_camera_keeps_the_vehicle_in_the_picture(name: str, circles: Recording) -> None:
+    timeline = Timeline(circles)
+    path = PATHS[name](timeline, *SIZE)
+    for time in np.linspace(0.0, timeline.duration, 40):
+        moment = timeline.at(time)
+        (pixel,), _ = path(moment).project(np.array([[moment.pose.x, moment.pose.y, 0.2]]))
+        assert 0 < pixel[0] < SIZE[0]
+        assert 0 < pixel[1] < SIZE[1]
+
+
+# Solid things
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+def test_the_vehicle_is_drawn_where_its_pose_says(
+    kind: str, circles: Recording, renderer_of: Callable[..., BulletRenderer]
+) -> None:
+    """From above it covers the union of its footprint and of its wheels, which stick out."""
+    timeline, renderer = Timeline(circles), renderer_of(circles, kind)
+    for time in (0.0, 2.2, 6.1):
+        moment = timeline.at(time)
+        camera = camera_over(moment.pose.x, moment.pose.y, 6.0)
+        seen = np.argwhere(renderer.draw(moment, camera).depths < 1.0)[:, ::-1] + 0.5
+        c, s = cos(moment.pose.yaw), sin(moment.pose.yaw)
+        metre = SIZE[1] / 2 / tan(radians(20)) / (6.0 - 0.3)  # at about the height of the deck
+        offset = (seen - (SIZE[0] / 2, SIZE[1] / 2)) * (1, -1) / metre
+        ahead, left = offset @ (c, s), offset @ (-s, c)
+        assert (ahead.min(), ahead.max()) == (pytest.approx(-0.20, abs=0.06), pytest.approx(0.90, abs=0.06))
+        assert (left.min(), left.max()) == (pytest.approx(-0.325, abs=0.06), pytest.approx(0.325, abs=0.06))
+
+
+def test_the_engine_says_that_those_pixels_are_the_vehicle(
+    circles: Recording, renderer_of: Callable[..., BulletRenderer]
+) -> None:
+    """Its segmentation mask against the depths that pictures are made of."""
+    timeline, renderer = Timeline(circles), renderer_of(circles, "tiny")
+    moment = timeline.at(2.2)
+    camera = camera_over(moment.pose.x, moment.pose.y, 12.0)
+    solids = renderer.draw(moment, camera)
+    view, lens = camera.view.T.ravel().tolist(), camera.projection.T.ravel().tolist()
+    client = renderer.scene.client
+    _, _, _, _, mask = bullet.getCameraImage(
+        *SIZE, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client
+    )
+    bodies = np.reshape(mask, SIZE[::-1])
+    vehicle = bullet.getNumBodies(client) - 1
+    assert ((bodies == vehicle) == (solids.depths < 1.0)).all()
+    assert (bodies == vehicle).sum() > 250
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+def test_depths_lead_back_to_the_surfaces(
+    kind: str, drive: Recording, renderer_of: Callable[..., BulletRenderer]
+) -> None:
+    """Every pixel of a solid thing is, in the world, on a box or on the vehicle."""
+    timeline, renderer = Timeline(drive), renderer_of(drive, kind)
+    moment = timeline.at(3.0)
+    camera = PATHS["chase"](timeline, *SIZE)(moment)
+    depths, eye = renderer.draw(moment, camera).depths.astype(np.float64), shading.eye_of(camera)
+    rows, columns = np.nonzero(depths < 1.0)
+    x, y = (2 * columns + 1) / SIZE[0] - 1, 1 - (2 * rows + 1) / SIZE[1]
+    rays = np.array(eye.ahead) + np.outer(x, eye.right) + np.outer(y, eye.up)
+    near, far = camera.near, camera.far
+    ahead = 2 * near * far / (far + near - (2 * depths[rows, columns] - 1) * (far - near))
+    places = np.array(camera.eye) + ahead[:, None] * rays
+    pixel = 2 * ahead * tan(camera.field_of_view / 2) / SIZE[1]
+    assert (places[:, 2] > -0.02 - pixel).all()
+    assert (places[:, 2] < drive.world.obstacle_height + 0.02 + pixel).all()
+    vehicle = OrientedBox(moment.pose.x + 0.35, moment.pose.y, 0.56, 0.34, moment.pose.yaw)
+    boxes = as_rows((*drive.obstacles, *drive.world.walls, vehicle))
+    point = as_rows((OrientedBox(0.0, 0.0, 1e-6, 1e-6),))[0]
+    off = [clearance_at(*place, 0.0, point, boxes) for place in places[::37, :2].tolist()]
+    assert (np.array(off) < 0.02 + 3 * pixel[::37]).all()
+
+
+@NEEDS_EGL
+def test_pictures_look_alike_by_either_renderer(drive: Recording, renderer_of: Callable[..., BulletRenderer]) -> None:
+    timeline = Timeline(drive)
+    moment = timeline.at(3.0)
+    camera = PATHS["chase"](timeline, *SIZE)(moment)
+    tiny, egl = (
+        Painter(timeline, renderer_of(drive, kind)).paint(moment, camera)[0].astype(int) for kind in ("tiny", "egl")
+    )
+    assert np.abs(tiny - egl).mean() < 2.0
+    assert np.quantile(np.abs(tiny - egl), 0.95) <= 12
+
+
+def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
+    world = world_of(side=40.0, start=Pose(5.0, 10.0, 0.0), target=(36.0, 36.0))
+    nearest = []
+    for carried in (vehicle, loaded(vehicle, deck_load(vehicle, 40.0))):
+        recording = record(carried, world, 0, max_steps=2)
+        renderer = BulletRenderer(recording, "tiny")
+        depths = renderer.draw(Timeline(recording).at(0.0), camera_over(5.35, 10.0, 6.0)).depths
+        renderer.close()
+        nearest.append(2 * 1.0 * 11.0 / (12.0 - (2 * depths.min() - 1) * 10.0))
+    mast, cube = 6.0 - np.array(nearest)
+    assert (mast, cube) == (pytest.approx(0.635, abs=0.005), pytest.approx(0.75, abs=0.005))
+
+
+def test_a_recording_without_the_look_of_the_vehicle_is_refused(drive: Recording) -> None:
+    about = {**drive.about, "vehicle": {k: v for k, v in drive.about["vehicle"].items() if k != "urdf"}}
+    old = replace(drive, about=about)
+    with pytest.raises(UserError, match="record it again"):
+        BulletRenderer(old, "tiny")
+
+
+# Ground and light
+
+
+def test_shadows_fall_where_the_light_throws_them() -> None:
+    """A box's shadow is its foot and all that lies between it and its top's, a metre up."""
+    layer = np.zeros((200, 200), np.uint8)
+    box = OrientedBox(5.0, 5.0, 1.0, 0.5, 0.4)
+    shading.paint_shadow(layer, 0.05, as_rows((box,))[0], 1.0)
+    centres = (np.arange(200) + 0.5) * 0.05
+    x, y = np.meshgrid(centres, centres)
+    inside = np.zeros_like(layer, dtype=bool)
+    for up in np.linspace(0.0, 1.0, 101):
+        dx, dy = x - 5.0 - up * shading.LEAN[0], y - 5.0 - up * shading.LEAN[1]
+        along, across = cos(0.4) * dx + sin(0.4) * dy, cos(0.4) * dy - sin(0.4) * dx
+        inside |= (np.abs(along) <= 1.0) & (np.abs(across) <= 0.5)
+    assert layer[inside].min() > 200
+    assert layer[~inside].mean() < 5.0
+    assert layer[(np.hypot(x - 5, y - 5) > 3.0)].max() == 0
+
+
+def test_a_line_of_the_path_covers_its_area() -> None:
+    layer = np.zeros((100, 100), np.uint8)
+    shading.paint_line(layer, 0.05, np.array([1.0, 1.0]), np.array([4.0, 3.0]), 0.1)
+    area = layer.sum() / 255 * 0.05**2
+    assert area == pytest.approx(np.hypot(3.0, 2.0) * 0.2 + pi * 0.1**2, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", RENDERERS)
+def test_the_ground_shows_target_path_and_sectors_at_their_places(
+    kind: str, circles: Recording, renderer_of: Callable[..., BulletRenderer]
+) -> None:
+    timeline = Timeline(circles)
+    painter = Painter(timeline, renderer_of(circles, kind))
+    moment = timeline.at(5.0)  # round once in 4 s: opposite to where it was at 3 s
+
+    def colour_at(x: float, y: float) -> NDArray[np.int64]:
+        picture, _ = painter.paint(moment, camera_over(x, y, 8.0))
+        return np.asarray(picture[SIZE[1] // 2, SIZE[0] // 2], dtype=np.int64)
+
+    floor = colour_at(37.1, 3.1)
+    assert np.ptp(floor) < 10  # grey
+    target = colour_at(3.0, 36.0)
+    assert target[0] > 150 > 100 > target[1]  # red
+    x, y = timeline.path(3.0)[-1]
+    states = np.array([colours.rgb(colours.SAFE), colours.rgb(colours.NON_SAFE)])
+    assert np.abs(colour_at(x, y) - states).sum(axis=1).min() < 120
+    ahead = circles.state_pose[moment.step]
+    free = colour_at(ahead[0] + 4 * cos(ahead[2] + 0.2), ahead[1] + 4 * sin(ahead[2] + 0.2))
+    assert free[1] > free[0] + 10  # green, for the reading is far
+
+
+def test_tints_go_from_red_over_yellow_to_green() -> None:
+    near, middle, far = tint(np.array([0.0, 5.0, 10.0]))
+    assert near.argmax() == 0
+    assert middle.argmin() == 2
+    assert far.argmax() == 1
+    steps = tint(np.linspace(0, 10, 1001))
+    assert np.abs(np.diff(steps, axis=0)).max() < 1.0  # without a jump
+
+
+def test_a_film_may_go_back_in_time(drive: Recording, renderer_of: Callable[..., BulletRenderer]) -> None:
+    """What is painted depends on the instant alone, not on what was painted before."""
+    timeline = Timeline(drive)
+    path = PATHS["top"](timeline, *SIZE)
+    first, second = (Painter(timeline, renderer_of(drive, "tiny")) for _ in range(2))
+    for time in (6.0, 2.0):
+        painted, _ = first.paint(timeline.at(time), path(timeline.at(time)))
+    fresh, _ = second.paint(timeline.at(2.0), path(timeline.at(2.0)))
+    assert (painted == fresh).all()
+
+
+# What is written over it
+
+
+def has(picture: NDArray[np.uint8], colour: str) -> int:
+    """How many pixels have a colour."""
+    return int((picture == np.array(colours.rgb(colour), dtype=np.uint8)).all(axis=2).sum())
+
+
+def test_the_overlay_tells_values_states_and_the_ending(drive_file: Path) -> None:
+    studio = Studio(Film(drive_file, "chase", 640, 360, "tiny"))
+    recording = load_recording(drive_file)
+    asked = int(np.flatnonzero(np.isfinite(recording.q_values).all(axis=1))[0])
+    before, during = studio.frame(0.1), studio.frame(float(recording.state_time[asked]) + 0.2)
+    end = studio.frame(float(recording.state_time[-1]))
+    panel = np.s_[220:345, 6:120]  # lower left: values and the action
+    assert has(during[panel], colours.NON_SAFE) > 10  # the bar of the action taken
+    assert has(during[panel], colours.TIMEOUT) > 100  # the other bars
+    assert has(before[panel], colours.TIMEOUT) == 0  # it did not ask itself yet
+    state = np.s_[310:346, 540:634]
+    assert has(before[state], colours.SAFE) > 300
+    assert has(during[state], colours.NON_SAFE) > 300
+    banner = np.s_[44:76, 200:440]
+    assert has(before[banner], colours.COLLISION) == 0
+    assert has(end[banner], colours.COLLISION) > 2000
+
+
+def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) -> None:
+    studio = Studio(Film(drive_file, "chase", 640, 360, "tiny"))
+    timeline = Timeline(load_recording(drive_file))
+    moment = timeline.at(timeline.duration)
+    camera = PATHS["chase"](timeline, 640, 360)(moment)
+    picture, depths = studio._painter.paint(moment, camera)
+    hidden = studio._overlay.write(picture, np.zeros_like(depths), moment, [camera])
+    shown = studio._overlay.write(picture, np.ones_like(depths), moment, [camera])
+    assert (hidden != shown).any()
+
+
+# Films
+
+
+@pytest.mark.parametrize(("speed", "count"), [(1.0, 91), (2.0, 46), (0.5, 181)])
+def test_a_film_has_as_many_frames_as_time_and_speed_say(speed: float, count: int) -> None:
+    times = frame_times(2.0, 5.0, 30.0, speed, hold=0.0)
+    assert len(times) == count
+    assert (times[0], times[-1]) == (2.0, pytest.approx(5.0))
+    assert len(frame_times(2.0, 5.0, 30.0, speed, hold=1.5)) == count + 45
+
+
+def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    film, times = Film(drive_file, "split", 160, 90, "tiny"), frame_times(0.0, 3.0, 10.0, 1.0, hold=0.2)
+    monkeypatch.setattr("nnql_bullet.render.film.PIECE", 4 * 160 * 90 * 3)
+    alone = np.stack(list(frames(film, times, InlineExecutor())))
+    shared = np.stack(list(frames(film, times, ProcessExecutor(2))))
+    assert alone.shape == (33, 90, 160, 3)
+    assert (alone == shared).all()
+    assert (alone[-1] == alone[-2]).all()  # the ending stays
+    assert (alone[0] != alone[10]).any()
+
+
+def test_frames_that_cannot_be_drawn_are_told(tmp_path: Path) -> None:
+    film = Film(tmp_path / "gone.npz", "chase", 160, 90, "tiny")
+    with pytest.raises(FramesLost, match=r"frame 1: .*gone\.npz"):
+        list(frames(film, [0.0], InlineExecutor()))
+
+
+@pytest.fixture(scope="module")
+def some_frames() -> list[NDArray[np.uint8]]:
+    ramp = np.linspace(0, 255, 64).astype(np.uint8)
+    return [np.stack([np.tile(ramp, (36, 1))] * 3, axis=2) // (1 + k) for k in range(12)]
+
+
+def test_a_video_has_the_asked_size_rate_frames_and_codec(tmp_path: Path, some_frames: list[NDArray[np.uint8]]) -> None:
+    path = tmp_path / "a.mp4"
+    write_video(path, some_frames, (64, 36), 24.0, "mp4")
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    reader = imageio_ffmpeg.read_frames(str(path))
+    about = next(reader)
+    reader.close()
+    assert (count, seconds) == (12, pytest.approx(0.5, abs=0.01))
+    assert about["codec"] == "h264"
+    assert about["pix_fmt"].startswith("yuv420p")
+    assert (about["source_size"], about["fps"]) == ((64, 36), 24.0)
+    assert path.read_bytes().find(b"moov") < path.read_bytes().find(b"mdat")  # plays while it is being loaded
+    assert [child.name for child in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_the_same_frames_make_the_same_video(tmp_path: Path, some_frames: list[NDArray[np.uint8]]) -> None:
+    for name in ("a.mp4", "b.mp4"):
+        write_video(tmp_path / name, some_frames, (64, 36), 24.0, "mp4")
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+
+
+def test_an_animation_holds_every_frame(tmp_path: Path, some_frames: list[NDArray[np.uint8]]) -> None:
+    write_video(tmp_path / "a.gif", some_frames, (64, 36), 10.0, "gif")
+    with Image.open(tmp_path / "a.gif") as animation:
+        assert (animation.size, animation.n_frames) == ((64, 36), 12)
+        animation.seek(3)
+        assert np.abs(np.asarray(animation.convert("RGB")).astype(int) - some_frames[3]).mean() < 6
+
+
+@pytest.mark.parametrize("kind", ["mp4", "gif"])
+def test_what_is_interrupted_leaves_nothing_and_spares_what_was_there(
+    kind: str, tmp_path: Path, some_frames: list[NDArray[np.uint8]]
+) -> None:
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(b"old")
+
+    def interrupted() -> Iterator[NDArray[np.uint8]]:
+        yield from some_frames[:5]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(path, interrupted(), (64, 36), 24.0, kind)  # type: ignore[arg-type]
+    assert [child.name for child in tmp_path.iterdir()] == [path.name]
+    assert path.read_bytes() == b"old"
+
+
+def test_pictures_are_numbered_and_never_mixed_with_others(
+    tmp_path: Path, some_frames: list[NDArray[np.uint8]]
+) -> None:
+    passed = list(write_pictures(tmp_path / "frames", some_frames))
+    names = sorted(child.name for child in (tmp_path / "frames").iterdir())
+    assert (len(passed), names[0], names[-1]) == (12, "frame_00001.png", "frame_00012.png")
+    with Image.open(tmp_path / "frames" / "frame_00004.png") as picture:
+        assert (np.asarray(picture) == some_frames[3]).all()
+    with pytest.raises(UserError, match="holds frames already"):
+        list(write_pictures(tmp_path / "frames", some_frames))
+
+
+def test_a_sheet_shows_start_end_and_the_closest_passes(drive: Recording) -> None:
+    timeline = Timeline(drive)
+    moments = key_moments(timeline)
+    times = [moment.time for moment in moments]
+    assert (times[0], times[-1]) == (0.0, timeline.duration)
+    assert np.diff(times).min() >= timeline.duration / 12
+    closest = float(drive.clearance[:-2].min())
+    assert any(f"{closest:.2f} m" in moment.caption or "collision" in moment.caption for moment in moments)
+    pictures = [np.full((90, 160, 3), 40 * k, np.uint8) for k in range(len(moments))]
+    sheet = contact_sheet(moments, pictures)
+    for k in range(len(moments)):
+        assert (sheet == 40 * k).all(axis=2).sum() >= 90 * 160 * 0.9
+
+
+# The command
+
+
+def test_render_leaves_a_whole_video(run_cli: Run, drive_file: Path, tmp_path: Path) -> None:
+    options = "--size", "160x90", "--fps", "10", "--end", "2", "--renderer", "tiny", "--workers", "1"
+    code, out, err = run_cli("render", drive_file, *options, "--out", tmp_path / "a.mp4", "--sheet", tmp_path / "s.png")
+    assert (code, out) == (0, f"video: {tmp_path / 'a.mp4'}\nsheet: {tmp_path / 's.png'}\n")
+    assert "36/36" in err
+    assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))[0] == 21 + 15
+    assert sorted(child.name for child in tmp_path.iterdir()) == ["a.mp4", "s.png"]
+
+
+def test_frames_alone_make_no_video(run_cli: Run, drive_file: Path, tmp_path: Path) -> None:
+    options = "--size", "160x90", "--fps", "2", "--end", "1", "--renderer", "tiny", "--workers", "1"
+    before = set(drive_file.parent.iterdir())
+    code, out, _ = run_cli("render", drive_file, *options, "--frames", tmp_path / "f")
+    assert (code, out) == (0, f"frames: {tmp_path / 'f'}\n")
+    assert len(list((tmp_path / "f").iterdir())) == 3 + 3
+    assert set(drive_file.parent.iterdir()) == before
+
+
+def test_a_policy_is_driven_first(
+    run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = "--size", "64x64", "--fps", "1", "--speed", "10", "--renderer", "tiny", "--workers", "1"
+    code, out, _ = run_cli("render", "hand_rule", "--world", small_world, "--seed", 3, *options)
+    folder = Path("runs/hand_rule/navigate/small-3")
+    assert (code, out) == (0, f"video: {folder / 'trajectory.mp4'}\n")
+    driven = load_recording(folder / "trajectory.npz")
+    assert (driven.world.seed, driven.about["policy"]) == (3, "hand_rule")
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--size", "161x90"], "--size: give WIDTHxHEIGHT, even numbers from 64 to 7680, not '161x90'"),
+        (["--size", "big"], "not 'big'"),
+        (["--fps", "0"], "--fps: must be between 1 and 240"),
+        (["--speed", "-1"], "--speed: must be above 0"),
+        (["--workers", "0"], "--workers: must be at least 1"),
+        (["--begin", "20"], "nothing is between"),
+        (["--world", "paper"], "this is a recording"),
+        (["--out", "a.avi"], "ends in .mp4 or .gif"),
+        (["--out", "a.mp4", "--format", "gif"], "ends in .gif"),
+        (["--camera", "drone"], "give one of: chase, orbit, split, top"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_in_one_line(
+    options: list[str], line: str, run_cli: Run, drive_file: Path, snapshot: Callable[[Path], dict[str, bytes]]
+) -> None:
+    before = snapshot(drive_file.parent)
+    code, out, err = run_cli("render", drive_file, *options)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert line in err
+    assert snapshot(drive_file.parent) == before
+
+
+def test_a_truncated_recording_is_refused_in_one_line(run_cli: Run, drive_file: Path, tmp_path: Path) -> None:
+    half = tmp_path / "half.npz"
+    half.write_bytes(drive_file.read_bytes()[: drive_file.stat().st_size // 2])
+    code, out, err = run_cli("render", half, "--out", tmp_path / "a.mp4")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "not a whole recording" in err
+    assert not (tmp_path / "a.mp4").exists()
+
+
+def test_navigate_leaves_a_video_when_asked(
+    run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shot = []
+    monkeypatch.setattr("nnql_bullet.cli.navigate.shoot", lambda *arguments: shot.append(arguments))
+    monkeypatch.setattr("nnql_bullet.cli.filming.best_renderer", lambda: "tiny")
+    options = "--world", small_world, "--sim", "twin", "--video", "--json", "--out", tmp_path
+    code, out, _ = run_cli("navigate", "hand_rule", *options)
+    ((film, times, video),) = shot
+    assert (code, json.loads(out)["video"], video) == (0, str(tmp_path / "trajectory.mp4"), tmp_path / "trajectory.mp4")
+    assert film == Film(tmp_path / "trajectory.npz", "chase", 1280, 720, "tiny")
+    assert times[-1] == load_recording(film.recording).sample_time[-1]
+
+
+# The window
+
+SHORT_WORLD = """\
+width = 20.0
+depth = 20.0
+start = [4.0, 4.0]
+target = [9.0, 9.0]
+
+[layout]
+kind = "boxes"
+boxes = [{ x = 15.0, y = 6.0, length = 2.0, width = 1.0 }]
+"""
+
+
+def test_without_a_display_no_window_is_promised(run_cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    (tmp_path / "short.toml").write_text(SHORT_WORLD)
+    code, out, err = run_cli("navigate", "straight", "--world", tmp_path / "short.toml", "--gui", "--out", tmp_path)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "no window can be opened here" in err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="Xvfb is not installed (Debian: xvfb, xauth)")
+def test_the_window_opens_where_there_is_a_display(tmp_path: Path) -> None:
+    """Under a display that nobody sees."""
+    (tmp_path / "short.toml").write_text(SHORT_WORLD)
+    navigate = ["navigate", "straight", "--world", "short.toml", "--gui", "--out", "out", "--json"]
+    command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-m", "nnql_bullet", *navigate]
+    path = os.pathsep.join(sys.path)
+    answer = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=120
+    )
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert json.loads(answer.stdout)["ending"] == "goal"
+
+
+def test_the_window_gives_every_part_of_the_vehicle_its_colour(vehicle: VehicleSpec) -> None:
+    """A link for every visual shape, where it was: the picture is the same as of the robot as it is."""
+    text = vehicle.urdf.read_text()
+    split = _one_look_a_link(text)
+    pictures = []
+    for urdf in (text, split):
+        scene = BulletScene("tiny")
+        body, joints = scene.add_robot(urdf)
+        scene.place(body, 0.0, 0.0, 0.125, 0.3)
+        scene.turn(body, joints["swivel"], 0.5)
+        camera = Camera((2.0, -1.5, 1.5), (0.3, 0.0, 0.1), radians(40), *SIZE, near=0.5, far=10.0)
+        pictures.append(scene.picture(camera.view, camera.projection, *SIZE)[:2])
+        scene.close()
+    assert (pictures[0][0] == pictures[1][0]).all()
+    assert np.allclose(pictures[0][1], pictures[1][1], atol=1e-6)
+    assert split.count("<link") == split.count("<visual") > 10
+
+
+def test_the_window_looks_from_where_the_camera_is() -> None:
+    """Yaw and pitch as PyBullet's own window understands them, against its view matrix."""
+    eye, target = (3.0, -2.0, 2.5), (1.0, 0.5, 0.2)
+    ahead = np.subtract(target, eye)
+    distance = float(np.linalg.norm(ahead))
+    yaw, pitch = np.degrees(atan2(ahead[1], ahead[0])) - 90.0, np.degrees(np.arcsin(ahead[2] / distance))
+    by_angles = bullet.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0.0, 2)
+    assert np.allclose(by_angles, bullet.computeViewMatrix(eye, target, (0, 0, 1)), atol=1e-5)
