@@ -10,6 +10,7 @@ import tyro
 
 from nnql_bullet.cli.console import complain, say, say_table
 from nnql_bullet.cli.failures import clear
+from nnql_bullet.cli.filming import FPS, film_of, shoot, whole
 from nnql_bullet.cli.work import run_all, run_kept
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import (
@@ -31,6 +32,7 @@ from nnql_bullet.executors import Executor, ExecutorKind, make_executor
 from nnql_bullet.experiment import Experiment, SimulatorName
 from nnql_bullet.files import write_text
 from nnql_bullet.recording import Recording
+from nnql_bullet.render.film import HOLD
 from nnql_bullet.reports import evaluation as report
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.runs import open_policy
@@ -39,6 +41,10 @@ from nnql_bullet.worlds.paths import Difficulty
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
 """Percent of the arena under boxes, and the shipped world."""
+CLIP = 12.0
+"""How long before its end a clip of a failure begins [s]."""
+CLIP_SIZE = (960, 540)
+"""[pixels]"""
 
 
 def evaluate(
@@ -53,6 +59,7 @@ def evaluate(
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     executor: Annotated[ExecutorKind, tyro.conf.arg(help_behavior_hint="")] = "processes",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
+    clips: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = Path("runs/evaluate"),
     json_output: Annotated[
         bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
@@ -83,9 +90,13 @@ def evaluate(
         workers: Pieces that run at a time; default one a core. The result does not depend on it.
         executor: Where they run: processes of this machine (default), this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
+        clips: Videos of the last seconds of failures, one of each method in each kind of world, that are left in
+            DIR/clips; at most so many, default none.
         out: Where the report goes; default runs/evaluate.
         json_output: Print results.json instead of the table.
     """
+    if clips < 0:
+        raise UserError(f"--clips: must not be negative, not {clips}")
     files = _files(cover, world)
     setting = Setting(split, sim, physics)
     where = make_executor(executor, workers or os.cpu_count() or 1, address)
@@ -100,6 +111,7 @@ def evaluate(
         complain(f"interrupted; what is driven so far is kept in {out / 'parts'}: the same command goes on")
         return 130
     _write(evaluation, films, out, json_output)
+    _shoot_clips([task for task, _ in films[:clips]], out)
     return 0
 
 
@@ -154,6 +166,17 @@ def _filmed(executor: Executor, e: Evaluation) -> list[tuple[FilmTask, Recording
                     tasks.setdefault((policy.method, tier.name), task)
     chosen = list(tasks.values())
     return list(zip(chosen, run_all(executor, "failures", film, chosen), strict=True))
+
+
+def _shoot_clips(tasks: Sequence[FilmTask], out: Path) -> None:
+    """Draws how recorded failures ended."""
+    folder = out / "clips"
+    for old in folder.glob("*.mp4"):
+        old.unlink()
+    for task in tasks:
+        folder.mkdir(exist_ok=True)
+        film = film_of(out / "failures" / task.name, "split", CLIP_SIZE)
+        shoot(film, whole(film.recording)[-round((CLIP + HOLD) * FPS) :], folder / f"{Path(task.name).stem}.mp4")
 
 
 def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out: Path, json_output: bool) -> None:

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
+from nnql_bullet.colours import INK
 from nnql_bullet.fidelity.envelope import (
     HEADING_TOLERANCE,
     HEADINGS,
@@ -31,7 +32,7 @@ from nnql_bullet.fidelity.envelope import (
 )
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array
-from nnql_bullet.reports.plots import INK, save_figure
+from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
 from nnql_bullet.vehicle.demand import (
     braking,

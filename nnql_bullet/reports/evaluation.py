@@ -13,27 +13,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
-from nnql_bullet import __version__
+from nnql_bullet import __version__, colours
+from nnql_bullet.colours import COLLISION, INK, LINES, NON_SAFE, SAFE
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
 from nnql_bullet.evaluation.statistics import Share
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import (
-    COLLISION,
-    GOAL,
-    INK,
-    LINES,
-    NON_SAFE,
-    SAFE,
-    TIMEOUT,
-    draw_path,
-    draw_world,
-    save_figure,
-)
+from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
 from nnql_bullet.task import ENDINGS
 
-COLOURS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT}
 MARKS = "osD^vPX"
 
 
@@ -284,7 +273,7 @@ def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> No
     for axes, tier in zip(panels, e.tiers, strict=True):
         its = [row for row in rows if row.world == tier.name]
         left = np.zeros(len(its))
-        for ending, colour in COLOURS.items():
+        for ending, colour in colours.ENDINGS.items():
             widths = np.array([100 * row.outcomes[ending].value for row in its])
             axes.barh(places, widths, left=left, color=colour, height=0.7, label=ending)
             left += widths

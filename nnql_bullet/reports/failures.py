@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from nnql_bullet import __version__
+from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, MOVING, MOVING_EDGE, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.evaluation.failures import (
     GROUPS,
     HEAD_ON,
@@ -34,20 +35,7 @@ from nnql_bullet.evaluation.failures import (
 from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import (
-    BOX,
-    BOX_EDGE,
-    COLLISION,
-    INK,
-    MOVING,
-    MOVING_EDGE,
-    NON_SAFE,
-    SAFE,
-    VEHICLE,
-    draw_path,
-    draw_world,
-    save_figure,
-)
+from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.reports.tables import markdown_table
 
 T = TypeVar("T")

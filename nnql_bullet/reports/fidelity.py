@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from nnql_bullet import __version__
+from nnql_bullet.colours import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT
 from nnql_bullet.fidelity.actions import WatchedTurn, tightest
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
-from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, save_figure
+from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import finite, markdown_table
 from nnql_bullet.sim.base import COMMAND_RATE
 from nnql_bullet.vehicle.demand import Demand, quasi_steady

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
+from nnql_bullet.colours import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT
 from nnql_bullet.evaluation.causes import CAUSES, DRIFT, GRAZE, NOTABLE, Explanation
 from nnql_bullet.evaluation.gap import (
     FaultRow,
@@ -28,7 +29,7 @@ from nnql_bullet.evaluation.gap import (
 from nnql_bullet.evaluation.statistics import share
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
-from nnql_bullet.reports.plots import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT, draw_world, save_figure
+from nnql_bullet.reports.plots import draw_world, save_figure
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
 from nnql_bullet.task import ENDINGS
 

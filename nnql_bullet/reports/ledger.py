@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
+from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, TIMEOUT
 from nnql_bullet.evaluation.ledger import TIERS, Budget, Choice, Entry
-from nnql_bullet.reports.plots import BOX, COLLISION, GOAL, INK, SAFE, TIMEOUT, save_figure
+from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import csv_text, markdown_table
 
 COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}

@@ -13,19 +13,25 @@ from matplotlib.patches import Circle, Patch, Polygon
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.colours import (
+    BOX,
+    BOX_EDGE,
+    COLLISION,
+    GOAL,
+    INK,
+    LINES,
+    MOVING,
+    MOVING_EDGE,
+    NON_SAFE,
+    SAFE,
+    TIMEOUT,
+    VEHICLE,
+)
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, moved
 from nnql_bullet.recording import Recording
 from nnql_bullet.training.base import TrainingEpisode
 
-SAFE, NON_SAFE, COLLISION = "#1f77b4", "#e8590c", "#c92a2a"
-GOAL, TIMEOUT = "#2b8a3e", "#868e96"
-BOX, BOX_EDGE = "#adb5bd", "#495057"
-MOVING, MOVING_EDGE = "#b197fc", "#5f3dc4"
-VEHICLE = "#fab005"
-INK = "#212529"
-LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
-"""Colours of things of one kind, in this order."""
 DPI = 150
 """Of pictures."""
 OUTLINE_EVERY = 4.0

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
+from nnql_bullet.colours import INK
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
-from nnql_bullet.reports.plots import INK, save_figure
+from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
 
 GRID = "#e9ecef"
