@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from math import radians
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,8 +187,27 @@ def _pixels(camera: Camera, frame: NDArray[np.float64], height: float) -> tuple[
     return rows, columns
 
 
-def test_without_the_extra_it_names_it(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_it_names_it(
+    recording: Recording, tmp_path: Path, run_cli: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delitem(sys.modules, "nnql_bullet.render.vtk", raising=False)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(UserError, match=r"nnql-bullet\[render\]"):
         make_renderer(recording, "vtk")
+    recording.save(tmp_path / "drive.npz")
+    code, out, err = run_cli("render", tmp_path / "drive.npz", "--renderer", "vtk")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "nnql-bullet[render]" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.npz"]
+
+
+def test_a_recording_that_does_not_say_what_the_vehicle_looks_like_is_one_line_and_nothing_written(
+    recording: Recording, tmp_path: Path, run_cli: Callable[..., tuple[int, str, str]]
+) -> None:
+    vehicle = {key: value for key, value in recording.about["vehicle"].items() if key != "urdf"}
+    replace(recording, about={**recording.about, "vehicle": vehicle}).save(tmp_path / "old.npz")
+    for renderer in ("tiny", "vtk") if find_spec("pyvista") else ("tiny",):
+        code, out, err = run_cli("render", tmp_path / "old.npz", "--renderer", renderer)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "record it again" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["old.npz"]

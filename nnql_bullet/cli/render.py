@@ -13,7 +13,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Film, frame_times
-from nnql_bullet.render.renderers import RendererName, best_renderer
+from nnql_bullet.render.renderers import RendererName, best_renderer, make_renderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat
 from nnql_bullet.runs import drives_folder
@@ -91,11 +91,13 @@ def render(
     else:
         path = _driven(recording, world, seed or 0)
     video = out or (None if frames or sheet else path.with_suffix(f".{kind}"))
-    duration = Timeline(load_recording(path)).duration
+    loaded = load_recording(path)
+    duration = Timeline(loaded).duration
     last = duration if end is None else min(end, duration)
     if not 0.0 <= begin < last:
         raise UserError(f"--begin, --end: the drive takes {duration:.1f} s; nothing is between {begin:g} and {last:g}")
     film = Film(path, camera, width, height, best_renderer() if renderer == "auto" else renderer)
+    make_renderer(loaded, film.renderer).close()  # what it lacks shows before anything is written
     if video or frames:
         shoot(film, frame_times(begin, last, fps, speed), video, kind, fps, frames, workers)
     if sheet:
