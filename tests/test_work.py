@@ -39,7 +39,7 @@ def test_the_command_line_says_so_in_one_line(
         """Fails."""
         raise WorkFailed("squaring, piece 2 of 3: bad luck")
 
-    monkeypatch.setitem(parser.VERBS, "doctor", verb)
+    monkeypatch.setattr(parser, "verb_of", lambda name: verb)
     assert parser.run(["doctor"]) == 1
     assert capfd.readouterr().err == "nnql-bullet: squaring, piece 2 of 3: bad luck\n"
 

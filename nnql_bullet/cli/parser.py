@@ -6,42 +6,32 @@ import io
 import re
 from collections.abc import Callable
 from contextlib import redirect_stderr
+from importlib import import_module
 from inspect import getdoc
 
 import tyro
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import complain, say
-from nnql_bullet.cli.doctor import doctor
-from nnql_bullet.cli.envelope import envelope
-from nnql_bullet.cli.evaluate import evaluate
-from nnql_bullet.cli.failures import failures
-from nnql_bullet.cli.fidelity import fidelity
-from nnql_bullet.cli.gap import gap
-from nnql_bullet.cli.ledger import ledger
-from nnql_bullet.cli.navigate import navigate
-from nnql_bullet.cli.render import render
-from nnql_bullet.cli.report import report
-from nnql_bullet.cli.train import train
-from nnql_bullet.cli.view import view
 from nnql_bullet.cli.work import WorkFailed
 from nnql_bullet.errors import UserError
 from nnql_bullet.sim.base import WorkerDied
 
-VERBS: dict[str, Callable[..., int]] = {
-    "train": train,
-    "navigate": navigate,
-    "render": render,
-    "view": view,
-    "evaluate": evaluate,
-    "failures": failures,
-    "ledger": ledger,
-    "gap": gap,
-    "report": report,
-    "fidelity": fidelity,
-    "envelope": envelope,
-    "doctor": doctor,
-}
+VERBS = (
+    "train",
+    "navigate",
+    "render",
+    "view",
+    "evaluate",
+    "failures",
+    "ledger",
+    "gap",
+    "report",
+    "fidelity",
+    "envelope",
+    "doctor",
+)
+"""Each a function in a module of its name."""
 
 ABOUT = """\
 A three-wheeled vehicle learns to avoid obstacles by neural-network Q-learning, in contact physics.
@@ -77,12 +67,18 @@ def run(arguments: list[str]) -> int:
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
 
 
+def verb_of(name: str) -> Callable[..., int]:
+    """A verb, imported when it is asked for: what others need takes seconds and hundreds of megabytes."""
+    verb: Callable[..., int] = getattr(import_module(f"nnql_bullet.cli.{name}"), name)
+    return verb
+
+
 def _call(verb: str, arguments: list[str]) -> int:
     """Parses the arguments of a verb, then runs it; a mistake in them is one line."""
     box = io.StringIO()
     try:
         with redirect_stderr(box):
-            call = tyro.cli(_delayed(VERBS[verb]), prog=f"nnql-bullet {verb}", args=arguments)
+            call = tyro.cli(_delayed(verb_of(verb)), prog=f"nnql-bullet {verb}", args=arguments)
     except SystemExit as stop:
         if not stop.code:
             return 0
@@ -114,7 +110,7 @@ def _sentence(box: str) -> str:
 
 
 def _overview() -> str:
-    rows = [f"  {name:<10} {(getdoc(verb) or '').splitlines()[0]}" for name, verb in VERBS.items()]
+    rows = [f"  {name:<10} {(getdoc(verb_of(name)) or '').splitlines()[0]}" for name in VERBS]
     return "\n".join([ABOUT, *rows, "", START])
 
 

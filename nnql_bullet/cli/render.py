@@ -7,16 +7,14 @@ from typing import Annotated, Literal
 import tyro
 
 from nnql_bullet.cli.console import say
-from nnql_bullet.cli.driving import RECORDING, drive
 from nnql_bullet.cli.filming import FPS, SIZE, shoot, shoot_sheet
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Film, frame_times
-from nnql_bullet.render.renderers import RendererName, best_renderer, make_renderer
+from nnql_bullet.render.renderers import RendererName, best_renderer, check_renderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat
-from nnql_bullet.runs import drives_folder
 
 SMALLEST, LARGEST = 64, 7680
 """Side of a picture [pixels]."""
@@ -97,7 +95,7 @@ def render(
     if not 0.0 <= begin < last:
         raise UserError(f"--begin, --end: the drive takes {duration:.1f} s; nothing is between {begin:g} and {last:g}")
     film = Film(path, camera, width, height, best_renderer() if renderer == "auto" else renderer)
-    make_renderer(loaded, film.renderer).close()  # what it lacks shows before anything is written
+    check_renderer(loaded, film.renderer)
     if video or frames:
         shoot(film, frame_times(begin, last, fps, speed), video, kind, fps, frames, workers)
     if sheet:
@@ -110,6 +108,9 @@ def render(
 
 def _driven(policy: Path, world: str | None, seed: int) -> Path:
     """Where the recording of a drive of the policy lies, as `navigate` would have left it."""
+    from nnql_bullet.cli.driving import RECORDING, drive  # all that drives; to draw, none of it is needed
+    from nnql_bullet.runs import drives_folder
+
     recording, _ = drive(policy, seed, {"world": world, "simulator": "bullet", "physics": "reference"})
     folder = drives_folder(policy) / f"{recording.world.name}-{seed}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ HOLD = 1.5
 """How long the ending stays in the picture [s]."""
 MAP_SHARE = 0.42
 """Of the width of a split picture."""
-PIECE = 8_000_000
+PIECE = 3_000_000
 """Bytes of frames that are drawn, and held, at a time."""
 
 
@@ -102,6 +102,7 @@ class Studio:
         self._timeline = Timeline(load_recording(film.recording))
         self._painter = Painter(self._timeline, make_renderer(self._timeline.recording, film.renderer))
         self._overlay = Overlay(self._timeline, film.height)
+        self._time = np.nan
         views = {str(film.camera): film.width}
         if film.camera == "split":
             left = round(film.width * (1 - MAP_SHARE))
@@ -109,7 +110,12 @@ class Studio:
         self._paths = [PATHS[name](self._timeline, width, film.height) for name, width in views.items()]
 
     def frame(self, time: float) -> Bytes:
-        """A frame (height, width, 3)."""
+        """A frame (height, width, 3); one that is asked for again in a row is not drawn again."""
+        if time != self._time:
+            self._time, self._frame = time, self._draw(time)
+        return self._frame
+
+    def _draw(self, time: float) -> Bytes:
         moment = self._timeline.at(time)
         cameras = [path(moment) for path in self._paths]
         pictures, depths = zip(*(self._painter.paint(moment, camera) for camera in cameras), strict=True)

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from math import degrees
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -229,4 +229,5 @@ def _simulator(about: dict[str, object]) -> str:
 def text_font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
     """The one that Matplotlib brings along, the same on every machine."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size)
+    (matplotlib,) = find_spec("matplotlib").submodule_search_locations  # type: ignore[union-attr,misc]  # not imported
+    return ImageFont.truetype(Path(matplotlib) / "mpl-data" / "fonts" / "ttf" / name, size)

@@ -1,13 +1,17 @@
 """The renderers of solid things by name."""
 
+from importlib.util import find_spec
 from typing import Literal
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.solids import BulletRenderer, Renderer
-from nnql_bullet.sim.bullet_scene import works
+from nnql_bullet.sim.bullet_scene import NO_EGL, works
+from nnql_bullet.vehicle.looks import Looks
 
 RendererName = Literal["tiny", "egl", "vtk"]
+
+NO_VTK = "VTK is not installed; install it with: pip install 'nnql-bullet[render]'"
 
 
 def make_renderer(recording: Recording, name: RendererName) -> Renderer:
@@ -21,8 +25,21 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     try:
         from nnql_bullet.render.vtk import VtkRenderer
     except ImportError:
-        raise UserError("VTK is not installed; install it with: pip install 'nnql-bullet[render]'") from None
+        raise UserError(NO_VTK) from None
     return VtkRenderer(recording)
+
+
+def check_renderer(recording: Recording, name: RendererName) -> None:
+    """Sees to it that what a renderer lacks shows before it is needed.
+
+    Raises:
+        UserError: If it does not work here, or the recording does not say what the vehicle looks like.
+    """
+    Looks(recording.about["vehicle"])
+    if name == "vtk" and find_spec("pyvista") is None:
+        raise UserError(NO_VTK)
+    if name == "egl" and not works("egl"):
+        raise UserError(NO_EGL)
 
 
 def best_renderer() -> RendererName:

@@ -137,7 +137,7 @@ def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: 
         end: x, y [m]
         half_width: [m]
     """
-    margin = half_width + cell
+    margin = half_width + 2 * cell
     low_x = max(int((min(begin[0], end[0]) - margin) / cell), 0)
     high_x = min(int((max(begin[0], end[0]) + margin) / cell) + 1, layer.shape[1])
     low_y = max(int((min(begin[1], end[1]) - margin) / cell), 0)
@@ -149,7 +149,7 @@ def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: 
             x, y = (column + 0.5) * cell - begin[0], (row + 0.5) * cell - begin[1]
             along = min(max((x * way_x + y * way_y) / squared, 0.0), 1.0)
             off = np.hypot(x - along * way_x, y - along * way_y)
-            cover = min(max((half_width - off) / cell + 0.5, 0.0), 1.0)
+            cover = min(max((half_width - off) / (2 * cell) + 0.5, 0.0), 1.0)
             layer[row, column] = max(layer[row, column], np.uint8(255 * cover))
 
 

@@ -22,6 +22,7 @@ from nnql_bullet.sim.contact import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
 
+NO_EGL = "EGL does not work here; choose the renderer 'tiny', or install EGL (Debian: libegl1)"
 NOTHING = 1 - 1e-6
 """Depth from which on there is nothing: TinyRenderer's is 1 but for rounding."""
 
@@ -55,7 +56,7 @@ class BulletScene:
                 self.show(False)
             if kind == "egl" and not _load_egl(self.client):
                 bullet.disconnect(self.client)
-                raise UserError("EGL does not work here; choose the renderer 'tiny', or install EGL (Debian: libegl1)")
+                raise UserError(NO_EGL)
 
     def close(self) -> None:
         """Frees it."""
