@@ -8,7 +8,7 @@ DEMO := runs/demo
 .PHONY: help demo test lint format benchmark clean
 
 help:
-	@echo 'make demo       train 1000 episodes in contact physics, then drive an unseen world (about 8 minutes)'
+	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 9 minutes)'
 	@echo 'make test       the whole test suite'
 	@echo 'make lint       ruff and mypy'
 	@echo 'make format     let ruff rewrite the sources'
@@ -24,8 +24,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 demo: $(INSTALLED)
 	$(BIN)/nnql-bullet train --out $(DEMO) --overwrite
-	$(BIN)/nnql-bullet navigate $(DEMO) --world cover_10 --seed 4
-	@echo 'Look at $(DEMO)/learning_curve.png and the picture named above.'
+	$(BIN)/nnql-bullet navigate $(DEMO) --world cover_10 --seed 4 --video
+	@echo 'Look at $(DEMO)/learning_curve.png, and at the picture and the video named above.'
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest -n auto --dist worksteal

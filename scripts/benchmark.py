@@ -10,6 +10,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 
 from rich.box import MARKDOWN
@@ -26,9 +27,12 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     # Not at the top: worker processes import this file again, and would carry along all that these need.
     from benchmarks.contact import contact_over_bare
     from benchmarks.floor import fast_over_floor
+    from benchmarks.rendering import film_over_bare
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
     from benchmarks.twin import twin_steps_per_second
     from benchmarks.workers import simulator_mb, two_workers_over_one
+
+    from nnql_bullet.sim.bullet_scene import works
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
@@ -59,6 +63,13 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             "training steps a second, NNQL with one vehicle over stable-baselines3 DQN (train_freq 1)",
             lambda: nnql_over_sb3(*(2, 200) if quick else (6, 500)),
         ),
+        **{
+            f"film_over_bare_{renderer}": (
+                f"frames a second of a whole film, 640x360, {renderer}, over a bare getCameraImage in one process",
+                partial(film_over_bare, renderer, 6.0 if quick else 30.0),
+            )
+            for renderer in ("tiny", *(["egl"] if works("egl") else []))
+        },
         "simulator_mb": ("memory of one contact simulator process [MB]", simulator_mb),
     }
     if quick:

@@ -62,7 +62,8 @@ class Painter:
         world = timeline.recording.world
         self._cell = max(max(world.width, world.depth) / MOST_CELLS, FINEST)
         rows, columns = (int(np.ceil(side / self._cell)) for side in (world.depth, world.width))
-        self._layers = np.zeros((rows, columns, 3), np.uint8)
+        self._cells = np.zeros((rows, columns), "<u4")
+        self._layers = self._cells.view(np.uint8).reshape(rows, columns, 4)
         for box in as_rows(() if renderer.lights else world.obstacles + world.walls):
             paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
         self._safe = timeline.safe()
@@ -87,7 +88,7 @@ class Painter:
             eye_of(camera),
             self._ground(moment),
             INKS,
-            self._layers,
+            self._cells,
             np.column_stack([boxes, self._heights, reaches])[: 0 if self._renderer.lights else None],
             np.column_stack([readings, tint(readings)]),
         )

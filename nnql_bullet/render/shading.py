@@ -31,6 +31,7 @@ SOFTNESS = 0.12
 BEND = 0.01
 """How much depths may bend from pixel to pixel on one surface, as a share of what they are short of 1."""
 RANGE = paper.SENSOR_RANGE
+HALF_ROOT = 0.5**0.5
 
 
 def kernel(function: F) -> F:
@@ -162,7 +163,7 @@ def shade(
     eye: Eye,
     ground: Ground,
     inks: Inks,
-    layers: Bytes,
+    cells: NDArray[np.uint32],
     casters: Array,
     sectors: Array,
 ) -> Bytes:
@@ -176,8 +177,8 @@ def shade(
         eye: The camera.
         ground: What lies on the ground.
         inks: Colours.
-        layers: The map of the ground: how much shadow, path driven in safe states and in others there is, from 0 to 255
-            (rows, columns, 3).
+        cells: The map of the ground (rows, columns): the bytes of each, from the lowest on, are how much shadow, path
+            driven in safe states and in others there is.
         casters: Things that move and cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
         sectors: How far each is free [m], and its colour (8, 4).
 
@@ -212,7 +213,7 @@ def shade(
                 x, y = eye.place[0] + distance * ray[0], eye.place[1] + distance * ray[1]
                 if 0.0 <= x < ground.width and 0.0 <= y < ground.depth:
                     colour = _floor(
-                        x, y, ray, pixel * distance, pixel * distance / steep, ground, inks, layers, casters, sectors
+                        x, y, ray, pixel * distance, pixel * distance / steep, ground, inks, cells, casters, sectors
                     )
                 else:
                     colour = inks.outside
@@ -358,7 +359,7 @@ def _floor(
     coarse: float,
     ground: Ground,
     inks: Inks,
-    layers: Bytes,
+    cells: NDArray[np.uint32],
     casters: Array,
     sectors: Array,
 ) -> Vector:
@@ -372,7 +373,7 @@ def _floor(
         coarse: Along it [m].
         ground: See `shade`, as for what follows.
         inks: Colours.
-        layers: The map.
+        cells: The map.
         casters: Of shadows.
         sectors: Of the sensors.
     """
@@ -385,14 +386,14 @@ def _floor(
     dx, dy = x - ground.scan[0], y - ground.scan[1]
     squared = dx * dx + dy * dy
     if squared < RANGE * RANGE:
-        colour = _sector(colour, dx, dy, np.sqrt(squared), soft, ground.scan[2], sectors)
+        colour = _sector(colour, dx, dy, np.sqrt(squared), soft, ground.scan[2] - np.pi / 8, sectors)
     dx, dy, radius = x - ground.target[0], y - ground.target[1], ground.target[2] + soft
     if dx * dx + dy * dy < radius * radius:
         off = np.sqrt(dx * dx + dy * dy)
         colour = _mix(colour, inks.target, 0.28 * _inside(ground.target[2] - off, soft))
         colour = _mix(colour, inks.target, 0.9 * _inside(0.1 - abs(ground.target[2] - 0.1 - off), soft))
         colour = _mix(colour, inks.target, 0.9 * _inside(0.25 - off, soft))
-    dark, safe, non_safe = _look_up(x, y, along_x, along_y, fine, coarse, ground.cell, layers)
+    dark, safe, non_safe = _look_up(x, y, along_x, along_y, fine, coarse, ground.cell, cells)
     for k in range(len(casters)):
         dx, dy, reach = x - casters[k, 0], y - casters[k, 1], casters[k, 7]
         if dx * dx + dy * dy < reach * reach:
@@ -417,24 +418,42 @@ def _line(x: float, wide: float, every: float, width: float) -> float:
 
 @_part
 def _sector(colour: Vector, dx: float, dy: float, away: float, soft: float, yaw: float, sectors: Array) -> Vector:
-    """The free part of a sector, with a brighter rim where it ends."""
-    count = len(sectors)
-    wide = 2 * np.pi / count
-    turned = (np.arctan2(dy, dx) - yaw) / wide + 0.5
-    turned -= count * np.floor(turned / count)
-    sector = min(int(turned), count - 1)
+    """The free part of one of eight sectors, with a brighter rim where it ends.
+
+    Args:
+        colour: Of the ground.
+        dx: From the sensor [m].
+        dy: Likewise [m].
+        away: How far that is [m].
+        soft: Size of the pixel [m].
+        yaw: Of the right edge of the sector ahead [rad].
+        sectors: See `shade`.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    u, v = c * dx + s * dy, c * dy - s * dx
+    if v >= 0.0:
+        sector = (0 if u > v else 1) if u >= 0.0 else (2 if v > -u else 3)
+    else:
+        sector = (4 if u < v else 5) if u < 0.0 else (6 if -v > u else 7)
     reach = sectors[sector, 0]
     if away > reach:
         return colour
     tint = sectors[sector, 1], sectors[sector, 2], sectors[sector, 3]
-    side = min(turned - sector, sector + 1 - turned) * wide * away
+    side = min(abs(u), abs(v), abs(u - v) * HALF_ROOT, abs(u + v) * HALF_ROOT)  # from the nearest edge
     edge = max(0.75 * _inside(0.07 - (reach - away), soft), 0.25 * _inside(0.015 - side, soft))
     return _mix(_mix(colour, tint, 0.24), tint, edge)
 
 
 @_part
 def _look_up(
-    x: float, y: float, along_x: float, along_y: float, fine: float, coarse: float, cell: float, layers: Bytes
+    x: float,
+    y: float,
+    along_x: float,
+    along_y: float,
+    fine: float,
+    coarse: float,
+    cell: float,
+    cells: NDArray[np.uint32],
 ) -> Vector:
     """The map's layers, averaged over what a pixel shows of the ground: as many looks as it has cells, up to a few."""
     across, along = min(max(int(fine / cell), 1), 4), min(max(int(coarse / cell), 1), 4)
@@ -444,25 +463,28 @@ def _look_up(
         for j in range(along):
             ahead = ((j + 0.5) / along - 0.5) * coarse
             at_x, at_y = x + ahead * along_x - aside * along_y, y + ahead * along_y + aside * along_x
-            here = _between(at_x / cell - 0.5, at_y / cell - 0.5, layers)
+            here = _between(at_x / cell - 0.5, at_y / cell - 0.5, cells)
             dark, safe, non_safe = dark + here[0], safe + here[1], non_safe + here[2]
     looks = 255.0 * across * along
     return dark / looks, safe / looks, non_safe / looks
 
 
 @_part
-def _between(x: float, y: float, layers: Bytes) -> Vector:
+def _between(x: float, y: float, cells: NDArray[np.uint32]) -> Vector:
     """The map's layers at a point, in cells, interpolated between the middles of these; 0 beside the map."""
     column, row = int(np.floor(x)), int(np.floor(y))
-    if column < 0 or row < 0 or column + 1 >= layers.shape[1] or row + 1 >= layers.shape[0]:
+    if column < 0 or row < 0 or column + 1 >= cells.shape[1] or row + 1 >= cells.shape[0]:
+        return 0.0, 0.0, 0.0
+    e, f = cells[row, column], cells[row, column + 1]
+    g, h = cells[row + 1, column], cells[row + 1, column + 1]
+    if e | f | g | h == 0:
         return 0.0, 0.0, 0.0
     a, b = x - column, y - row
     p, q, r, s = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-    c, d = column + 1, row + 1
     return (
-        p * layers[row, column, 0] + q * layers[row, c, 0] + r * layers[d, column, 0] + s * layers[d, c, 0],
-        p * layers[row, column, 1] + q * layers[row, c, 1] + r * layers[d, column, 1] + s * layers[d, c, 1],
-        p * layers[row, column, 2] + q * layers[row, c, 2] + r * layers[d, column, 2] + s * layers[d, c, 2],
+        p * (e & 255) + q * (f & 255) + r * (g & 255) + s * (h & 255),
+        p * (e >> 8 & 255) + q * (f >> 8 & 255) + r * (g >> 8 & 255) + s * (h >> 8 & 255),
+        p * (e >> 16 & 255) + q * (f >> 16 & 255) + r * (g >> 16 & 255) + s * (h >> 16 & 255),
     )
 
 
