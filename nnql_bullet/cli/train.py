@@ -84,6 +84,8 @@ def train(
     else:
         name = config or "paper"
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
+        if world is not None:
+            changes["training"] = {"worlds": []}
         resolved = load_config(name, {**changes, "vehicles": vehicles})
         experiment, state = Experiment(resolved), None
         experiment.taught  # noqa: B018 (refuses rules)
@@ -91,7 +93,7 @@ def train(
         run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
-    with closing(experiment.fleet(workers)) as fleet:
+    with closing(experiment.training_fleet(workers)) as fleet:
         agent = experiment.taught
         training = experiment.trainer(FleetNavigation(fleet, c.task))
         where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
@@ -104,7 +106,8 @@ def train(
                 run.create(overwrite)
             else:
                 run.save_config()
-            say(f"training {c.agent.kind} in {where}, world '{c.world}'{several}")
+            worlds = " and ".join(f"'{name}'" for name in c.training.worlds or (c.world,))
+            say(f"training {c.agent.kind} in {where}, world {worlds}{several}")
             finished, died = _run(run, agent, training), None
         except WorkerDied as error:
             finished, died = False, error
