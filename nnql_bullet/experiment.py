@@ -19,7 +19,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import DriveOptions, Fleet, Simulator
-from nnql_bullet.sim.disturbances import DisturbedFleet, Disturbances, turned
+from nnql_bullet.sim.disturbances import Disturbances, DisturbedFleet, turned
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
 from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults
 from nnql_bullet.sim.local import local_fleet

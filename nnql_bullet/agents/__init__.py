@@ -29,9 +29,7 @@ RuleOptions: TypeAlias = (
     | VfhOptions
     | LookAheadOptions
 )
-AgentOptions: TypeAlias = (
-    NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions | RuleOptions
-)
+AgentOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions | RuleOptions
 AnyAgentOptions = Annotated[AgentOptions, Field(discriminator="kind")]
 
 RULES = ("straight", "random", "hand_rule", "potential_field", "fuzzy", "vfh", "look_ahead")

@@ -63,21 +63,21 @@ class Learner(Taught, Protocol):
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Named numbers of a training episode for the log."""
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def under_way(self) -> dict[str, NDArray[Any]]:
         """What it needs beside `arrays` to go on learning as if it had never stopped, by name."""
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state` gave.
+        """Takes back what `under_way` gave.
 
         Raises:
-            UserError: If this is not the state of such an agent.
+            UserError: If it is not of such an agent.
         """
 
 
 class Stateless:
     """The part of a learner that needs nothing but what it has learned to go on."""
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def under_way(self) -> dict[str, NDArray[Any]]:
         """Nothing."""
         return {}
 

@@ -1,7 +1,7 @@
 """Double-DQN: every step is decided by a network over all six actions, from what the vehicle sees and has seen.
 
-Mnih et al. (Nature 518, 2015), with the double estimator of van Hasselt et al. (AAAI 2016), dueling heads of Wang et al.
-(ICML 2016), n-step returns, and a target network that follows slowly, which also drives.
+Mnih et al. (Nature 518, 2015), with the double estimator of van Hasselt et al. (AAAI 2016), dueling heads of Wang et
+al. (ICML 2016), n-step returns, and a target network that follows slowly, which also drives.
 """
 
 from dataclasses import fields
@@ -100,6 +100,9 @@ class DuelingNetwork(torch.nn.Module):
         self.hidden = torch.nn.Sequential(*layers)
         self.value = torch.nn.Linear((inputs, *hidden)[-1], 1)
         self.advantage = torch.nn.Linear((inputs, *hidden)[-1], ACTIONS)
+        for head in (self.value, self.advantage):  # nothing is expected of any action yet
+            torch.nn.init.zeros_(head.weight)
+            torch.nn.init.zeros_(head.bias)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         """Q-values (m, 6) of what was seen (m, inputs), as bytes."""
@@ -160,7 +163,12 @@ class DoubleDqn:
         look = learning.look
         ends = np.where(t.discount_t == 0, FOR_GOOD, np.where(t.ending == NO_ENDING, GOES_ON, CUT_OFF))
         learning.replay.add(
-            look.memory.frames[:, 0], look.memory.age, t.a_tm1, self._rewards(t), ends, o.reward_progress * look.progress
+            look.memory.frames[:, 0],
+            look.memory.age,
+            t.a_tm1,
+            self._rewards(t),
+            ends,
+            o.reward_progress * look.progress,
         )
         self._keep(self._frames.after(look, t.s_tm1, t.a_tm1))
         return np.full(len(t.a_tm1), self._update(learning))
@@ -193,13 +201,13 @@ class DoubleDqn:
             raise UserError(f"these are not the weights of a dueling network of {widths} units")
         _load(self.network, arrays)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def under_way(self) -> dict[str, NDArray[Any]]:
         """The network that learns, its optimizer, the replay, and what is remembered of vehicles."""
         kept: dict[str, NDArray[Any]] = {f"memory/{name}": a for name, a in self._memory.arrays().items()}
         return kept | (self._learning.arrays() if self._learning else {})
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state` gave."""
+        """Takes back what `under_way` gave."""
         try:
             self._memory = Memory(*(state[f"memory/{field.name}"].copy() for field in fields(Memory)))
             if "replay/count" in state:
@@ -285,7 +293,7 @@ def double_q_targets(
     with torch.no_grad():
         seen = torch.from_numpy(after)
         best = online(seen).argmax(dim=-1, keepdim=True)
-        value = target(seen).gather(1, best)[:, 0]
+        value: torch.Tensor = target(seen).gather(1, best)[:, 0]
         return torch.from_numpy(returns.astype(np.float32)) + torch.from_numpy(discounts.astype(np.float32)) * value
 
 

@@ -181,4 +181,3 @@ class FrameMaker:
 def as_bytes(numbers: Array) -> Bytes:
     """Numbers from -1 to 1 as bytes; -x is 255 less the byte of x, but for numbers half-way between two."""
     return np.rint(127.5 * (np.clip(numbers, -1.0, 1.0) + 1)).astype(np.uint8)
-

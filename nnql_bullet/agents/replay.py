@@ -19,6 +19,8 @@ Counts = NDArray[np.int64]
 GOES_ON, FOR_GOOD, CUT_OFF = 0, 1, 2
 """What a step does to its episode: the last is a timeout, which says nothing about what would have come."""
 
+_KEPT = ("seen", "age", "action", "reward", "ends")
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -118,9 +120,8 @@ class Replay:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What it holds, by name."""
         filled = slice(0, min(self.count, self.rows))
-        kept = {"seen": self._seen, "age": self._age, "action": self._action, "reward": self._reward}
-        kept["ends"] = self._ends
-        return {"count": np.array([self.count]), **{name: values[filled].copy() for name, values in kept.items()}}
+        kept = {name: getattr(self, f"_{name}")[filled].copy() for name in _KEPT}
+        return {"count": np.array([self.count]), **kept}
 
     def load(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Takes back what `arrays` gave.
@@ -130,5 +131,5 @@ class Replay:
         """
         (self.count,) = arrays["count"].tolist()
         filled = slice(0, min(self.count, self.rows))
-        for name in ("seen", "age", "action", "reward", "ends"):
+        for name in _KEPT:
             getattr(self, f"_{name}")[filled] = arrays[name]

@@ -196,7 +196,8 @@ def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float
     a, b = a - i, b - j
     low = (1 - b) * left[i, j] + b * left[i, j + 1]
     high = (1 - b) * left[i + 1, j] + b * left[i + 1, j + 1]
-    return (1 - a) * low + a * high
+    here: float = (1 - a) * low + a * high
+    return here
 
 
 @numba.njit(cache=True, nogil=True)

@@ -84,9 +84,8 @@ def train(
     else:
         name = config or "paper"
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
-        if world is not None:
-            changes["training"] = {"worlds": []}
-        resolved = load_config(name, {**changes, "vehicles": vehicles})
+        mix: dict[str, list[str]] | None = None if world is None else {"worlds": []}
+        resolved = load_config(name, {**changes, "vehicles": vehicles, "training": mix})
         experiment, state = Experiment(resolved), None
         experiment.taught  # noqa: B018 (refuses rules)
         experiment.training_world(0)  # what is wrong with world or robot shows before anything is written

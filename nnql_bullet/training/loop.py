@@ -73,7 +73,7 @@ class Training:
             "actions": self._actions[:, :longest].copy(),
             "squared_errors": self._squared_errors.copy(),
             "updates": self._updates.copy(),
-            **{_AGENT + name: values for name, values in self._agent.state().items()},
+            **{_AGENT + name: values for name, values in self._agent.under_way().items()},
         }
 
     def load(self, arrays: dict[str, NDArray[Any]]) -> None:
