@@ -193,8 +193,10 @@ def dijkstra(cells: seen_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
     occupied = np.argwhere(cells > 0)
     cost = np.ones((size, size))
     for a, b in occupied.tolist():
-        cost[max(a - 1, 0) : a + 2, max(b - 1, 0) : b + 2] = seen_map.NEAR_COST
-    cost[cells > 0] = seen_map.BLOCKED_COST
+        cost[max(a - 2, 0) : a + 3, max(b - 2, 0) : b + 3] = seen_map.COSTS[2]
+    for a, b in occupied.tolist():
+        cost[max(a - 1, 0) : a + 2, max(b - 1, 0) : b + 2] = seen_map.COSTS[1]
+    cost[cells > 0] = seen_map.COSTS[0]
     left = np.full((size, size), np.inf)
     heap: list[tuple[float, int, int]] = []
     for a in range(size):
@@ -226,21 +228,24 @@ class TestMap:
 
     def test_without_anything_seen_the_way_is_the_straight_one(self) -> None:
         """But for the eight directions of steps between cells, which make it up to 8 % longer."""
-        corner = np.array([-50, -40])
+        corner = np.array([-70, -60])
         left = seen_map.ways_left(np.zeros((seen_map.SIZE, seen_map.SIZE), np.int8), corner)
         for place in ((-30.0, -20.0), (-40.5, -12.5), (-27.3, -33.1)):
             assert hypot(*place) - 0.1 <= seen_map.left_at(left, corner, *place) <= 1.09 * hypot(*place)
 
     def test_a_wall_is_gone_round(self) -> None:
         """A U around the vehicle, open away from the target: it is told to turn round."""
-        cells, corner = np.zeros((seen_map.SIZE, seen_map.SIZE), np.int8), np.array([-64, -24])
-        cells[30, 14:35] = cells[20:31, 14] = cells[20:31, 34] = 1
-        pose = np.array([[-64 + 24.5, 0.5, 0.0]])
-        around, ways, progress = seen_map.sensed(cells[None], corner[None], pose, pose[:, :2] + [[-1.0, 0.0]])
-        near = around[0, : seen_map.BEARINGS]
-        assert near[0] > 1.0  # ahead
-        assert near[seen_map.BEARINGS // 2] < -1.0  # behind
-        assert ways[0] > 60.0
+        middle, cell = seen_map.SIZE // 2, seen_map.CELL
+        cells, corner = np.zeros((seen_map.SIZE, seen_map.SIZE), np.int8), np.array([-100, -middle])
+        cells[middle + 6, middle - 9 : middle + 10] = 1
+        cells[middle - 6 : middle + 7, middle - 9] = cells[middle - 6 : middle + 7, middle + 9] = 1
+        pose = np.array([[cell * (middle - 99.5), cell / 2, 0.0]])
+        around, ways, progress = seen_map.sensed(cells[None], corner[None], pose, pose[:, :2] - [[1.0, 0.0]])
+        far = around[0, seen_map.BEARINGS :]
+        assert far[0] == seen_map.BARRED  # ahead
+        assert around[0, 0] > 1.0
+        assert far[seen_map.BEARINGS // 2] < -2.0  # behind
+        assert ways[0] > -pose[0, 0] + 5.0
         assert progress[0] < -0.3  # it came from nearer to the way out
 
     def test_poses_are_those_driven(self, vehicle: VehicleSpec, twin_drive: list[tuple[Any, Any, Any]]) -> None:
@@ -259,32 +264,41 @@ class TestMap:
             assert np.abs(wrap_angles(look.memory.poses[:, 2] - poses[:, 2] + yaw)).max() < 0.02
 
     def test_what_is_seen_is_entered_where_it_is(self, vehicle: VehicleSpec) -> None:
-        """Hits of a scan from a known pose, ray by ray; what they passed by is free."""
+        """Against places all along the lines between what neighbouring rays met, where no vehicle fits through."""
         cells, corners = np.zeros((1, seen_map.SIZE, seen_map.SIZE), np.int8), np.zeros((1, 2), np.int64)
         pose, sensor, angles = np.array([[-30.2, 4.7, 0.6]]), np.array([0.35, 0.1]), ray_angles()
-        distances = np.random.default_rng(0).uniform(2.0, 12.0, (1, RAYS)).clip(max=10.0)
+        distances = np.repeat(np.random.default_rng(0).uniform(2.0, 12.0, (1, RAYS // 4)), 4, axis=1).clip(max=10.0)
         seen_map.add_scans(cells, corners, pose, distances, sensor, angles)
-        x = -30.2 + 0.35 * cos(0.6) - 0.1 * sin(0.6)
-        y = 4.7 + 0.35 * sin(0.6) + 0.1 * cos(0.6)
-        expected = set()
-        for distance, angle in zip(distances[0].tolist(), (angles + 0.6).tolist(), strict=True):
-            if distance < 10.0:
-                way = distance + 0.15
-                expected.add((int(np.floor(x + way * cos(angle))), int(np.floor(y + way * sin(angle)))))
-        assert {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()} == expected
-        assert corners[0].tolist() == [-31 - 24, 4 - 24]
+        start = np.array([-30.2 + 0.35 * cos(0.6) - 0.1 * sin(0.6), 4.7 + 0.35 * sin(0.6) + 0.1 * cos(0.6)])
+        directions = np.stack([np.cos(angles + 0.6), np.sin(angles + 0.6)], axis=1)
+        hits = start + (distances[0, :, None] + 0.15) * directions
+        hits[distances[0] >= 10.0] = np.nan
+        places = [
+            hits[i] + share * (hits[(i + k) % RAYS] - hits[i])
+            for i in range(RAYS)
+            for k in range(5)
+            for share in np.linspace(0, 1, 40)
+            if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < seen_map.PASSAGE
+        ]
+        along = {tuple(cell) for cell in np.floor(np.array(places) / seen_map.CELL).astype(int).tolist()}
+        entered = {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()}
+        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / seen_map.CELL).astype(int).tolist()
+        assert {tuple(cell) for cell in at_hits} <= entered <= along
+        assert all(any(max(abs(a - c), abs(b - d)) <= 1 for c, d in entered) for a, b in along)
+        middle = np.floor(pose[0, :2] / seen_map.CELL).astype(int) - seen_map.SIZE // 2
+        assert corners[0].tolist() == middle.tolist()
         for _ in range(seen_map.SEEN):
             assert cells.any()
             seen_map.add_scans(cells, corners, pose, np.full((1, RAYS), 10.0), sensor, angles)
-        assert not cells.any()  # looked through often enough
+        assert cells.sum() < 0.2 * seen_map.SEEN * len(entered)  # looked through often enough, but for odd corners
 
     def test_it_moves_along(self) -> None:
-        generator, nothing = np.random.default_rng(0), np.full((1, RAYS), 0.0)
+        generator = np.random.default_rng(0)
         cells = (generator.random((1, seen_map.SIZE, seen_map.SIZE)) < 0.3).astype(np.int8)
         before, corners = {tuple(c) for c in np.argwhere(cells[0]).tolist()}, np.zeros((1, 2), np.int64)
-        pose = np.array([[3.5 + 24, -2.5 + 24, 0.0]])
-        nothing[:] = 10.0
-        seen_map.add_scans(cells, corners, pose, nothing[:, :0], np.zeros(2), np.zeros(0))
+        middle = seen_map.SIZE // 2 + 0.5
+        pose = np.array([[seen_map.CELL * (middle + 3), seen_map.CELL * (middle - 3), 0.0]])
+        seen_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
         assert corners[0].tolist() == [3, -3]
         inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < seen_map.SIZE and 0 <= b + 3 < seen_map.SIZE}
         assert {tuple(cell) for cell in np.argwhere(cells[0]).tolist()} == inside

@@ -20,24 +20,31 @@ from nnql_bullet.geometry import Array, wrap_angles
 
 Cells = NDArray[np.int8]
 
-CELL = 1.0
+CELL = 0.75
 """Side of a cell [m]."""
-SIZE = 48
-"""Cells along a side of the map, in whose middle the vehicle stays: 24 m to each side, which holds a trap."""
+SIZE = 56
+"""Cells along a side of the map, in whose middle the vehicle stays: 21 m to each side, which holds a trap."""
 BEARINGS = 24
 """Directions in which the map is felt, from straight ahead counter-clockwise."""
 REACHES = (2.5, 5.0)
 """How far [m]."""
 SENSE = BEARINGS * len(REACHES)
+BARRED = 100.0
+"""More than any way gets longer by [m]."""
 
+PASSAGE = 1.3
+"""Where two rays met something closer together than this, no vehicle passes in between [m]."""
 SEEN = 3
 """Looks through a cell that it takes to hold it free again once something was seen there."""
-BLOCKED_COST = 40.0
-"""Of a way through a cell that holds something, over one that is free: it is found where there is no other."""
-NEAR_COST = 2.5
-"""Of a way through a cell beside such a cell."""
+COSTS = (40.0, 3.0, 1.5)
+"""Of a way through a cell that holds something, over one that is free, beside such a cell, and one farther off: the way
+leads through what was seen where there is no other."""
 _INSIDE = 0.15
 """By how much what a ray met is taken to be farther off, so that it is in the cell of the box and not before it [m]."""
+_BESIDE = 4
+"""So many rays on it is looked for something near what a ray met."""
+_POINTS = 4
+"""That are entered between two such."""
 _MOST_SWEEPS = 40
 _DIAGONAL = 2**0.5
 
@@ -97,12 +104,32 @@ def add_scans(
                 if 0 <= a < SIZE and 0 <= b < SIZE and cells[i, a, b] > 0:
                     cells[i, a, b] -= 1
         for j in range(len(angles)):
-            way = distances[i, j] + _INSIDE
             if distances[i, j] < paper.SENSOR_RANGE:
-                c, s = np.cos(yaw + angles[j]), np.sin(yaw + angles[j])
-                a, b = floor((x + c * way) / CELL) - corner_x, floor((y + s * way) / CELL) - corner_y
-                if 0 <= a < SIZE and 0 <= b < SIZE:
-                    cells[i, a, b] = SEEN
+                here_x, here_y = _hit(x, y, yaw + angles[j], distances[i, j])
+                for k in range(_BESIDE + 1):
+                    other = (j + k) % len(angles)
+                    there_x, there_y = _hit(x, y, yaw + angles[other], distances[i, other])
+                    apart = np.hypot(there_x - here_x, there_y - here_y)
+                    if distances[i, other] < paper.SENSOR_RANGE and apart < PASSAGE:
+                        _enter(cells[i], corners[i], here_x, here_y, there_x, there_y)
+
+
+@numba.njit(cache=True, nogil=True)
+def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, float]:
+    """Where a ray met something."""
+    way = distance + _INSIDE
+    return x + np.cos(direction) * way, y + np.sin(direction) * way
+
+
+@numba.njit(cache=True, nogil=True)
+def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: float, to_y: float) -> None:
+    """Enters that something is all the way from one place to another."""
+    for k in range(_POINTS):
+        share = k / (_POINTS - 1)
+        a = floor((x + share * (to_x - x)) / CELL) - corner[0]
+        b = floor((y + share * (to_y - y)) / CELL) - corner[1]
+        if 0 <= a < SIZE and 0 <= b < SIZE:
+            cells[a, b] = SEEN
 
 
 @numba.njit(cache=True, nogil=True)
@@ -121,8 +148,7 @@ def _shift(cells: Cells, along: int, across: int) -> None:
 def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
     """The shortest way from each cell of a map to the target (SIZE, SIZE) [m].
 
-    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts `NEAR_COST` beside what
-    was seen, and `BLOCKED_COST` through it.
+    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts as `COSTS` say.
 
     Args:
         cells: The map (SIZE, SIZE).
@@ -132,10 +158,10 @@ def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
     for a in range(SIZE):
         for b in range(SIZE):
             if cells[a, b] > 0:
-                for near_a in range(max(a - 1, 0), min(a + 2, SIZE)):
-                    for near_b in range(max(b - 1, 0), min(b + 2, SIZE)):
-                        cost[near_a, near_b] = max(cost[near_a, near_b], NEAR_COST)
-                cost[a, b] = BLOCKED_COST
+                for near_a in range(max(a - 2, 0), min(a + 3, SIZE)):
+                    for near_b in range(max(b - 2, 0), min(b + 3, SIZE)):
+                        off = max(abs(near_a - a), abs(near_b - b))
+                        cost[near_a, near_b] = max(cost[near_a, near_b], COSTS[off])
             if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
                 left[a, b] = CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
     cost *= CELL / 2
@@ -201,6 +227,22 @@ def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float
 
 
 @numba.njit(cache=True, nogil=True)
+def _free_way(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: float, s: float) -> float:
+    """How far it is from a place to the first cell in a direction that holds something, up to the last reach [m].
+
+    The cell that the place is in does not count.
+    """
+    first_a, first_b = floor(x / CELL) - corner[0], floor(y / CELL) - corner[1]
+    way = 0.0
+    while way < REACHES[-1]:
+        way += CELL / 2
+        a, b = floor((x + way * c) / CELL) - corner[0], floor((y + way * s) / CELL) - corner[1]
+        if cells[a, b] > 0 and (a != first_a or b != first_b):
+            return way
+    return way
+
+
+@numba.njit(cache=True, nogil=True)
 def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array) -> tuple[Array, Array, Array]:
     """What the maps say.
 
@@ -211,8 +253,9 @@ def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array
         before: Where they were before (n, 2) [m].
 
     Returns:
-        What the way gets longer by if it begins `REACHES` off at each of `BEARINGS` (n, SENSE) [m], the way that is
-        left (n,) [m], and how much longer it would be from where they were before (n,) [m].
+        What the way gets longer by if it begins `REACHES` off at each of `BEARINGS`, `BARRED` where something is in
+        between (n, SENSE) [m]; the way that is left (n,) [m]; and how much longer it would be from where they were
+        before (n,) [m].
     """
     n = len(cells)
     around, ways, progress = np.empty((n, SENSE)), np.empty(n), np.empty(n)
@@ -224,7 +267,8 @@ def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array
         for j in range(BEARINGS):
             direction = yaw + j * 2 * pi / BEARINGS
             c, s = np.cos(direction), np.sin(direction)
+            free = _free_way(cells[i], corners[i], x, y, c, s)
             for k in range(len(REACHES)):
                 there = left_at(left, corners[i], x + REACHES[k] * c, y + REACHES[k] * s)
-                around[i, k * BEARINGS + j] = there - ways[i]
+                around[i, k * BEARINGS + j] = there - ways[i] if free >= REACHES[k] else BARRED
     return around, ways, progress
