@@ -278,7 +278,7 @@ class TestMap:
             for i in range(RAYS)
             for k in range(5)
             for share in np.linspace(0, 1, 40)
-            if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < seen_map.PASSAGE
+            if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < (seen_map.NEIGHBOURS if k == 1 else seen_map.PASSAGE)
         ]
         along = {tuple(cell) for cell in np.floor(np.array(places) / seen_map.CELL).astype(int).tolist()}
         entered = {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()}

@@ -34,6 +34,9 @@ BARRED = 100.0
 
 PASSAGE = 1.3
 """Where two rays met something closer together than this, no vehicle passes in between [m]."""
+NEIGHBOURS = 2.5
+"""The same for two rays side by side, which meet a wall far apart that they run along [m]: an opening as wide as that
+lets a ray through once it is near."""
 SEEN = 3
 """Looks through a cell that it takes to hold it free again once something was seen there."""
 COSTS = (40.0, 3.0, 1.5)
@@ -43,8 +46,6 @@ _INSIDE = 0.15
 """By how much what a ray met is taken to be farther off, so that it is in the cell of the box and not before it [m]."""
 _BESIDE = 4
 """So many rays on it is looked for something near what a ray met."""
-_POINTS = 4
-"""That are entered between two such."""
 _MOST_SWEEPS = 40
 _DIAGONAL = 2**0.5
 
@@ -110,7 +111,7 @@ def add_scans(
                     other = (j + k) % len(angles)
                     there_x, there_y = _hit(x, y, yaw + angles[other], distances[i, other])
                     apart = np.hypot(there_x - here_x, there_y - here_y)
-                    if distances[i, other] < paper.SENSOR_RANGE and apart < PASSAGE:
+                    if distances[i, other] < paper.SENSOR_RANGE and apart < (NEIGHBOURS if k == 1 else PASSAGE):
                         _enter(cells[i], corners[i], here_x, here_y, there_x, there_y)
 
 
@@ -124,8 +125,9 @@ def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, 
 @numba.njit(cache=True, nogil=True)
 def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: float, to_y: float) -> None:
     """Enters that something is all the way from one place to another."""
-    for k in range(_POINTS):
-        share = k / (_POINTS - 1)
+    points = int(np.hypot(to_x - x, to_y - y) / (CELL / 2)) + 2
+    for k in range(points):
+        share = k / (points - 1)
         a = floor((x + share * (to_x - x)) / CELL) - corner[0]
         b = floor((y + share * (to_y - y)) / CELL) - corner[1]
         if 0 <= a < SIZE and 0 <= b < SIZE:
