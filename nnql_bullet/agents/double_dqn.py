@@ -51,7 +51,7 @@ class DoubleDqnOptions:
     learning_rate: Annotated[float, Field(gt=0)] = 5e-4
     """Of Adam, at first."""
     learning_rate_final: Annotated[float, Field(gt=0)] = 5e-5
-    """After `schedule_episodes`; it falls over the second half of them."""
+    """From `schedule_episodes` on; it falls over the second half of them."""
     schedule_episodes: Count = 12_000
     """Episodes that schedules are made for. They do not follow the number of episodes asked for, so that a run can be
     stopped and gone on with."""
@@ -84,7 +84,9 @@ class DoubleDqnOptions:
     reward_near: float = -0.06
     """For what touches the sensor in front; with distance it falls to nothing at 5 m."""
     reward_winning: float = 0.5
+    """For reaching the target."""
     reward_failure: float = -2.0
+    """For touching something."""
     paper_share: NonNegative = 0.0
     """Of the paper's reward, which is added."""
 

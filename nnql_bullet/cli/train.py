@@ -107,7 +107,7 @@ def train(
                 run.create(overwrite)
             else:
                 run.save_config()
-            worlds = " and ".join(f"'{name}'" for name in c.training.worlds or (c.world,))
+            worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(c.training.worlds or (c.world,)))
             say(f"training {c.agent.kind} in {where}, world {worlds}{several}")
             finished, died = _run(run, agent, training), None
         except WorkerDied as error:
