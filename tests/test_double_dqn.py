@@ -211,7 +211,9 @@ def dijkstra(cells: seen_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
         left[a, b] = way
         for c, d in ((a + i, b + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j):
             if 0 <= c < size and 0 <= d < size:
-                longer = 0.5 * seen_map.CELL * hypot(a - c, b - d) * (cost[a, b] + cost[c, d])
+                beside = min(cost[a, d], cost[c, b]) if a != c and b != d else 0.0
+                through = max(cost[a, b], beside) + max(cost[c, d], beside)
+                longer = 0.5 * seen_map.CELL * hypot(a - c, b - d) * through
                 heappush(heap, (way + longer, c, d))
     return left
 

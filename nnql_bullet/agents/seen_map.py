@@ -34,7 +34,7 @@ BARRED = 100.0
 
 PASSAGE = 1.3
 """Where two rays met something closer together than this, no vehicle passes in between [m]."""
-NEIGHBOURS = 2.5
+NEIGHBOURS = 3.0
 """The same for two rays side by side, which meet a wall far apart that they run along [m]: an opening as wide as that
 lets a ray through once it is near."""
 SEEN = 3
@@ -150,7 +150,8 @@ def _shift(cells: Cells, along: int, across: int) -> None:
 def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
     """The shortest way from each cell of a map to the target (SIZE, SIZE) [m].
 
-    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts as `COSTS` say.
+    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts as `COSTS` say; one
+    across a corner no less than through the easier cell beside it, or walls that run aslant would let it through.
 
     Args:
         cells: The map (SIZE, SIZE).
@@ -197,8 +198,10 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
         cost_there, cost_here = cost[beside], cost[a]
         for b in range(1, SIZE - 1):
             straight = there[b] + cost_there[b] + cost_here[b]
-            one = there[b - 1] + _DIAGONAL * (cost_there[b - 1] + cost_here[b])
-            other = there[b + 1] + _DIAGONAL * (cost_there[b + 1] + cost_here[b])
+            between = min(cost_there[b], cost_here[b - 1])
+            one = there[b - 1] + _DIAGONAL * (max(cost_there[b - 1], between) + max(cost_here[b], between))
+            between = min(cost_there[b], cost_here[b + 1])
+            other = there[b + 1] + _DIAGONAL * (max(cost_there[b + 1], between) + max(cost_here[b], between))
             here[b] = min(here[b], straight, one, other)
     for b in range(1, SIZE):
         left[a, b] = min(left[a, b], left[a, b - 1] + cost[a, b - 1] + cost[a, b])
