@@ -27,7 +27,8 @@ MOST_PROGRESS = 2.0
 """In one decision [m]: more is what the map has just come to know, and no progress."""
 _INSTANTS = 5
 """At which the way between two decisions is looked at."""
-_STATE = ("bearing's cosine", "distance", "detour", "bearing's sine", "yaw rate")
+_STATE, _ODD = 5, (3, 4)
+"""Numbers in a frame that tell of the target and the vehicle, and those of them that a mirror changes the sign of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +98,11 @@ class FrameMaker:
         self._angles = ray_angles()
         felt = np.arange(seen_map.SENSE if with_map else 0)
         bearings, reach = felt % seen_map.BEARINGS, felt - felt % seen_map.BEARINGS
-        order, state = np.arange(rays), np.arange(len(_STATE))
+        order = np.arange(rays)
         parts = [
             (RAYS_PER_SECTOR * rays // RAYS - 1 - order) % rays,
             reach + -bearings % seen_map.BEARINGS,
-            state,
+            np.arange(_STATE),
             MIRRORED_ACTIONS,
         ]
         begins = np.cumsum([0, *map(len, parts)])
@@ -109,7 +110,7 @@ class FrameMaker:
         """Bytes of a frame."""
         self._mirrored = np.concatenate([begin + part for begin, part in zip(begins, parts, strict=False)])
         self._odd = np.zeros(self.width, np.bool_)
-        self._odd[begins[2] + 3 : begins[2] + 5] = True
+        self._odd[begins[2] + np.array(_ODD)] = True
 
     def nothing(self, size: int) -> Memory:
         """Memory of vehicles that begin."""
