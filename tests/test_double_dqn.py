@@ -24,7 +24,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import DriveOptions, Fleet
+from nnql_bullet.sim.base import DriveOptions, Fleet, WorkerDied
 from nnql_bullet.sim.twin import TwinFleet
 from nnql_bullet.task import Property, TaskOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -444,6 +444,29 @@ class TestLearning:
             assert rest == [episode for episode, _, _ in stops[stopped:]]
             assert same(experiment.agent.arrays(), stops[-1][1])
             assert same(training.arrays(), stops[-1][2])
+
+    def test_a_worker_that_dies_in_the_midst_of_a_step_costs_nothing(self, parts: Callable[..., Any]) -> None:
+        experiment, training = parts()
+        whole = list(islice(training.episodes(), 20)), experiment.agent.arrays()
+        experiment, training = parts()
+        left, step = [55], training._navigation.step
+
+        def mortal(*arguments: Any) -> Any:
+            left[0] -= 1
+            if left[0] < 0:
+                raise WorkerDied("worker 1 of 1 died")
+            return step(*arguments)
+
+        training._navigation.step = mortal
+        done = []
+        with pytest.raises(WorkerDied):
+            for episode in training.episodes():
+                done.append(episode)
+        again, resumed = parts()
+        again.agent.load(experiment.agent.arrays())
+        resumed.load(training.arrays())
+        assert done + list(islice(resumed.episodes(), 20 - len(done))) == whole[0]
+        assert same(again.agent.arrays(), whole[1])
 
     def test_another_state_is_refused(self, parts: Callable[..., Any]) -> None:
         _, training = parts()

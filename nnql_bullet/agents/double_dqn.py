@@ -37,7 +37,11 @@ FRONT_DISTANCE = 5.0
 
 @options
 class DoubleDqnOptions:
-    """What the network sees, how it learns, and what it is paid for."""
+    """What the network sees, how it learns, and what it is paid for.
+
+    Percentages are goals at 10 / 15 / 20 % cover, in traps and in aisles: twin, one training of 8 000 episodes, 200
+    validation worlds. Differences below 4 points mean nothing.
+    """
 
     kind: Literal["double_dqn"] = "double_dqn"
     rays: Literal[8, 24, 72] = 24
@@ -45,9 +49,11 @@ class DoubleDqnOptions:
     frames: Count = 3
     """Last moments that the network sees at once."""
     seen_map: bool = True
-    """Whether the vehicle keeps a map of what it has seen, and the network is told of the way through it."""
+    """Whether the vehicle keeps a map of what it has seen, and the network is told of the way through it. Without it:
+    99 / 98 / 86 %, 52 and 73 %; with it, after 12 000 episodes, 100 / 98 / 93 %, 99 and 88 %."""
     hidden: tuple[Count, ...] = (128, 128)
-    """Units of the hidden layers."""
+    """Units of the hidden layers. Of two trainings with an earlier map, 128 and 128 got 100 / 96 / 92 %, 98 and 84 %,
+    256 and 256 got 100 / 98 / 90 %, 98 and 82 %."""
     learning_rate: Annotated[float, Field(gt=0)] = 5e-4
     """Of Adam, at first."""
     learning_rate_final: Annotated[float, Field(gt=0)] = 5e-5
@@ -56,7 +62,7 @@ class DoubleDqnOptions:
     """Episodes that schedules are made for. They do not follow the number of episodes asked for, so that a run can be
     stopped and gone on with."""
     discount: UnitInterval = 0.9
-    """gamma"""
+    """gamma. With the same map, 0.95 and 5 steps got 99 / 96 / 88 %, 96 and 82 %."""
     steps: Count = 3
     """n, of n-step returns."""
     batch_size: Count = 256
