@@ -19,6 +19,7 @@ from nnql_bullet.agents.base import Learner
 from nnql_bullet.agents.double_dqn import DoubleDqn, DoubleDqnOptions, DuelingNetwork, double_q_targets, follow
 from nnql_bullet.agents.frames import MIRRORED_ACTIONS, FrameMaker, as_bytes
 from nnql_bullet.agents.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
+from nnql_bullet.config import parse
 from nnql_bullet.env import TOWARD_TARGET, FleetNavigation, Observation, Observations, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
@@ -482,6 +483,13 @@ class TestLearning:
         for change in ({"value.bias": np.zeros(2)}, {"value.bias": np.full(1, np.nan)}, {"more": np.zeros(1)}):
             with pytest.raises(UserError, match="dueling network"):
                 agent.load(weights | change)
+
+    @pytest.mark.parametrize(
+        "values", [{"rays": 9}, {"frames": 0}, {"exploration": []}, {"exploration": [1.1]}, {"discount": 2.0}]
+    )
+    def test_options_that_make_no_sense_are_refused(self, values: dict[str, Any]) -> None:
+        with pytest.raises(UserError, match=r"agent\."):
+            parse(RunConfig, {"agent": {"kind": "double_dqn", **values}}, "x")
 
     def test_it_is_a_learner(self, parts: Callable[..., Any]) -> None:
         assert isinstance(parts()[0].agent, Learner)

@@ -75,7 +75,7 @@ class DoubleDqnOptions:
     """Steps that are remembered."""
     learning_starts: Annotated[int, Field(ge=0)] = 10_000
     """Steps before the first update."""
-    exploration: tuple[UnitInterval, ...] = (0.01, 0.05, 0.1, 0.2)
+    exploration: Annotated[tuple[UnitInterval, ...], Field(min_length=1)] = (0.01, 0.05, 0.1, 0.2)
     """Shares of random actions, which episodes take by turns: some get far, and some see much."""
     exploration_episodes: Count = 1_000
     """Over so many the share of random actions falls from 1 to those, linearly."""
