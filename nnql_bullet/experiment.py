@@ -17,8 +17,9 @@ from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import FleetNavigation, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
-from nnql_bullet.seeding import training_world_seed
+from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import DriveOptions, Fleet, Simulator
+from nnql_bullet.sim.disturbances import Disturbances, DisturbedFleet, turned
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
 from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults
 from nnql_bullet.sim.local import local_fleet
@@ -29,7 +30,7 @@ from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
-from nnql_bullet.worlds.source import load_world
+from nnql_bullet.worlds.source import WorldSource, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
 SimulatorName = Literal[EngineName, "twin"]
@@ -58,6 +59,24 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Another agent in the paper's place, all else being equal.
     **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
     # A search learns from whole episodes where the others learn from steps, so it is given more of them.
+    # Decides every step, and is given what that takes: the ideal vehicle, many at a time, and all kinds of worlds.
+    "double_dqn": {
+        "episodes": 12_000,
+        "simulator": "twin",
+        "vehicles": 64,
+        "agent": {"kind": "double_dqn"},
+        "training": {
+            # The hardest twice.
+            "worlds": ["cover_10", "cover_15", *["cover_20"] * 2, "traps", *["aisles"] * 2, "moving"],
+            "disturbances": {
+                "start_yaw": True,
+                "noise": 0.05,
+                "dead_sector": 0.05,
+                "turn_scale": 0.1,
+                "turn_noise_degrees": 3.0,
+            },
+        },
+    },
     "genetic": {"episodes": 20 * paper.EPISODES, "agent": {"kind": "genetic"}},
 }
 
@@ -82,6 +101,15 @@ class Conditions:
 
 
 @options
+class TrainingOptions:
+    """What training episodes are, where they are not just episodes in the run's world."""
+
+    worlds: tuple[str, ...] = ()
+    """Shipped worlds or TOML files, of which each episode takes any, in place of the run's world."""
+    disturbances: Disturbances = Disturbances()
+
+
+@options
 class RunConfig:
     """A training run. The defaults are the preset `paper`."""
 
@@ -98,6 +126,7 @@ class RunConfig:
     vehicles: Annotated[int, Field(ge=1)] = 1
     """That one policy learns from in lockstep; 1 is the paper's online learning."""
     conditions: Conditions = Conditions()
+    training: TrainingOptions = TrainingOptions()
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
@@ -137,18 +166,21 @@ class Experiment:
     def __init__(self, config: RunConfig) -> None:
         self.config = config
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
-        self.worlds = load_world(config.world)
-        sensor_height, obstacle_height = self.vehicle.sensor_height, self.worlds.file.obstacle_height
-        if obstacle_height <= sensor_height:
-            raise UserError(
-                f"world '{self.worlds.name}': obstacles of {obstacle_height:g} m do not reach up to the sensor of "
-                f"'{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
-            )
+        self.worlds = self._source(config.world)
 
     @property
     def room(self) -> float:
         """Half width of the path that every world has for the vehicle [m]."""
         return self.vehicle.clear_radius + PATH_MARGIN
+
+    def _source(self, name: str) -> WorldSource:
+        source, sensor_height = load_world(name), self.vehicle.sensor_height
+        if source.file.obstacle_height <= sensor_height:
+            raise UserError(
+                f"world '{source.name}': obstacles of {source.file.obstacle_height:g} m do not reach up to the sensor "
+                f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
+            )
+        return source
 
     def world(self, seed: int) -> WorldSpec:
         """The world of a seed.
@@ -156,9 +188,12 @@ class Experiment:
         Raises:
             UserError: If there is none, or the vehicle would stand in an obstacle at its start.
         """
+        return self._drawn(self.worlds, seed)
+
+    def _drawn(self, source: WorldSource, seed: int) -> WorldSpec:
         if seed < 0:
             raise UserError(f"world seed {seed}: world seeds are not negative")
-        world = self.worlds.draw(seed, self.room)
+        world = source.draw(seed, self.room)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
@@ -166,7 +201,13 @@ class Experiment:
 
     def training_world(self, episode: int) -> WorldSpec:
         """The world of a training episode."""
-        return self.world(training_world_seed(self.config.seed, episode))
+        sources, seed = self._training_sources, training_world_seed(self.config.seed, episode)
+        source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
+        return turned(self._drawn(source, seed), self.config.training.disturbances)
+
+    @cached_property
+    def _training_sources(self) -> list[WorldSource]:
+        return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -194,6 +235,11 @@ class Experiment:
         fleet = self._sound_fleet(workers)
         faults = self.config.conditions.sensors
         return FaultyFleet(fleet, faults) if faults.any else fleet
+
+    def training_fleet(self, workers: int | None = None) -> Fleet:
+        """The same as `fleet` gives, disturbed as training asks for."""
+        fleet, disturbances = self.fleet(workers), self.config.training.disturbances
+        return DisturbedFleet(fleet, disturbances) if disturbances.any else fleet
 
     def _sound_fleet(self, workers: int) -> Fleet:
         c, size = self.config, self.config.vehicles

@@ -139,6 +139,7 @@ class Recorder:
         self._vehicle = vehicle
         self._agent = agent
         self._steps: list[Transition] = []
+        self._values: list[Array] = []
 
     def begin(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
@@ -146,10 +147,18 @@ class Recorder:
         self._first = observation
         self.trace.clear()
         self._steps.clear()
+        self._values = [self._expected(observation)]
 
     def see(self, transition: Transition) -> None:
         """One step."""
         self._steps.append(transition)
+        if transition.ending is None:
+            self._values.append(self._expected(transition.s_t))
+
+    def _expected(self, observation: Observation) -> Array:
+        """What the agent, before it decides, expects of the five turns (5,)."""
+        (values,) = self._agent.action_values(stacked([observation]))
+        return np.asarray(values)
 
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
@@ -176,7 +185,7 @@ class Recorder:
             readings=np.array([observation.readings for observation in observations]),
             ray_distances=np.array([observation.ray_distances for observation in observations]),
             state_property=np.array([observation.property.label for observation in observations]),
-            q_values=self._agent.action_values(stacked([step.s_tm1 for step in steps])),
+            q_values=np.array(self._values[: len(steps)]),
             action=np.array([step.a_tm1 for step in steps]),
             heading_command=heading_change(
                 [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]

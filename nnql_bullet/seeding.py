@@ -19,6 +19,9 @@ class Stream(IntEnum):
     BOOTSTRAP = 5
     PATROLS = 6
     CHANCE = 7
+    REPLAY = 8
+    MIX = 9
+    DISTURBANCE = 10
 
 
 VALIDATION_WORLDS = range(0, 100_000)

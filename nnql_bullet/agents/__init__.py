@@ -5,6 +5,7 @@ from typing import Annotated, TypeAlias
 from pydantic import Field
 
 from nnql_bullet.agents.base import Agent, Learner, Taught
+from nnql_bullet.agents.double_dqn import DoubleDqn, DoubleDqnOptions
 from nnql_bullet.agents.fuzzy import Fuzzy, FuzzyOptions
 from nnql_bullet.agents.genetic import Genetic, GeneticOptions
 from nnql_bullet.agents.hand_rule import HandRule, HandRuleOptions
@@ -28,12 +29,12 @@ RuleOptions: TypeAlias = (
     | VfhOptions
     | LookAheadOptions
 )
-AgentOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | Sb3DqnOptions | RuleOptions
+AgentOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions | RuleOptions
 AnyAgentOptions = Annotated[AgentOptions, Field(discriminator="kind")]
 
 RULES = ("straight", "random", "hand_rule", "potential_field", "fuzzy", "vfh", "look_ahead")
 """Kinds of agents that have nothing to learn."""
-KINDS = ("nnql", "q_table", "genetic", "sb3_dqn", *RULES)
+KINDS = ("nnql", "q_table", "genetic", "double_dqn", "sb3_dqn", *RULES)
 
 
 def make_agent(options: AgentOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> Agent:
@@ -55,6 +56,8 @@ def make_agent(options: AgentOptions, seed: int, vehicle: VehicleSpec, drive: Dr
             return QTable(options)
         case GeneticOptions():
             return Genetic(options, seed)
+        case DoubleDqnOptions():
+            return DoubleDqn(options, seed, vehicle, drive)
         case Sb3DqnOptions():
             return Sb3Dqn(options, seed)
         case StraightOptions():

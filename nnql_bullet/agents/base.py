@@ -1,7 +1,7 @@
 """What an agent is to those that run it: one that drives, one that was taught, one that learns step by step."""
 
 from abc import ABC, abstractmethod
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,27 @@ class Learner(Taught, Protocol):
 
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Named numbers of a training episode for the log."""
+
+    def under_way(self) -> dict[str, NDArray[Any]]:
+        """What it needs beside `arrays` to go on learning as if it had never stopped, by name."""
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `under_way` gave.
+
+        Raises:
+            UserError: If it is not of such an agent.
+        """
+
+
+class Stateless:
+    """The part of a learner that needs nothing but what it has learned to go on."""
+
+    def under_way(self) -> dict[str, NDArray[Any]]:
+        """Nothing."""
+        return {}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """There is nothing to take back."""
 
 
 class Memoryless:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.base import TurnChooser
+from nnql_bullet.agents.base import Stateless, TurnChooser
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observations
 from nnql_bullet.geometry import Array
@@ -44,7 +44,7 @@ class QLearningOptions:
             )
 
 
-class QLearning(TurnChooser):
+class QLearning(TurnChooser, Stateless):
     """The parts of an agent that explores by the Boltzmann distribution over its Q-values."""
 
     options: QLearningOptions

@@ -54,15 +54,17 @@ def train(
         nnql-bullet train --vehicles 64 --out runs/quick
         nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
         nnql-bullet train --config genetic --vehicles 200 --sim twin
+        nnql-bullet train --config double_dqn --seed 1
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
         config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), q_table (a
-            table instead of the network), genetic (a search over its weights) or sb3_dqn (DQN of stable-baselines3).
+            table instead of the network), genetic (a search over its weights), double_dqn (which decides every step and
+            keeps a map; in the twin, 64 vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
-        episodes: Training episodes in all; default 1000, with genetic 20000.
+        episodes: Training episodes in all; default 1000, with genetic 20000, with double_dqn 12000.
         seed: Of the whole run; default 0.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default paper.
+        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, with double_dqn a mix.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
         workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
@@ -84,14 +86,15 @@ def train(
     else:
         name = config or "paper"
         changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
-        resolved = load_config(name, {**changes, "vehicles": vehicles})
+        mix: dict[str, list[str]] | None = None if world is None else {"worlds": []}
+        resolved = load_config(name, {**changes, "vehicles": vehicles, "training": mix})
         experiment, state = Experiment(resolved), None
         experiment.taught  # noqa: B018 (refuses rules)
         experiment.training_world(0)  # what is wrong with world or robot shows before anything is written
         run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
-    with closing(experiment.fleet(workers)) as fleet:
+    with closing(experiment.training_fleet(workers)) as fleet:
         agent = experiment.taught
         training = experiment.trainer(FleetNavigation(fleet, c.task))
         where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
@@ -104,7 +107,8 @@ def train(
                 run.create(overwrite)
             else:
                 run.save_config()
-            say(f"training {c.agent.kind} in {where}, world '{c.world}'{several}")
+            worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(c.training.worlds or (c.world,)))
+            say(f"training {c.agent.kind} in {where}, world {worlds}{several}")
             finished, died = _run(run, agent, training), None
         except WorkerDied as error:
             finished, died = False, error

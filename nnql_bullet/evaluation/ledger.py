@@ -314,7 +314,7 @@ def train_and_test(task: LedgerTask) -> list[Counts]:
     """Trains, then drives greedily through validation worlds, in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ledger")
     experiment = Experiment(config)
-    with closing(experiment.fleet(workers=1)) as fleet:
+    with closing(experiment.training_fleet(workers=1)) as fleet:
         navigation = FleetNavigation(fleet, config.task)
         for _ in islice(experiment.trainer(navigation).episodes(), config.episodes):
             pass

@@ -19,6 +19,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
+_AGENT = "agent/"
 _NONE = -1
 """In place of the number of an episode or of an action: there is none."""
 
@@ -72,6 +73,7 @@ class Training:
             "actions": self._actions[:, :longest].copy(),
             "squared_errors": self._squared_errors.copy(),
             "updates": self._updates.copy(),
+            **{_AGENT + name: values for name, values in self._agent.under_way().items()},
         }
 
     def load(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -97,6 +99,8 @@ class Training:
             if not active.any():
                 break
             self._tally.add(self._navigation.step(np.where(active, actions, 0), active))
+        state = {name.removeprefix(_AGENT): values for name, values in arrays.items() if name.startswith(_AGENT)}
+        self._agent.restore(state)
 
     def _begin(self, vehicle: int) -> None:
         """Draws the world of the vehicle's episode, and all the chance that there is in it."""
@@ -104,6 +108,7 @@ class Training:
         world = self._world_of(episode)
         self._worlds[vehicle] = world
         self._tally.begin(vehicle, world.seed)
+        self._agent.begin(vehicle, world.seed)
         self._uniforms[vehicle] = rng(self._seed, Stream.POLICY, episode).random(self._uniforms.shape[1])
 
     def _put_into_worlds(self) -> None:
