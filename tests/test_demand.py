@@ -179,7 +179,7 @@ def test_a_turn_taken_over_at_its_peak_is_looked_at_from_there(vehicle: VehicleS
 
 
 def test_a_heavier_or_higher_load_asks_for_more(vehicle: VehicleSpec) -> None:
-    turn = plan_turn(0.0, radians(60), Limits(yaw_rate=1.5708, yaw_acceleration=4.7124))
+    turn = plan_turn(0.0, radians(60), Limits(yaw_rate=1.5708, yaw_acceleration=4.7124, acceleration=2.5))
     heavier = [turn_demand(loaded(vehicle, Payload(mass, 0.35, 0.55)), 2.0, turn) for mass in (0.0, 40.0, 80.0, 120.0)]
     higher = [turn_demand(loaded(vehicle, Payload(80.0, 0.35, height)), 2.0, turn) for height in (0.3, 0.6, 0.9)]
     assert np.all(np.diff([asked.torque for asked in heavier]) > 0)
