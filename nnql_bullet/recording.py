@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.agents import Agent
+from nnql_bullet.agents.shield import overruled
 from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
@@ -44,7 +45,9 @@ class Recording:
     q_values: Array
     """Of the five turns (n, 5); NaN where the agent did not ask itself."""
     action: NDArray[np.int64]
-    """(n,)"""
+    """(n,), `env.STOP` and more where the vehicle was to stop."""
+    overruled: NDArray[np.bool_]
+    """Where a shield took the decision in the agent's place (n,)."""
     heading_command: Array
     """Heading change asked for (n,) [rad]."""
     heading_error: Array
@@ -107,6 +110,7 @@ def load_recording(path: Path) -> Recording:
         about = json.loads(str(arrays.pop("about")))
         if about.pop("format") != FORMAT:
             raise ValueError("another format")
+        arrays.setdefault("overruled", np.zeros(arrays["action"].shape, np.bool_))  # older recordings know no shield
         return Recording(about=about, **arrays)
     except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them into
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -121,6 +125,7 @@ class Recorder:
         self._vehicle = vehicle
         self._agent = agent
         self._steps: list[Transition] = []
+        self._overruled: list[bool] = []
 
     def begin(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
@@ -128,10 +133,12 @@ class Recorder:
         self._first = observation
         self.trace.clear()
         self._steps.clear()
+        self._overruled.clear()
 
     def see(self, transition: Transition) -> None:
         """One step."""
         self._steps.append(transition)
+        self._overruled.append(bool(overruled(self._agent, 1)[0]))
 
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
@@ -153,6 +160,7 @@ class Recorder:
             state_property=np.array([observation.property.label for observation in observations]),
             q_values=self._agent.action_values(stacked([step.s_tm1 for step in steps])),
             action=np.array([step.a_tm1 for step in steps]),
+            overruled=np.array(self._overruled),
             heading_command=heading_change(
                 [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]
             ),

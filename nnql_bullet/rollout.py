@@ -7,7 +7,17 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, Transition, Transitions, stacked
+from nnql_bullet.agents.shield import overruled
+from nnql_bullet.env import (
+    STOP,
+    FleetNavigation,
+    Navigation,
+    Observation,
+    Observations,
+    Transition,
+    Transitions,
+    stacked,
+)
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.local import as_motions
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
@@ -65,6 +75,16 @@ class EpisodeSummary:
     """Sum of rewards, not discounted."""
     terms: dict[str, float]
     """Sum of each reward term."""
+    overruled_steps: int = 0
+    """Decisions that a shield took in its agent's place."""
+    stop_steps: int = 0
+    """Decisions to brake, to stand or to turn on the spot."""
+    standing_time: float = 0.0
+    """Time of control periods in which the vehicle did not get on [s]."""
+
+
+STANDS = 0.05
+"""A vehicle that gets less far than this in a control period stands [m]."""
 
 
 class Tally:
@@ -74,6 +94,11 @@ class Tally:
         self._world_seed = np.zeros(size, np.int64)
         self._ending = np.full(size, GOES_ON)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        self._overruled, self._stops, self._standing = (
+            np.zeros(size, np.int64),
+            np.zeros(size, np.int64),
+            np.zeros(size),
+        )
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
@@ -96,13 +121,23 @@ class Tally:
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
+            *(self._overruled, self._stops, self._standing),
         ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
 
-    def add(self, transitions: Transitions) -> None:
-        """One step of those vehicles that took one."""
+    def add(self, transitions: Transitions, overruled: NDArray[np.bool_] | None = None) -> None:
+        """One step of those vehicles that took one.
+
+        Args:
+            transitions: Of n vehicles.
+            overruled: Of which vehicles a shield took the decision (n,); of none if it is not given.
+        """
         t, on = transitions, transitions.active
+        if overruled is not None:
+            self._overruled += on & overruled
+        self._stops += on & (t.a_tm1 >= STOP)
+        self._standing[on] += np.where(t.motions.path_length[on] < STANDS, t.motions.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.property == Property.NON_SAFE)
@@ -132,6 +167,9 @@ class Tally:
             non_safe_steps=int(self._non_safe[v]),
             episode_return=sum(terms),
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
+            overruled_steps=int(self._overruled[v]),
+            stop_steps=int(self._stops[v]),
+            standing_time=float(self._standing[v]),
         )
 
 
@@ -171,7 +209,7 @@ def run_episode(
         transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
             watcher.see(transition)
-        tally.add(_alone(transition))
+        tally.add(_alone(transition), overruled(driver, 1))
         observation = transition.s_t
     return tally.summary(0)
 
@@ -211,7 +249,8 @@ def finished_episodes(
         active = place >= 0
         if not active.any():
             return
-        tally.add(navigation.step(driver.exploit(navigation.observations), active))
+        actions = driver.exploit(navigation.observations)
+        tally.add(navigation.step(actions, active), overruled(driver, n))
 
 
 def _alone(t: Transition) -> Transitions:
