@@ -18,6 +18,9 @@ NEAR, CLOSE = 8.0, 4.0
 """What is farther off than this [m] contradicts nothing: it may have got out of range, or between two rays. Something
 that ends at a border of the sector once may do so; if it is close, not twice."""
 
+ALIKE = 2.0
+"""What ends at both borders of a sector goes on inside if it is as far off on both, to this [m]."""
+
 
 @numba.njit(cache=True)
 def silent_sectors(distances: Array) -> NDArray[np.bool_]:
@@ -48,7 +51,7 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
     for sector in range(paper.SECTORS):
         right, left = borders(distances, sector)
         if silent[sector]:
-            both, close = max(right, left) < NEAR, min(right, left) < CLOSE
+            both, close = max(right, left) < NEAR and abs(right - left) < ALIKE, min(right, left) < CLOSE
             against[sector] += 1.0 if both or close else 0.5 if min(right, left) < NEAR else 0.0
     return against
 

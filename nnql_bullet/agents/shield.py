@@ -46,6 +46,8 @@ GRIP_SHARE = 0.9
 NEWCOMER, NEWCOMER_SHARE = 0.06, 0.03
 """How far in front of what was seen before something has to be, to have come there [m], and the share of its distance
 that this grows by: between two rays there is more than they tell."""
+ALL_ROUND = 14
+"""Decisions to turn on the spot after which a vehicle has looked all round, and takes less room."""
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 """The rear-axle centre as a footprint without size."""
 
@@ -75,6 +77,8 @@ class _Memory:
     """Commanded by now [m/s]."""
     side: int = 0
     """To which it turns on the spot: 1 left, -1 right, 0 while it does not."""
+    turned: int = 0
+    """Decisions to turn on the spot since it last went at speed."""
     escape: Escape = field(default_factory=Escape)
     points: Array = field(default_factory=lambda: np.full((RAYS, 2), np.nan))
     """Of the last scan, in the vehicle frame of now, had nothing moved but the vehicle (72, 2) [m]."""
@@ -146,7 +150,8 @@ class Shield:
         rays, moving = o.ray_distances.copy(), np.zeros(o.ray_distances.shape, np.bool_)
         sensor = np.array(self._vehicle.sensor[:2])
         for i, memory in enumerate(memories):
-            memory.against += contradictions(rays[i], memory.points, sensor)
+            if memory.speed >= STANDING:
+                memory.against += contradictions(rays[i], memory.points, sensor)
             memory.against[~silent_sectors(rays[i])] = 0.0
             dead = memory.against >= ENOUGH
             moving[i] = newcomers(scan_points(rays[i], self._vehicle.sensor), memory.rays, memory.moved, sensor)
@@ -245,13 +250,18 @@ class Shield:
             return STOP + int(order[held[order].argmax()])
         tight = min(least, self.options.tight_margin)
         memory.side = memory.side or memory.escape.side or self._open_side(look, target_bearing)
-        for side in (memory.side, -memory.side):
-            for turn in (2, 1) if side > 0 else (4, 3):
-                if smallest[turn] >= tight:
-                    memory.side = side
-                    return STOP + turn
-        ways_out = self._stays_clear(look, np.array([tight]), turn_round=False)[0]
-        return int(np.where(ways_out, ranks, -np.inf).argmax()) if ways_out.any() else STOP
+        turns = [turn for side in (memory.side, -memory.side) for turn in ((1, 2) if side > 0 else (3, 4))]
+        clear = [turn for turn in turns if smallest[turn] >= tight]
+        memory.turned += 1
+        if not clear or memory.turned > ALL_ROUND:
+            for margin in (least, least / 2, tight):
+                ways_out = self._stays_clear(look, np.array([margin]), turn_round=False)[0]
+                if ways_out.any():
+                    return int(np.where(ways_out, ranks, -np.inf).argmax())
+        if not clear:
+            return STOP
+        memory.side = 1 if clear[0] in (1, 2) else -1
+        return STOP + clear[0]
 
     def _open_side(self, look: "_Look", target_bearing: float) -> int:
         """On which side less turning, with some regard to the target, leads to where the way ahead is clear."""
@@ -283,8 +293,10 @@ class Shield:
             memory.points = (memory.points - (x, y)) @ np.array([[c, -s], [s, c]])
             memory.rays, memory.moved = o.ray_distances[i].copy(), (float(x), float(y), float(yaw))
             memory.speed = float(speeds[-1])
-            if chosen[i] < STOP and memory.speed >= 0.9 * self._drive.speed and not memory.escape.side:
-                memory.side = 0
+            if memory.speed >= 0.9 * self._drive.speed:
+                memory.turned = 0
+                if not memory.escape.side:
+                    memory.side = 0
 
 
 def overruled(driver: object, size: int) -> NDArray[np.bool_]:
