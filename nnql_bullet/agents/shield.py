@@ -240,14 +240,13 @@ class Shield:
         """A stop; for a vehicle that stands, a turn on the spot or, where there is no room for one, a tight way out."""
         memory, look = self._memories[i], looks.only(i)
         standing = memory.speed < STANDING
-        poses, _ = self._foreseen(look, 0.0, self._stop_times)
-        clearances = self._clearances(look, poses, self._stop_times)[0]
-        smallest = clearances.min(axis=-1)
+        stops = self._soon(look, 0.0)
+        if np.isfinite(look.moving).any():
+            return int(self._held(np.concatenate([self._soon(look, self._drive.speed), stops])).argmax())
         if not standing:
-            lasts = np.where(smallest > 0, len(self._stop_times), (clearances <= 0).argmax(axis=-1))
             order = np.argsort(np.abs(look.turns[0]), kind="stable")
-            held = lasts + np.minimum(smallest, self.options.margin)
-            return STOP + int(order[held[order].argmax()])
+            return STOP + int(order[self._held(stops)[order].argmax()])
+        smallest = stops.min(axis=-1)
         tight = min(least, self.options.tight_margin)
         memory.side = memory.side or memory.escape.side or self._open_side(look, target_bearing)
         turns = [turn for side in (memory.side, -memory.side) for turn in ((1, 2) if side > 0 else (3, 4))]
@@ -262,6 +261,17 @@ class Shield:
             return STOP
         memory.side = 1 if clear[0] in (1, 2) else -1
         return STOP + clear[0]
+
+    def _soon(self, look: "_Look", goal: float) -> Array:
+        """Clearances of one vehicle along the six turns (6, k) [m] while it would come to a stand."""
+        poses, _ = self._foreseen(look, goal, self._stop_times)
+        return self._clearances(look, poses, self._stop_times)[0]
+
+    def _held(self, clearances: Array) -> Array:
+        """How good courses (m,) with these clearances (m, k) are: how long until contact, then how much room."""
+        smallest = clearances.min(axis=-1)
+        lasts = np.where(smallest > 0, clearances.shape[-1], (clearances <= 0).argmax(axis=-1))
+        return np.asarray(lasts + np.minimum(smallest, self.options.margin))
 
     def _open_side(self, look: "_Look", target_bearing: float) -> int:
         """On which side less turning, with some regard to the target, leads to where the way ahead is clear."""
