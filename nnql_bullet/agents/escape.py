@@ -77,8 +77,8 @@ class Escape:
             self.guided_until = self.closest - FIRST_GAIN * GAIN_GROWTH**self.escapes
             self.escapes += 1
 
-    def guides(self, distance: float) -> bool:
-        """Whether the vehicle follows this at a distance to the target [m], and not its agent."""
+    def leads(self, distance: float) -> bool:
+        """Whether the vehicle, at a distance to the target [m], follows this and not its agent."""
         return self.side != 0 or (self.escapes > 0 and distance > self.guided_until)
 
     def heading(self, target_bearing: float, ray_distances: Array) -> float:

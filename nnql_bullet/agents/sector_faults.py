@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents.scan_points import place_among_rays
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
 
@@ -44,7 +45,7 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
     silent, against = silent_sectors(distances), np.zeros(paper.SECTORS)
     for x, y in expected:
         if np.hypot(x - sensor[0], y - sensor[1]) < NEAR:
-            place = place_of(x, y, sensor)
+            place = place_among_rays(x, y, sensor)
             sector, inside = int(place) // RAYS_PER_SECTOR % paper.SECTORS, place % RAYS_PER_SECTOR
             if silent[sector] and 1.0 <= inside <= RAYS_PER_SECTOR - 2.0:
                 against[sector] += 1.0
@@ -86,16 +87,9 @@ def completed(distances: Array, dead: NDArray[np.bool_], expected: Array, sensor
     for x, y in expected:
         distance = np.hypot(x - sensor[0], y - sensor[1])
         if distance < paper.SENSOR_RANGE:
-            ray = int(np.rint(place_of(x, y, sensor))) % RAYS
+            ray = int(np.rint(place_among_rays(x, y, sensor))) % RAYS
             if dead[ray // RAYS_PER_SECTOR] and distance < nearest[ray]:
                 nearest[ray] = distance
                 remembered[ray, 0], remembered[ray, 1] = x, y
                 whole[ray] = min(whole[ray], distance)
     return whole, remembered
-
-
-@numba.njit(cache=True)
-def place_of(x: float, y: float, sensor: Array) -> float:
-    """The place of a point of the vehicle frame [m] among the rays, counted from the first, in between too."""
-    step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
-    return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (RAYS_PER_SECTOR - 1) / 2) % RAYS)

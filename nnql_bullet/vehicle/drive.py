@@ -94,6 +94,24 @@ def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
     return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=-1), axis=-2)
 
 
+def ramp_ways(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
+    """What vehicles drive from each time to the next, from 0 on, that go from a speed to another as `sample_ramp` does.
+
+    Args:
+        speeds: At the start (n,) [m/s].
+        goals: To be reached (n,) [m/s].
+        acceleration: Limit, speeding up and slowing down [m/s2].
+        times: (k,) [s]
+
+    Returns:
+        Ways (n, k) [m], by the trapezoidal rule.
+    """
+    times = np.concatenate([[0.0], times])
+    change, start = acceleration * times, speeds[:, None]
+    ramp = np.minimum(np.maximum(goals[:, None], start - change), start + change)
+    return np.asarray((ramp[:, 1:] + ramp[:, :-1]) / 2 * np.diff(times))
+
+
 @numba.njit(cache=True)
 def sample_profile(
     start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array
