@@ -34,9 +34,9 @@ from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.task import Property, TaskOptions, is_safe, readings_of
-from nnql_bullet.vehicle.demand import braking
+from nnql_bullet.vehicle.demand import followed_limits, turning_deceleration
 from nnql_bullet.vehicle.drive import ramp_ways
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 NonNegative = Annotated[float, Field(ge=0)]
 
@@ -113,9 +113,9 @@ class _Look:
     moving: Array
     """Those of them that belong to what moves (n, 72, 2) [m]; NaN for the others."""
 
-    def of(self, vehicle: int) -> "_Look":
-        """What one of them foresees with."""
-        return _Look(*(getattr(self, its.name)[vehicle : vehicle + 1] for its in fields(self)))
+    def of(self, vehicles: NDArray[np.int64]) -> "_Look":
+        """What some of them foresee with."""
+        return _Look(*(getattr(self, its.name)[vehicles] for its in fields(self)))
 
 
 class Shield:
@@ -140,7 +140,11 @@ class Shield:
         self._vehicle, self._drive, self._task = vehicle, drive, task
         self._sensor, self._footprint = np.array(vehicle.sensor[:2]), as_rows((vehicle.footprint,))[0]
         limits = vehicle.limits
-        self._deceleration = min(limits.acceleration, GRIP_SHARE * braking(vehicle).deceleration)
+        self._deceleration = min(limits.acceleration, GRIP_SHARE * turning_deceleration(vehicle, drive.speed))
+        # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
+        self._asked = limits
+        self._followed = followed_limits(vehicle, drive.speed)
+        self._followed_changing = followed_limits(vehicle, drive.speed, limits.acceleration)
         self._way = max(options.look_ahead, float(self._committed(np.array(drive.speed))))
         self._turning_circle = float(np.hypot(*vehicle.footprint.corners().T).max()) + TOUCHING
         longest = max(self._way, options.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
@@ -173,7 +177,7 @@ class Shield:
         clear = self._stays_clear(look, kept)
         chosen: NDArray[np.int64] = np.where(clear, ranks, -np.inf).argmax(axis=-1)
         for i in np.flatnonzero(~clear.any(axis=-1)).tolist():
-            chosen[i] = self._stop(memories[i], look.of(i), ranks[i], kept[i], o.target_bearing[i])
+            chosen[i] = self._stop(memories[i], look.of(np.array([i])), ranks[i], kept[i], o.target_bearing[i])
         self.overruled = np.asarray(chosen != wanted)
         self._remember(o, chosen, memories)
         return chosen
@@ -237,12 +241,12 @@ class Shield:
         after = np.minimum(speeds + self._vehicle.limits.acceleration * period, self._drive.speed)
         return np.asarray((speeds + after) / 2 * period + after * after / (2 * self._deceleration))
 
-    def _foreseen(self, look: _Look, goal: float, times: Array) -> tuple[Array, Array, Array]:
+    def _foreseen(self, look: _Look, goal: float, times: Array, limits: Limits) -> tuple[Array, Array, Array]:
         """Poses along the six turns (n, 6, k, 3), clearances there (n, 6, k) and the way up to them (n, 1, k) [m].
 
         What moves may have come nearer by then.
         """
-        limits, goals = self._vehicle.limits, np.full(len(look.speed), goal)
+        goals = np.full(len(look.speed), goal)
         acceleration = limits.acceleration if goal > 0 else self._deceleration
         ways = ramp_ways(look.speed, goals, acceleration, times)
         poses = foreseen_poses(look.yaw_rate, look.turns, ways, limits, times)
@@ -255,9 +259,19 @@ class Shield:
     def _stays_clear(self, look: _Look, kept: Array, turns_round: bool = True) -> NDArray[np.bool_]:
         """Which actions (n, 6) keep a distance (n,) [m] up to where the vehicle can stand, and turn round on the spot.
 
-        Where it need not turn round, to stand is enough.
+        Where it need not turn round, to stand is enough. It may turn as asked or fall behind, and has to be clear
+        either way.
         """
-        poses, clearances, ways = self._foreseen(look, self._drive.speed, self._times)
+        clear, at_speed = self._keeps(look, kept, turns_round, self._asked), look.speed >= self._drive.speed
+        for which, followed in ((at_speed, self._followed), (~at_speed, self._followed_changing)):
+            some = np.flatnonzero(which & clear.any(axis=-1))
+            if len(some) and followed != self._asked:
+                clear[some] &= self._keeps(look.of(some), kept[some], turns_round, followed)
+        return clear
+
+    def _keeps(self, look: _Look, kept: Array, turns_round: bool, limits: Limits) -> NDArray[np.bool_]:
+        """`_stays_clear` under the limits that the vehicle follows."""
+        poses, clearances, ways = self._foreseen(look, self._drive.speed, self._times, limits)
         free = np.logical_and.accumulate(clearances >= kept[:, None, None], axis=-1)
         stands = free & (ways >= self._committed(look.speed)[:, None, None])
         if not turns_round:
@@ -272,14 +286,20 @@ class Shield:
 
         Beside what moves it does whatever stays out of contact longest.
         """
-        _, (stops,), _ = self._foreseen(look, 0.0, self._stop_times)
+        stops = self._soon(look, 0.0)
         if np.isfinite(look.moving).any():
-            _, (drives,), _ = self._foreseen(look, self._drive.speed, self._stop_times)
+            drives = self._soon(look, self._drive.speed)
             return int(self._worth(np.concatenate([drives, stops])).argmax())
         if memory.speed >= STANDING:
             order = np.argsort(np.abs(look.turns[0]), kind="stable")
             return STOP + int(order[self._worth(stops)[order].argmax()])
         return self._turn_on_the_spot(memory, look, stops.min(axis=-1), ranks, kept, target_bearing)
+
+    def _soon(self, look: _Look, goal: float) -> Array:
+        """Clearances of one vehicle along the six turns (6, k) [m] while it could brake, turning as asked or behind."""
+        both = self._asked, self._followed_changing
+        asked, behind = (self._foreseen(look, goal, self._stop_times, limits)[1][0] for limits in both)
+        return np.asarray(np.minimum(asked, behind))
 
     def _worth(self, clearances: Array) -> Array:
         """How good courses with these clearances (m, k) are (m,): how long they are out of contact, then by how much.
