@@ -60,21 +60,27 @@ AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 @options
 class ShieldOptions:
-    """How much room it keeps."""
+    """How much room it keeps.
+
+    Percentages are goals of `straight` in it at 20 % cover / in traps / in aisles: twin, validation worlds 0 to 149. One
+    world is 0.7 points; the defaults got 99.3 / 99.3 / 98.0 % without a collision.
+    """
 
     margin: NonNegative = 0.3
-    """Least distance from the footprint to the last scan, between whose rays there is more [m]."""
+    """Least distance from the footprint to the last scan, between whose rays there is more [m]. 0.15 and 0.2 m got
+    100 / 99.3 / 99.3 %, 0.4 m 98.0 / 100 / 99.3 %; contact physics, which strays by centimetres, needs some."""
     tight_margin: NonNegative = 0.06
     """The same for a vehicle that stands and has no other way: at arm's length rays are 4 cm apart [m]."""
     look_ahead: NonNegative = 2.0
-    """Way of every action that has to be clear; more where a control period and stopping take more [m]."""
+    """Way of every action that has to be clear; more where a control period and stopping take more [m]. 0 m, which is
+    1.8 m, got 98.7 / 98.7 / 99.3 %, 3 m 98.0 / 100 / 94.7 %."""
     corridor: NonNegative = 6.0
     """Way on which there has to be a place to turn round on the spot; else it leads into what the vehicle, which does
-    not reverse, may not get out of [m]."""
+    not reverse, may not get out of [m]. 0 m, which is the way above, got 97.3 / 99.3 / 99.3 %."""
     box_speed: NonNegative = 1.0
-    """At which what moves may come nearer [m/s]."""
+    """At which what moves may come nearer [m/s]. 0 got 74.7 % among boxes that move, 1 m/s 99 %."""
     leads: bool = True
-    """Whether an agent that gets no nearer to the target is led on."""
+    """Whether an agent that gets no nearer to the target is led on. Without, 99.3 / 72.7 / 96.0 %."""
 
 
 @dataclass(slots=True)
@@ -286,18 +292,19 @@ class Shield:
 
         Beside what moves it does whatever stays out of contact longest.
         """
-        stops = self._soon(look, 0.0)
+        stops = self._soon(look, 0.0, self._followed_changing)
         if np.isfinite(look.moving).any():
-            drives = self._soon(look, self._drive.speed)
+            at_speed = look.speed[0] >= self._drive.speed
+            drives = self._soon(look, self._drive.speed, self._followed if at_speed else self._followed_changing)
             return int(self._worth(np.concatenate([drives, stops])).argmax())
         if memory.speed >= STANDING:
             order = np.argsort(np.abs(look.turns[0]), kind="stable")
             return STOP + int(order[self._worth(stops)[order].argmax()])
         return self._turn_on_the_spot(memory, look, stops.min(axis=-1), ranks, kept, target_bearing)
 
-    def _soon(self, look: _Look, goal: float) -> Array:
+    def _soon(self, look: _Look, goal: float, followed: Limits) -> Array:
         """Clearances of one vehicle along the six turns (6, k) [m] while it could brake, turning as asked or behind."""
-        both = self._asked, self._followed_changing
+        both = self._asked, followed
         asked, behind = (self._foreseen(look, goal, self._stop_times, limits)[1][0] for limits in both)
         return np.asarray(np.minimum(asked, behind))
 
