@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
-from nnql_bullet.agents.escape import FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Escape
+from nnql_bullet.agents.escape import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Escape
 from nnql_bullet.agents.scan_points import newcomers, scan_points
 from nnql_bullet.agents.sector_faults import ENOUGH, completed, contradictions
 from nnql_bullet.agents.shield import Shield, ShieldOptions, overruled
@@ -463,6 +463,14 @@ class TestEscape:
         assert [side for side, _ in begun[:3]] == [1, -1, 1]
         assert [left for _, left in begun[:3]] == pytest.approx([FIRST_LIMIT * LIMIT_GROWTH**k for k in range(3)])
         assert escape.guided_until == pytest.approx(50.0 - FIRST_GAIN * GAIN_GROWTH ** (escape.escapes - 1))
+
+    def test_one_that_leads_far_away_comes_to_nothing(self) -> None:
+        escape = Escape()
+        self.waiting(escape, PATIENCE + 1)
+        escape.notice(50.0 + FARTHEST - 0.1, self.SEES, 0, 0.5)
+        assert escape.side == 1
+        escape.notice(50.0 + FARTHEST + 0.1, self.SEES, 0, 0.5)
+        assert (escape.side, escape.swap) == (0, True)
 
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
         escape = Escape(side=1)

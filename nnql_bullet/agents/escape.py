@@ -1,7 +1,7 @@
 """The way out for a vehicle that gets no nearer: along what is in its way, until it is nearer than ever before.
 
 This is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
-Principles of Robot Motion, chapter 2), with a limit of time, after which it is tried the other way round.
+Principles of Robot Motion, chapter 2), with limits of time and distance, after which it is tried the other way round.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,9 @@ PROGRESS = 0.5
 """What counts as progress: so much nearer to the target than ever before [m]."""
 FIRST_LIMIT, LIMIT_GROWTH = 20.0, 2.0
 """How long the first escape may take [s], and what that is multiplied by after each that came to nothing."""
-FIRST_GAIN, GAIN_GROWTH = 5.0, 3.0
+FARTHEST = 25.0
+"""How much farther from the target than ever before an escape may lead [m]."""
+FIRST_GAIN, GAIN_GROWTH = 10.0, 4.0
 """How much nearer a vehicle is guided after its first escape before its agent ranks actions again [m], and what that is
 multiplied by with each further escape: an agent that gets stuck again and again does not know the way."""
 KEPT_DISTANCE = 1.2
@@ -45,10 +47,10 @@ class Escape:
     """Time that the escape may still take [s]."""
     escapes: int = 0
     failures: int = 0
-    """Of them those that ran out of time."""
+    """Of them those that came to nothing: they took too long, or led too far away."""
     last_side: int = 0
     swap: bool = False
-    """Whether the last one ran out of time."""
+    """Whether the last one came to nothing, so that the next goes the other way round."""
     guided_until: float = inf
     """Distance to the target up to which the vehicle is guided [m]; infinite before the first escape."""
 
@@ -66,7 +68,7 @@ class Escape:
         self.closest = distance if nearer else self.closest
         if self.side:
             self.left -= period
-            if nearer or self.left < 0:
+            if nearer or self.left < 0 or distance > self.closest + FARTHEST:
                 self.swap = not nearer
                 self.failures += self.swap
                 self.side, self.waited = 0, 0.0

@@ -62,8 +62,8 @@ AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 class ShieldOptions:
     """How much room it keeps.
 
-    Percentages are goals of `straight` in it at 20 % cover / in traps / in aisles: twin, validation worlds 0 to 149. One
-    world is 0.7 points; the defaults got 99.3 / 99.3 / 98.0 % without a collision.
+    Percentages are goals of `straight` in it at 20 % cover / in traps / in aisles: twin, validation worlds 0 to 149.
+    One world is 0.7 points; the defaults got 99.3 / 99.3 / 98.0 % at the time, without a collision.
     """
 
     margin: NonNegative = 0.3
@@ -150,7 +150,7 @@ class Shield:
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
-        self._followed_changing = followed_limits(vehicle, drive.speed, limits.acceleration)
+        self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
         self._way = max(options.look_ahead, float(self._committed(np.array(drive.speed))))
         self._turning_circle = float(np.hypot(*vehicle.footprint.corners().T).max()) + TOUCHING
         longest = max(self._way, options.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
