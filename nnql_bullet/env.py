@@ -29,14 +29,23 @@ from nnql_bullet.worlds.spec import WorldSpec
 TOWARD_TARGET = len(paper.TURNS)
 """The sixth action: the paper's rule for a safe state, "changes its orientation toward the target location"."""
 ACTIONS = len(paper.TURNS) + 1
+STOP = ACTIONS
+"""Added to an action: the same turn, while the vehicle runs down to standing, and on the spot where it stands. Agents
+choose among the actions alone; these are for a driver that knows more than an agent is asked for."""
+MANOEUVRES = ACTIONS + STOP
 LARGEST_TURN = max(paper.TURNS)
-_TURNS = np.array([*paper.TURNS, np.nan])
+_TURNS = np.tile([*paper.TURNS, np.nan], 2)
 
 
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
     """The turns (...) [rad] that actions (...) ask for: one of the paper's, or toward the target up to the largest."""
     toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
-    return np.where(np.equal(action, TOWARD_TARGET), toward, _TURNS[action])
+    return np.where(np.isnan(_TURNS[action]), toward, _TURNS[action])
+
+
+def pace(action: int | NDArray[np.int64]) -> Array:
+    """The speeds (...) that actions (...) ask for, as shares of the drive's."""
+    return np.where(np.less(action, STOP), 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +98,8 @@ class Navigation:
     def step(self, action: int, trace: list[Sample] | None = None) -> Transition:
         """Carries out one decision."""
         s_tm1 = self._observation
-        motion = self.simulator.advance(float(heading_change(action, s_tm1.target_bearing)), trace)
+        turn = float(heading_change(action, s_tm1.target_bearing))
+        motion = self.simulator.advance(turn, trace, float(pace(action)))
         s_t = self._observe(motion.pose, motion.yaw_rate, self.simulator.scan(), motion)
         self._steps += 1
         terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task).tolist()
@@ -227,7 +237,8 @@ class FleetNavigation:
         s_tm1 = self._observations
         if active is None:
             active = np.ones(self.fleet.size, np.bool_)
-        motions, ray_distances = self.fleet.advance(heading_change(actions, s_tm1.target_bearing), active)
+        turns = heading_change(actions, s_tm1.target_bearing)
+        motions, ray_distances = self.fleet.advance(turns, active, pace(actions))
         m = Motions(*(getattr(motions, field.name).copy() for field in fields(Motions)))
         v = np.flatnonzero(active)
         before = s_tm1.property[v]

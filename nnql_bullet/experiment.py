@@ -13,6 +13,7 @@ from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, Learner, Taught, m
 from nnql_bullet.agents.genetic import Genetic
 from nnql_bullet.agents.nnql import NnqlOptions
 from nnql_bullet.agents.sb3_dqn import Sb3Dqn
+from nnql_bullet.agents.shield import Shield, ShieldOptions
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import FleetNavigation, Navigation
 from nnql_bullet.errors import UserError
@@ -130,6 +131,8 @@ class RunConfig:
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
+    shield: ShieldOptions | None = None
+    """Around the agent when it drives for good; it learns without."""
 
 
 def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
@@ -257,6 +260,12 @@ class Experiment:
     def agent(self) -> Agent:
         """The agent, untrained."""
         return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+
+    @cached_property
+    def driver(self) -> Agent:
+        """What drives for good: the agent, in its shield if it has one."""
+        c = self.config
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent
 
     @property
     def taught(self) -> Taught:

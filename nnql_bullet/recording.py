@@ -17,6 +17,7 @@ from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.rollout import overruled
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.payload import urdf_text
@@ -48,7 +49,9 @@ class Recording:
     q_values: Array
     """Of the five turns (n, 5); NaN where the agent did not ask itself."""
     action: NDArray[np.int64]
-    """(n,)"""
+    """(n,), `env.STOP` and more where the vehicle was to stop."""
+    overruled: NDArray[np.bool_]
+    """Where a shield took the decision in the agent's place (n,)."""
     heading_command: Array
     """Heading change asked for (n,) [rad]."""
     heading_error: Array
@@ -125,6 +128,7 @@ def load_recording(path: Path) -> Recording:
         about = json.loads(str(arrays.pop("about")))
         if about.pop("format") != FORMAT:
             raise ValueError("another format")
+        arrays.setdefault("overruled", np.zeros(arrays["action"].shape, np.bool_))  # older recordings know no shield
         return Recording(about=about, **arrays)
     except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them into
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -140,6 +144,7 @@ class Recorder:
         self._agent = agent
         self._steps: list[Transition] = []
         self._values: list[Array] = []
+        self._overruled: list[bool] = []
 
     def begin(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
@@ -148,10 +153,12 @@ class Recorder:
         self.trace.clear()
         self._steps.clear()
         self._values = [self._expected(observation)]
+        self._overruled.clear()
 
     def see(self, transition: Transition) -> None:
         """One step."""
         self._steps.append(transition)
+        self._overruled.append(bool(overruled(self._agent, 1)[0]))
         if transition.ending is None:
             self._values.append(self._expected(transition.s_t))
 
@@ -187,6 +194,7 @@ class Recorder:
             state_property=np.array([observation.property.label for observation in observations]),
             q_values=np.array(self._values[: len(steps)]),
             action=np.array([step.a_tm1 for step in steps]),
+            overruled=np.array(self._overruled),
             heading_command=heading_change(
                 [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]
             ),

@@ -2,12 +2,21 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, Transition, Transitions, stacked
+from nnql_bullet.env import (
+    STOP,
+    FleetNavigation,
+    Navigation,
+    Observation,
+    Observations,
+    Transition,
+    Transitions,
+    stacked,
+)
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.local import as_motions
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
@@ -22,6 +31,19 @@ class Driver(Protocol):
 
     def exploit(self, observations: Observations) -> NDArray[np.int64]:
         """The actions (n,) that it holds best for vehicles 0 to n - 1."""
+
+
+@runtime_checkable
+class Overruling(Protocol):
+    """A driver that takes decisions in an agent's place, as a shield does."""
+
+    overruled: NDArray[np.bool_]
+    """Of which vehicles the last decision was not the agent's (n,)."""
+
+
+def overruled(driver: Driver, size: int) -> NDArray[np.bool_]:
+    """Of which of so many vehicles the last decision was not the agent's (n,): of none without a shield."""
+    return driver.overruled if isinstance(driver, Overruling) else np.zeros(size, np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +87,16 @@ class EpisodeSummary:
     """Sum of rewards, not discounted."""
     terms: dict[str, float]
     """Sum of each reward term."""
+    overruled_steps: int = 0
+    """Decisions that a shield took in its agent's place."""
+    stop_steps: int = 0
+    """Decisions to brake, to stand or to turn on the spot."""
+    standing_time: float = 0.0
+    """Time of control periods in which the vehicle did not get on [s]."""
+
+
+STANDS = 0.05
+"""A vehicle that gets less far than this in a control period stands [m]."""
 
 
 class Tally:
@@ -74,6 +106,11 @@ class Tally:
         self._world_seed = np.zeros(size, np.int64)
         self._ending = np.full(size, GOES_ON)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
+        self._overruled, self._stops, self._standing = (
+            np.zeros(size, np.int64),
+            np.zeros(size, np.int64),
+            np.zeros(size),
+        )
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
@@ -96,13 +133,23 @@ class Tally:
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
+            *(self._overruled, self._stops, self._standing),
         ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
 
-    def add(self, transitions: Transitions) -> None:
-        """One step of those vehicles that took one."""
+    def add(self, transitions: Transitions, overruled: NDArray[np.bool_] | None = None) -> None:
+        """One step of those vehicles that took one.
+
+        Args:
+            transitions: Of n vehicles.
+            overruled: Of which vehicles a shield took the decision (n,); of none if it is not given.
+        """
         t, on = transitions, transitions.active
+        if overruled is not None:
+            self._overruled += on & overruled
+        self._stops += on & (t.a_tm1 >= STOP)
+        self._standing[on] += np.where(t.motions.path_length[on] < STANDS, t.motions.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.property == Property.NON_SAFE)
@@ -132,6 +179,9 @@ class Tally:
             non_safe_steps=int(self._non_safe[v]),
             episode_return=sum(terms),
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
+            overruled_steps=int(self._overruled[v]),
+            stop_steps=int(self._stops[v]),
+            standing_time=float(self._standing[v]),
         )
 
 
@@ -171,7 +221,7 @@ def run_episode(
         transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
             watcher.see(transition)
-        tally.add(_alone(transition))
+        tally.add(_alone(transition), overruled(driver, 1))
         observation = transition.s_t
     return tally.summary(0)
 
@@ -211,7 +261,8 @@ def finished_episodes(
         active = place >= 0
         if not active.any():
             return
-        tally.add(navigation.step(driver.exploit(navigation.observations), active))
+        actions = driver.exploit(navigation.observations)
+        tally.add(navigation.step(actions, active), overruled(driver, n))
 
 
 def _alone(t: Transition) -> Transitions:

@@ -189,6 +189,7 @@ def _read_csv(path: Path) -> list[TrainingEpisode]:
 
 
 def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
+    numbers: dict[str, Any] = {name: float(row[name]) for name in _NUMBERS}
     summary = EpisodeSummary(
         world_seed=int(row["world_seed"]),
         ending=row["ending"],
@@ -196,6 +197,6 @@ def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
         non_safe_steps=int(row["non_safe_steps"]),
         episode_return=float(row["return"]),
         terms={name: float(row[name]) for name in REWARD_TERMS},
-        **{name: float(row[name]) for name in _NUMBERS},
+        **numbers,
     )
     return TrainingEpisode(int(row["episode"]), summary, {name: float(row[name]) for name in diagnostics})

@@ -63,9 +63,9 @@ class Told:
         self._waiting = iter(decisions)
         self.reset, self.pose, self.scan = simulator.reset, simulator.pose, simulator.scan
 
-    def advance(self, _: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(self, _: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
         """Drives one control period."""
-        return self._simulator.advance(next(self._waiting)[1], trace)
+        return self._simulator.advance(next(self._waiting)[1], trace, pace)
 
 
 def train(folder: Path, seed: int) -> None:

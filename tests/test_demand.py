@@ -10,14 +10,18 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from nnql_bullet.vehicle.demand import (
+    LEAST_BRAKING,
+    LEAST_SHARE,
     braking,
     braking_rear_load,
+    followed_limits,
     grip_acceleration,
     quasi_steady,
     static_rear_load,
     tip_acceleration,
     tip_angle,
     turn_demand,
+    turning_deceleration,
     worst,
 )
 from nnql_bullet.vehicle.drive import Turn, plan_turn
@@ -179,7 +183,7 @@ def test_a_turn_taken_over_at_its_peak_is_looked_at_from_there(vehicle: VehicleS
 
 
 def test_a_heavier_or_higher_load_asks_for_more(vehicle: VehicleSpec) -> None:
-    turn = plan_turn(0.0, radians(60), Limits(yaw_rate=1.5708, yaw_acceleration=4.7124))
+    turn = plan_turn(0.0, radians(60), Limits(yaw_rate=1.5708, yaw_acceleration=4.7124, acceleration=2.5))
     heavier = [turn_demand(loaded(vehicle, Payload(mass, 0.35, 0.55)), 2.0, turn) for mass in (0.0, 40.0, 80.0, 120.0)]
     higher = [turn_demand(loaded(vehicle, Payload(80.0, 0.35, height)), 2.0, turn) for height in (0.3, 0.6, 0.9)]
     assert np.all(np.diff([asked.torque for asked in heavier]) > 0)
@@ -246,3 +250,36 @@ def test_largest_speed_just_stops_in_time(vehicle: VehicleSpec, reaction: float)
     speed = limits.largest_speed(9.45, reaction)
     assert limits.stopping_distance(speed, reaction) == pytest.approx(9.45)
     assert limits.largest_speed(9.45) == pytest.approx(sqrt(2 * limits.deceleration * 9.45))
+
+
+@pytest.mark.parametrize(("friction", "load"), [(0.8, 80.0), (0.8, 120.0), (0.4, 0.0), (0.5, 40.0)])
+@pytest.mark.parametrize("acceleration", [0.0, 1.0])
+def test_what_a_vehicle_follows_is_what_a_drive_wheel_can_push(
+    vehicle: VehicleSpec, friction: float, load: float, acceleration: float
+) -> None:
+    """By the demand of a turn at constant speed; slowing down then takes its part of the push on both wheels."""
+    carrying = loaded(vehicle.gripping(friction), Payload(load, 0.35, 0.55)) if load else vehicle.gripping(friction)
+    followed = followed_limits(carrying, 2.0, acceleration)
+    assert followed.yaw_rate == pytest.approx(min(vehicle.limits.yaw_rate, grip_acceleration(carrying) / 2.0))
+    assert followed.acceleration == vehicle.limits.acceleration
+    pushes = quasi_steady(carrying, 2.0, np.array([followed.yaw_rate]), np.array([followed.yaw_acceleration]))
+    apart = float(pushes.drive_forces[0, 1] - pushes.drive_forces[0, 0]) / 2
+    most = min(carrying.wheel_torque / RADIUS, friction * static_rear_load(carrying))
+    left = most - carrying.rolling_mass * acceleration / 2
+    if followed.yaw_acceleration > LEAST_SHARE * vehicle.limits.yaw_acceleration:
+        assert apart == pytest.approx(left, rel=1e-6)
+    else:
+        assert apart >= left - 1e-6
+
+
+def test_the_shipped_vehicle_follows_all_that_its_drive_asks_for_at_speed(vehicle: VehicleSpec) -> None:
+    assert followed_limits(vehicle, 2.0) == vehicle.limits
+    assert turning_deceleration(vehicle, 2.0) > vehicle.limits.acceleration
+
+
+def test_turning_takes_from_braking_and_never_adds(vehicle: VehicleSpec) -> None:
+    straight = braking(vehicle).deceleration
+    found = [turning_deceleration(vehicle, speed) for speed in (0.1, 0.5, 1.0, 2.0, 3.0, 6.0)]
+    assert found == sorted(found, reverse=True)
+    assert found[0] == pytest.approx(straight, rel=0.1)
+    assert found[-1] == pytest.approx(LEAST_BRAKING * straight)

@@ -20,7 +20,15 @@ from nnql_bullet.agents.double_dqn import DoubleDqn, DoubleDqnOptions, DuelingNe
 from nnql_bullet.agents.frames import MIRRORED_ACTIONS, FrameMaker, as_bytes
 from nnql_bullet.agents.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
 from nnql_bullet.config import parse
-from nnql_bullet.env import TOWARD_TARGET, FleetNavigation, Observation, Observations, heading_change, stacked
+from nnql_bullet.env import (
+    MANOEUVRES,
+    TOWARD_TARGET,
+    FleetNavigation,
+    Observation,
+    Observations,
+    heading_change,
+    stacked,
+)
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import wrap_angles
@@ -257,7 +265,7 @@ class TestMap:
         memory = maker.nothing(4)
         (first, _, target) = twin_drive[0]
         yaw = np.arctan2(*(target - first[:, :2]).T[::-1])
-        for (poses, observations, _), actions in zip(twin_drive, random_actions(len(twin_drive)), strict=True):
+        for (poses, observations, _), actions in zip(twin_drive, random_manoeuvres(len(twin_drive)), strict=True):
             look = maker.look(memory, observations)
             memory = maker.after(look, observations, actions)
             relative = poses[:, :2] - target
@@ -307,20 +315,21 @@ class TestMap:
         assert {tuple(cell) for cell in np.argwhere(cells[0]).tolist()} == inside
 
 
-def random_actions(decisions: int) -> NDArray[np.int64]:
-    return np.random.default_rng(0).integers(6, size=(decisions, 4))
+def random_manoeuvres(decisions: int) -> NDArray[np.int64]:
+    """Some of them stops, as a shield may ask for."""
+    return np.random.default_rng(0).integers(MANOEUVRES, size=(decisions, 4))
 
 
 @pytest.fixture(scope="module")
 def twin_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
-    """Poses, observations and the target, at every decision of four vehicles that turn about by chance."""
+    """Poses, observations and the target, at every decision of four vehicles that turn about and stop by chance."""
     experiment = Experiment(RunConfig(world="empty", simulator="twin"))
     fleet = TwinFleet(vehicle, DriveOptions(), 4)
     navigation = FleetNavigation(fleet, TaskOptions())
     world = replace(experiment.world(0), start=replace(experiment.world(0).start, x=50.0, y=50.0))
     navigation.reset({i: world for i in range(4)})
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
-    for actions in random_actions(25):
+    for actions in random_manoeuvres(25):
         drive.append((poses, navigation.observations, np.array(world.target)))
         poses = navigation.step(actions).motions.pose.copy()
     fleet.close()

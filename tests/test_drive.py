@@ -10,9 +10,9 @@ from scipy.optimize import linprog
 from nnql_bullet.vehicle.drive import plan_turn, rolled_path, sample_turn, turn_headings, wheel_speeds
 from nnql_bullet.vehicle.spec import Limits
 
-TRICYCLE = Limits(yaw_rate=1.5708, yaw_acceleration=7.4)
+TRICYCLE = Limits(yaw_rate=1.5708, yaw_acceleration=7.4, acceleration=2.5)
 
-limits = st.builds(Limits, yaw_rate=st.floats(0.3, 3), yaw_acceleration=st.floats(0.5, 20))
+limits = st.builds(Limits, yaw_rate=st.floats(0.3, 3), yaw_acceleration=st.floats(0.5, 20), acceleration=st.just(2.5))
 changes = st.floats(-pi, pi, allow_subnormal=False)
 shares = st.floats(-1, 1, allow_subnormal=False)
 

@@ -220,7 +220,7 @@ class Puppet:
         self._start = world.start
         self.asked.clear()
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
         self.asked.append(heading_change)
         return self.motions[len(self.asked) - 1]
 

@@ -14,7 +14,8 @@ from scipy.stats import chisquare
 
 from nnql_bullet import paper
 from nnql_bullet.agents import Agent, make_agent
-from nnql_bullet.agents.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions, scan_clearances
+from nnql_bullet.agents.foresight import scan_clearances
+from nnql_bullet.agents.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions
 from nnql_bullet.agents.potential_field import repulsion
 from nnql_bullet.agents.scan_points import scan_points
 from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns

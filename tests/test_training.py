@@ -131,9 +131,11 @@ class Mortal:
         self._count("reset")
         return self._fleet.reset(worlds)
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         self._count("advance")
-        return self._fleet.advance(heading_changes, active)
+        return self._fleet.advance(heading_changes, active, paces)
 
     def close(self) -> None:
         self._fleet.close()
@@ -252,9 +254,11 @@ class TestOrder:
         driven: list[list[bool]] = []
 
         class Watched(Mortal):
-            def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+            def advance(
+                self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+            ) -> tuple[Motions, Array]:
                 driven.append(active.tolist())
-                return super().advance(heading_changes, active)
+                return super().advance(heading_changes, active, paces)
 
         made = parts(5, fleet=lambda fleet: Watched(fleet, "", 1))
         finished = sum(episode.summary.steps for episode in islice(made.training.episodes(), 15))

@@ -373,7 +373,7 @@ def test_unknown_robot_lists_the_shipped_ones():
     ("pairs", "message"),
     [
         ([("yaw_rate = 1.5708", "yaw_rate = 0.0")], "'limits.yaw_rate': input should be greater than 0"),
-        ([("[limits]", "[limits]\nspeed = 3.0")], "unknown key 'limits.speed'; valid keys: yaw_acceleration, yaw_rate"),
+        ([("[limits]", "[limits]\nspeed = 3.0")], "unknown key 'limits.speed'; valid keys: acceleration, yaw_acc"),
         ([('swivel = "swivel"', "")], "key 'joints.swivel' is missing"),
         ([("wheel_friction = 0.8", "wheel_friction = -0.8")], "'contact.wheel_friction': input should be greater"),
         ([("position = [0.35, 0.0, 0.475]", "position = [0.35, 0.0]")], "'sensor.position"),

@@ -51,7 +51,9 @@ class FakeFleet:
         poses[:, 2] = self._yaws[chosen]
         return poses, self._rays()[chosen]
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         if np.isnan(heading_changes).any():
             _misbehave("hang")
         if np.isinf(heading_changes).any():

@@ -26,6 +26,14 @@ class Agent(Protocol):
 
 
 @runtime_checkable
+class Corrected(Protocol):
+    """An agent that remembers what it did, and can be told what was done in its place."""
+
+    def correct(self, actions: NDArray[np.int64]) -> None:
+        """Vehicles 0 to n - 1 do this instead of what was last chosen for them: manoeuvres of `env` (n,)."""
+
+
+@runtime_checkable
 class Taught(Agent, Protocol):
     """An agent that drives by what it was taught, however that came about."""
 

@@ -133,6 +133,8 @@ class DoubleDqn:
         self.network.requires_grad_(False)
         self._memory = self._frames.nothing(0)
         self._learning: Learning | None = None
+        self._decided: tuple[Look, Observations]
+        """What the last actions were chosen by."""
 
     def begin(self, vehicle: int, world_seed: int) -> None:
         """Nothing was seen yet."""
@@ -144,7 +146,13 @@ class DoubleDqn:
         look = self._look(observations)
         actions = np.asarray(self._values(self.network, look).argmax(axis=-1))
         self._keep(self._frames.after(look, observations, actions))
+        self._decided = look, observations
         return actions
+
+    def correct(self, actions: NDArray[np.int64]) -> None:
+        """Remembers what was done instead of what was last chosen."""
+        look, observations = self._decided
+        self._keep(self._frames.after(look, observations, actions))
 
     def action_values(self, observations: Observations) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""

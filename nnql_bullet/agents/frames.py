@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents import seen_map
-from nnql_bullet.env import ACTIONS, Observations, heading_change
+from nnql_bullet.env import ACTIONS, STOP, Observations, heading_change, pace
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
 from nnql_bullet.sim.base import DriveOptions
-from nnql_bullet.vehicle.drive import rolled_path, turn_headings
+from nnql_bullet.vehicle.drive import ramp_ways, rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Bytes = NDArray[np.uint8]
@@ -43,6 +43,8 @@ class Memory:
     """What was driven since, in the vehicle frame of then (n, 2) [m]."""
     actions: NDArray[np.int64]
     """The last ones (n,)."""
+    speeds: Array
+    """Commanded by now, as shares of the drive's (n,)."""
     corners: NDArray[np.int64]
     """Of the maps (n, 2)."""
     cells: seen_map.Cells
@@ -94,7 +96,7 @@ class FrameMaker:
         self.rays, self.frames, self.with_map = rays, frames, with_map
         self._limits, self._sensor = vehicle.limits, np.array(vehicle.sensor[:2])
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
-        self._ways = np.full(_INSTANTS, drive.speed * drive.decision_period / _INSTANTS)
+        self._speed = drive.speed
         self._angles = ray_angles()
         felt = np.arange(seen_map.SENSE if with_map else 0)
         bearings, reach = felt % seen_map.BEARINGS, felt - felt % seen_map.BEARINGS
@@ -120,6 +122,7 @@ class FrameMaker:
             poses=np.zeros((size, 3)),
             steps=np.zeros((size, 2)),
             actions=np.zeros(size, np.int64),
+            speeds=np.ones(size),
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, side, side), np.int8),
             frames=np.zeros((size, self.frames, self.width), np.uint8),
@@ -147,12 +150,16 @@ class FrameMaker:
         return Look(seen, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
 
     def after(self, look: Look, observations: Observations, actions: NDArray[np.int64]) -> Memory:
-        """The memory of vehicles that saw this and decided for `actions` (n,)."""
-        o = observations
+        """The memory of vehicles that saw this and do `actions` (n,), manoeuvres of `env`."""
+        o, memory = observations, look.memory
+        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), pace(actions)
         turns = heading_change(actions, o.target_bearing)
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
-        steps = rolled_path(0.0, self._ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
-        return replace(look.memory, age=look.memory.age + 1, steps=steps, actions=actions)
+        ways = ramp_ways(self._speed * speeds, self._speed * goals, self._limits.acceleration, self._times)
+        steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
+        change = self._limits.acceleration * self._times[-1] / self._speed
+        speeds = np.clip(goals, speeds - change, speeds + change)
+        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % STOP, speeds=speeds)
 
     def mirrored(self, stacked: Bytes) -> Bytes:
         """What is shown to the network (m, frames * width) as if left were right."""

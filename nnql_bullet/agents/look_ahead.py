@@ -2,19 +2,18 @@
 
 from typing import Annotated, Literal
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet.agents.base import Rule
+from nnql_bullet.agents.foresight import foreseen_poses, scan_clearances
 from nnql_bullet.agents.scan_points import scan_points
 from nnql_bullet.agents.turns import offered_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import Observations
-from nnql_bullet.geometry import Array, as_rows, squared_distance, wrap_angles
+from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.sim.base import DriveOptions
-from nnql_bullet.vehicle.drive import rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 LOOK_EVERY = 0.1
@@ -67,31 +66,5 @@ class LookAhead(Rule):
 
     def foreseen_poses(self, yaw_rates: Array, turns: Array) -> Array:
         """Poses in the present vehicle frame (n, 6, k, 3) along turns (n, 6) [rad] that begin at yaw rates (n,)."""
-        headings = turn_headings(yaw_rates[:, None], turns, self._vehicle.limits, self._times)
-        ways = np.full(len(self._times), self._speed * LOOK_EVERY)
-        places = rolled_path(0.0, ways, np.diff(headings, prepend=0.0))
-        return np.concatenate([places, headings[..., None]], axis=-1)
-
-
-@numba.njit(cache=True)
-def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
-    """Distance from the footprint to the nearest point of the scan (n, m, k) [m]; infinite without points.
-
-    Args:
-        poses: Of vehicle i, in its present frame (n, m, k, 3).
-        points: That vehicle i sees, in its present frame (n, r, 2) [m]; NaN for none.
-        footprint: A row (6,) of `geometry.as_rows`, in the vehicle's frame.
-    """
-    clearances = np.empty(poses.shape[:-1])
-    for i in range(len(poses)):
-        seen = points[i][np.isfinite(points[i, :, 0])]
-        for j in range(poses.shape[1]):
-            for k in range(poses.shape[2]):
-                x, y, yaw = poses[i, j, k]
-                c, s = np.cos(yaw), np.sin(yaw)
-                nearest = np.inf
-                for point in seen:
-                    dx, dy = point[0] - x, point[1] - y
-                    nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
-                clearances[i, j, k] = np.sqrt(nearest)
-    return clearances
+        ways = np.full((len(turns), len(self._times)), self._speed * LOOK_EVERY)
+        return foreseen_poses(yaw_rates, turns, ways, self._vehicle.limits, self._times)

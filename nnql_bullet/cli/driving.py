@@ -27,10 +27,11 @@ def drive(policy: Path, seed: int, changes: Mapping[str, Any]) -> tuple[Recordin
     """
     experiment, episodes = open_policy(policy, changes)
     config, kind = experiment.config, experiment.config.agent.kind
-    recorder = Recorder(experiment.vehicle, experiment.agent)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
+    recorder = Recorder(experiment.vehicle, experiment.driver)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver, watcher=recorder)
+    label = kind if kind in RULES else f"{kind}, {episodes} episodes"
     recording = recorder.recording(
-        policy=kind if kind in RULES else f"{kind}, {episodes} episodes",
+        policy=f"{label} + shield" if config.shield else label,
         simulator=config.simulator,
         physics=config.physics,
         conditions=to_values(config.conditions),

@@ -56,6 +56,7 @@ def evaluate(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...", help_behavior_hint="")] = None,
     sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
     physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
+    shield: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     executor: Annotated[ExecutorKind, tyro.conf.arg(help_behavior_hint="")] = "processes",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
@@ -87,6 +88,7 @@ def evaluate(
         world: Other shipped worlds (traps, aisles, moving, ...) or TOML files, beside those of --cover.
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin).
         physics: Settings of contact physics; default reference, the more exact.
+        shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
         workers: Pieces that run at a time; default one a core. The result does not depend on it.
         executor: Where they run: processes of this machine (default), this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
@@ -100,7 +102,7 @@ def evaluate(
     files = _files(cover, world)
     setting = Setting(split, sim, physics)
     where = make_executor(executor, workers or os.cpu_count() or 1, address)
-    opened = open_policies(policies)
+    opened = open_policies(policies, shield)
     _check_engine(opened[0], setting)
     tiers = draw_tiers(files, setting, worlds, opened[0])
     out.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ def navigate(
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
     sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
     physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
+    shield: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
     friction: Annotated[float | None, tyro.conf.arg(metavar="MU", help_behavior_hint="")] = None,
     payload: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="")] = None,
     noise: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None,
@@ -45,6 +46,7 @@ def navigate(
         nnql-bullet navigate runs/paper-0
         nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --json
         nnql-bullet navigate vfh --world cover_10 --video
+        nnql-bullet navigate straight --world cover_20 --shield
 
     Args:
         run: Run folder, a policy.safetensors, the name of a rule, or a TOML file that configures one.
@@ -53,6 +55,7 @@ def navigate(
         seed: Of the world; default 0.
         sim: Contact physics (bullet, the default, or mujoco), whatever it was trained in, or the ideal vehicle (twin).
         physics: Solver settings of contact physics; default reference, the more exact.
+        shield: Of what the policy would do, take the best that leaves room to stop; else brake, and turn on the spot.
         friction: Of the wheels against the ground, instead of the vehicle's own.
         payload: On the middle of the deck [kg].
         noise: Standard deviation of each ray [m].
@@ -66,9 +69,10 @@ def navigate(
     sensors = {"noise": noise, "dead_sector": dead_sector}
     conditions = {"wheel_friction": friction, "payload": payload, "sensors": sensors}
     changes = {"world": world, "simulator": sim, "physics": physics, "conditions": conditions}
+    changes |= {"shield": {} if shield else None}
     recording, summary = drive(run, seed, changes)
     given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
-    name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else [])]
+    name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else []), *(["shield"] if shield else [])]
     name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]
     folder = out or drives_folder(run) / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)

@@ -143,12 +143,12 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     """Drives a piece: the twin all worlds at once, contact physics one after another."""
     seeds = task.tier.block(task.first)
     if task.setting.simulator == "twin":
-        experiment = _experiment(task.policy.path, task.tier.file, task.setting, len(seeds))
+        experiment = _experiment(task.policy, task.tier.file, task.setting, len(seeds))
         with closing(experiment.fleet(workers=1)) as fleet:
             navigation = FleetNavigation(fleet, experiment.config.task)
-            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.agent)
-    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
-    return [run_episode(experiment.navigation, experiment.world(seed), experiment.agent) for seed in seeds]
+            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.driver)
+    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
+    return [run_episode(experiment.navigation, experiment.world(seed), experiment.driver) for seed in seeds]
 
 
 class SurveyTask(_BlockTask):
@@ -162,7 +162,7 @@ class SurveyTask(_BlockTask):
 
 def survey(task: SurveyTask) -> list[Difficulty]:
     """Looks at each world."""
-    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
+    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
     seeds = task.tier.block(task.first)
     return [difficulty(experiment.world(seed), experiment.room) for seed in seeds]
 
@@ -191,14 +191,15 @@ class FilmTask:
     def replay(self) -> str:
         """The command that drives it again, exactly."""
         where = ["--world", self.tier.file, "--seed", str(self.seed)]
-        return shlex.join(["nnql-bullet", "navigate", self.policy.path, *where, *self.setting.flags])
+        shield = ["--shield"] if self.policy.shielded else []
+        return shlex.join(["nnql-bullet", "navigate", self.policy.path, *where, *shield, *self.setting.flags])
 
 
 def film(task: FilmTask) -> Recording:
     """Records the drive."""
-    experiment = _experiment(task.policy.path, task.tier.file, task.setting, 1)
-    recorder = Recorder(experiment.vehicle, experiment.agent)
-    run_episode(experiment.navigation, experiment.world(task.seed), experiment.agent, watcher=recorder)
+    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
+    recorder = Recorder(experiment.vehicle, experiment.driver)
+    run_episode(experiment.navigation, experiment.world(task.seed), experiment.driver, watcher=recorder)
     config = experiment.config
     return recorder.recording(
         policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__
@@ -206,6 +207,6 @@ def film(task: FilmTask) -> Recording:
 
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _experiment(policy: str, world: str, setting: Setting, vehicles: int) -> Experiment:
+def _experiment(policy: Policy, world: str, setting: Setting, vehicles: int) -> Experiment:
     changes = {"world": world, "simulator": setting.simulator, "physics": setting.physics, "vehicles": vehicles}
-    return open_policy(Path(policy), changes)[0]
+    return open_policy(Path(policy.path), {**changes, **policy.changes})[0]

@@ -155,7 +155,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
     experiment = _experiment(task.run, task.world, task.side, task.fault)
     trials = []
     for seed in task.seeds:
-        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent)
+        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver)
         trials.append(Trial(task.run, task.side, task.fault, summary))
     return trials
 
@@ -168,8 +168,8 @@ def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> E
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
-    recorder = Recorder(experiment.vehicle, experiment.agent)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
+    recorder = Recorder(experiment.vehicle, experiment.driver)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver, watcher=recorder)
     c = experiment.config
     return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)
 

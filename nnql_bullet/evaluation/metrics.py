@@ -40,9 +40,16 @@ class Evaluation:
     @property
     def command(self) -> str:
         """What drives it again."""
-        policies, worlds = [policy.path for policy in self.policies], ",".join(tier.file for tier in self.tiers)
+        policies = [policy.path for policy in self.policies if not policy.shielded]
+        worlds = ",".join(tier.file for tier in self.tiers)
         count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
-        return shlex.join(["nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *self.setting.flags])
+        flags = [*(["--shield"] if self.shielded else []), *self.setting.flags]
+        return shlex.join(["nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *flags])
+
+    @property
+    def shielded(self) -> bool:
+        """Whether every policy drives in a shield, too."""
+        return any(policy.shielded for policy in self.policies)
 
     @property
     def groups(self) -> list[tuple[str, list[Tier]]]:
@@ -87,6 +94,12 @@ class Row:
     """Root mean square of a drive, mean over all [rad]."""
     non_safe: float
     """Share of decisions that were taken in non-safe states."""
+    overruled: float
+    """Share of decisions that a shield took in its agent's place."""
+    stops: float
+    """Share of decisions to brake, to stand or to turn on the spot."""
+    standing: float
+    """Time that a drive stands, mean over all [s]."""
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
@@ -104,7 +117,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         for summary, d in zip(e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
     ]
     summaries = [summary for summary, _ in drives]
-    endings = [summary.ending for summary in summaries]
+    endings, steps = [summary.ending for summary in summaries], sum(summary.steps for summary in summaries)
     arrived = [(summary, shortest) for summary, shortest in drives if summary.ending == "goal"]
     scores = [np.array([_success(e.drives[policy.name, tier.name]) for policy in policies]) for tier in tiers]
     return Row(
@@ -122,7 +135,10 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         mean_clearance=_mean([summary.mean_clearance for summary in summaries]),
         lateral_acceleration=_mean([summary.lateral_acceleration for summary in summaries]),
         heading_error=_mean([summary.heading_error for summary in summaries]),
-        non_safe=sum(summary.non_safe_steps for summary in summaries) / sum(summary.steps for summary in summaries),
+        non_safe=sum(summary.non_safe_steps for summary in summaries) / steps,
+        overruled=sum(summary.overruled_steps for summary in summaries) / steps,
+        stops=sum(summary.stop_steps for summary in summaries) / steps,
+        standing=_mean([summary.standing_time for summary in summaries]),
     )
 
 

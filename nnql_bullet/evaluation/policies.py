@@ -3,9 +3,10 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import getdoc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,10 +42,21 @@ class Policy:
     """Half width of the path that every world has for its vehicle [m]."""
     fingerprint: str
     """Hash of what it learned and of the configuration that it drives with."""
+    shielded: bool = False
+    """Whether it is asked to drive in a shield, which its own configuration does not give it."""
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is laid over its own configuration."""
+        return {"shield": {}} if self.shielded else {}
 
 
-def open_policies(paths: Sequence[Path]) -> list[Policy]:
+def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
     """Reads policies.
+
+    Args:
+        paths: Run folders, policy files, rules by name, or TOML files.
+        shield: Whether each is followed by itself in a shield.
 
     Raises:
         UserError: If one cannot be read or is given twice, or vehicles differ in size: the same seeds would then be
@@ -69,7 +81,7 @@ def open_policies(paths: Sequence[Path]) -> list[Policy]:
         method = alike[0].rstrip("0123456789").rstrip("-_./ ") if len(alike) > 1 else alike[0]
         taken = [name for its, name in methods.items() if its != recipe]
         methods[recipe] = method if method and method not in taken else alike[0]
-    return [
+    bare = [
         Policy(
             path=path,
             name=name,
@@ -84,6 +96,20 @@ def open_policies(paths: Sequence[Path]) -> list[Policy]:
         )
         for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
     ]
+    return [policy for one in bare for policy in ((one, _shielded(one)) if shield else (one,))]
+
+
+def _shielded(policy: Policy) -> Policy:
+    """The same in a shield."""
+    experiment, _ = open_policy(Path(policy.path), {"shield": {}})
+    return replace(
+        policy,
+        name=f"{policy.name}+shield",
+        method=f"{policy.method}+shield",
+        about=f"{policy.about} In a shield.",
+        fingerprint=fingerprint(experiment),
+        shielded=True,
+    )
 
 
 def _short_names(paths: Sequence[str]) -> list[str]:
@@ -108,7 +134,8 @@ def _recipe(experiment: Experiment) -> str:
 def fingerprint(experiment: Experiment) -> str:
     """Hash of what a policy learned and of the configuration that it drives with, wherever it drives."""
     config = to_values(experiment.config)
-    driving = {key: config[key] for key in ("seed", "robot", "conditions", "drive", "task", "agent")}
+    told = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
+    driving = {key: config[key] for key in told if key in config}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
     for name, values in sorted(_learned(experiment).items()):
         whole.update(name.encode())

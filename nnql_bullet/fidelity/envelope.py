@@ -21,7 +21,7 @@ from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.vehicle.demand import TurnDemand, static_rear_load, tip_angle, turn_demand
 from nnql_bullet.vehicle.drive import plan_turn
 from nnql_bullet.vehicle.payload import deck_load, loaded
-from nnql_bullet.vehicle.spec import Limits, VehicleSpec
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 RAMP = 1 / 3
 """Share of the period in which the yaw rate rises; it falls in another."""
@@ -168,7 +168,7 @@ def vehicle_for(vehicle: VehicleSpec, case: Case) -> VehicleSpec:
     peak = case.heading_change / ((1 - RAMP) * case.period)
     return replace(
         loaded(vehicle, deck_load(vehicle, case.payload)).gripping(case.friction),
-        limits=Limits(yaw_rate=abs(peak), yaw_acceleration=abs(peak) / (RAMP * case.period)),
+        limits=replace(vehicle.limits, yaw_rate=abs(peak), yaw_acceleration=abs(peak) / (RAMP * case.period)),
     )
 
 

@@ -6,7 +6,7 @@ from nnql_bullet import paper
 from nnql_bullet.vehicle.demand import GRAVITY, tip_acceleration, turn_demand
 from nnql_bullet.vehicle.drive import plan_turn
 from nnql_bullet.vehicle.payload import loaded
-from nnql_bullet.vehicle.spec import Limits, Payload, VehicleSpec
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 OWN_SHARE, EASY_SHARE = 0.95, 0.6
 """Share of grip that a turn at the vehicle's own limits may ask for, and of a slower one if that asks for more. Towards
@@ -62,9 +62,8 @@ def turning_within_its_means(vehicle: VehicleSpec, speed: float) -> tuple[Vehicl
     if _suffices(vehicle, speed, OWN_SHARE):
         return vehicle, 1.0
     for share in SLOWER:
-        slower = Limits(
-            yaw_rate=share * vehicle.limits.yaw_rate, yaw_acceleration=share**2 * vehicle.limits.yaw_acceleration
-        )
+        limits = vehicle.limits
+        slower = replace(limits, yaw_rate=share * limits.yaw_rate, yaw_acceleration=share**2 * limits.yaw_acceleration)
         turning = replace(vehicle, limits=slower)
         if _suffices(turning, speed, EASY_SHARE):
             break

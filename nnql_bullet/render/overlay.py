@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from nnql_bullet import colours, paper
+from nnql_bullet.env import STOP, TOWARD_TARGET
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment, Timeline
 
@@ -146,7 +147,12 @@ class Overlay:
         values, action = self._recording.q_values[moment.step], int(self._recording.action[moment.step])
         pad, bar, tall = self._px(12), self._px(40), self._px(86)
         asked = bool(np.isfinite(values).all())
-        text, font = "Q of the five turns" if asked else _action(action), self._font(16, bold=not asked)
+        text = _manoeuvre(action)
+        if self._recording.overruled[moment.step]:
+            text = f"shield: {text}"
+        elif asked:
+            text = "Q of the five turns"
+        font = self._font(16, bold=text != "Q of the five turns")
         wide, high = 2 * pad + max(5 * bar if asked else 0, font.getlength(text)), self._px(34)
         if asked:
             high += tall + self._px(32)
@@ -167,7 +173,7 @@ class Overlay:
             middle, above_bar = x + bar / 2, box[1] - self._px(3)
             draw.text((middle, above_bar), f"{values[k]:.2f}", fill=INK, font=self._font(11), anchor="ms")
             ink, font = INK if chosen else FAINT, self._font(14, bold=chosen)
-            draw.text((middle, floor + self._px(14)), _action(k), fill=ink, font=font, anchor="mm")
+            draw.text((middle, floor + self._px(14)), _turn(k), fill=ink, font=font, anchor="mm")
         draw.line((left + pad, zero, left + pad + 5 * bar, zero), fill=INK, width=1)
 
     def _state(self, draw: ImageDraw.ImageDraw, moment: Moment, width: int, height: int) -> None:
@@ -204,12 +210,16 @@ class Overlay:
         draw.rounded_rectangle(box, radius=self._px(8), fill=PAPER)
 
 
-def _action(action: int) -> str:
-    """What an action is called."""
-    if action == len(paper.TURNS):
-        return "toward the target"
+def _turn(action: int) -> str:
+    """What one of the five turns is called."""
     turn = degrees(paper.TURNS[action])
     return f"{turn:+.0f}°" if turn else "0°"
+
+
+def _manoeuvre(action: int) -> str:
+    """What an action is called, or one with a stop."""
+    turn = "toward the target" if action % STOP == TOWARD_TARGET else _turn(action % STOP)
+    return f"stop, {turn}" if action >= STOP else turn
 
 
 RANGE_SHOWN = paper.SENSOR_RANGE - 0.05

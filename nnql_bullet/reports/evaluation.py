@@ -1,6 +1,6 @@
 """An evaluation as text and pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from math import isfinite
@@ -73,6 +73,40 @@ def quality_row(row: Row, title: str) -> tuple[str, ...]:
     )
 
 
+def _shield_lines(rows: Sequence[Row], named: Mapping[str, str]) -> list[str]:
+    """What the shield did, beside the same methods without it."""
+    header = (
+        "method",
+        "worlds",
+        "goal %",
+        "collision %",
+        "decisions overruled %",
+        "stops %",
+        "standing [s]",
+        "time [s]",
+    )
+    return [
+        "## The shield",
+        "",
+        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot; "
+        "time that a drive stands, mean over all, and to the target, mean over the drives that arrive.",
+        "",
+        markdown_table(
+            header,
+            [
+                (
+                    *(row.method, named[row.world]),
+                    *(str(row.outcomes[ending]) for ending in ("goal", "collision")),
+                    *(f"{100 * row.overruled:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
+                    _or_none(row.time, ".1f"),
+                )
+                for row in rows
+            ],
+        ),
+        "",
+    ]
+
+
 def _or_none(value: float, form: str) -> str:
     return f"{value:{form}}" if isfinite(value) else "-"
 
@@ -110,6 +144,7 @@ def evaluation_markdown(
         "",
         markdown_table(QUALITY, [quality_row(row, named[row.world]) for row in rows]),
         "",
+        *(_shield_lines(rows, named) if e.shielded else []),
         "## The methods",
         "",
         markdown_table(

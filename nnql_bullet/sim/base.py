@@ -75,12 +75,15 @@ class Simulator(Protocol):
     def reset(self, world: WorldSpec) -> None:
         """Puts the vehicle on the world's start, already at speed, whatever happened before."""
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
         """Drives one control period.
 
         Args:
-            heading_change: Wanted change from the present yaw [rad], positive to the left.
+            heading_change: Wanted change from the present yaw [rad], positive to the left. A standing vehicle turns on
+                the spot, about its rear-axle centre.
             trace: Where samples between the decisions are appended, if wanted.
+            pace: Wanted speed as a share of the drive's, from 0, which is to stand. It is reached as fast as the
+                vehicle's limits let it.
         """
 
     def pose(self) -> Pose:
@@ -129,7 +132,9 @@ class Fleet(Protocol):
             Their poses (k, 3) and ray distances (k, 72) [m], in the order of `worlds`.
         """
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Drives one control period, as `Simulator.advance` does.
 
         The arrays returned may be overwritten by the next call.
@@ -137,6 +142,7 @@ class Fleet(Protocol):
         Args:
             heading_changes: Wanted changes from the present yaws (n,) [rad].
             active: Which vehicles drive (n,); the others stand by, and their rows in the result mean nothing.
+            paces: Wanted speeds as shares of the drive's (n,); the drive's speed if they are not given.
 
         Returns:
             The motions, and the ray distances (n, 72) [m] at their end.
@@ -161,7 +167,7 @@ class DriveOptions:
     """From one decision to the next [s]. The paper's "one step" has no length; a kinematic study before this program
     got 97 % with 0.5 s and 55 % with 1.0 s at 10 % cover. A turn goes on over several decisions."""
     speed: Annotated[float, Field(gt=0)] = paper.SPEED
-    """Of the rear-axle centre [m/s]."""
+    """Of the rear-axle centre, but where it is told to go slower [m/s]."""
     heading_gain: Annotated[float, Field(ge=0)] = 4.0
     """Yaw rate per heading error [1/s]."""
 

@@ -17,7 +17,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn, wheel_speeds
+from nnql_bullet.vehicle.drive import plan_turn, sample_ramp, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
@@ -74,6 +74,7 @@ class ContactSimulator(ABC):
         self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
         self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
         self._turn_rate = 0.0
+        self._ramp_speed = drive.speed
         self._clearance = 0.0
         self._steps = 0
         footprint = vehicle.footprint
@@ -95,7 +96,11 @@ class ContactSimulator(ABC):
         self.place(world, world.start, self.drive.speed)
 
     def advance(
-        self, heading_change: float, trace: list[Sample] | None = None, look: Callable[[], None] | None = None
+        self,
+        heading_change: float,
+        trace: list[Sample] | None = None,
+        pace: float = 1.0,
+        look: Callable[[], None] | None = None,
     ) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target.
 
@@ -106,13 +111,18 @@ class ContactSimulator(ABC):
         Args:
             heading_change: See `sim.base.Simulator.advance`.
             trace: Likewise.
+            pace: Likewise.
             look: Called after every physics step; it may look at the simulator, not move it.
         """
         run = self._run if look is None else partial(self._run_seen, look)
         begin, first_step = self.pose(), self._steps
         turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
         rates, headings = sample_turn(turn, self._command_times)
-        wanted, feed_forward = begin.yaw + headings, (headings[1:] - headings[:-1]) * COMMAND_RATE
+        ramp, goal = np.empty(len(headings)), pace * self.drive.speed
+        sample_ramp(self._ramp_speed, goal, self.vehicle.limits.acceleration, self._command_times, ramp)
+        # Of the axle and of the yaw, in the mean from each command to the next.
+        feed_forward = np.stack([(ramp[:-1] + ramp[1:]) / 2, (headings[1:] - headings[:-1]) * COMMAND_RATE], axis=1)
+        wanted = begin.yaw + headings
         way = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
         speeds = np.empty((SAMPLE_EVERY, 2))
         constants, footprint, solids = self._constants, self._footprint, self._solids
@@ -134,7 +144,7 @@ class ContactSimulator(ABC):
         x, y, yaw, path_length, smallest, _ = way.tolist()
         (velocity_x, velocity_y, _), (_, _, yaw_rate) = self._velocities()
         self._clearance = clearance_at(x, y, yaw, footprint, solids)
-        self._turn_rate = float(rates[command])
+        self._turn_rate, self._ramp_speed = float(rates[command]), float(ramp[command])
         return Motion(
             pose=Pose(x, y, yaw),
             speed=velocity_x * cos(yaw) + velocity_y * sin(yaw),
@@ -167,11 +177,11 @@ class ContactSimulator(ABC):
         Args:
             world: What stands there.
             pose: Of the rear-axle centre.
-            speed: Straight ahead, all wheels rolling [m/s].
+            speed: Straight ahead, all wheels rolling [m/s]; `advance` goes on at the drive's, whatever it is.
             height: Of the wheels above the ground [m].
             ground: Whether there is any.
         """
-        self._turn_rate = 0.0
+        self._turn_rate, self._ramp_speed = 0.0, self.drive.speed
         self._steps = 0
         self._tracks, self._solids = world.tracks, world.solids_at(0.0)
         self._movers = self._solids[len(world.solids) :]  # the same numbers, not a copy
@@ -181,7 +191,7 @@ class ContactSimulator(ABC):
         self._clearance = self._look()[3]
         ahead, _, up = self._com
         drive, (target_x, target_y) = self.drive, world.target
-        control = drive.speed, drive.heading_gain, self.vehicle.track, self.vehicle.wheel_radius
+        control = drive.heading_gain, self.vehicle.track, self.vehicle.wheel_radius
         reach = self._reach + max((p.speed for p in world.patrols), default=0.0) * SAMPLE_EVERY / COMMAND_RATE
         self._constants = np.array((ahead, up, reach, *control, target_x, target_y, world.target_radius))
 
@@ -376,7 +386,7 @@ def _follow(
         way: Brought up to date: x, y, yaw of the rear-axle centre, path length, smallest clearance so far, and what the
             clearance is now at least.
         wanted: Headings at each command and at the end (m + 1,) [rad].
-        feed_forward: Yaw rates after each command (m,) [rad/s].
+        feed_forward: Speed [m/s] and yaw rate [rad/s] after each command (m, 2).
         command: The next one.
         speeds: Filled with left and right wheel speeds (k, 2) [rad/s] of the commands until the next look.
         constants: Of the simulator, see `ContactSimulator.place`.
@@ -387,7 +397,7 @@ def _follow(
         Whether contact is possible before the next look, whether the target is reached, and how many commands there are
         until the next look: one where it might reach the target.
     """
-    ahead, up, reach, speed, gain, track, radius, target_x, target_y, target_radius = constants
+    ahead, up, reach, gain, track, radius, target_x, target_y, target_radius = constants
     x, y, yaw = _rear_axle(com[0], com[1], *orientation, ahead, up)
     way[3] += np.hypot(x - way[0], y - way[1])
     way[0], way[1], way[2] = x, y, yaw
@@ -399,7 +409,8 @@ def _follow(
     until_look = min(len(speeds) if to_target > reach else 1, len(feed_forward) - command)
     correction = gain * wrap_angle(wanted[command] - yaw)
     for k in range(until_look):
-        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, feed_forward[command + k] + correction, track, radius)
+        speed, yaw_rate = feed_forward[command + k]
+        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, yaw_rate + correction, track, radius)
     return way[5] <= reach, to_target <= 0.0, until_look
 
 

@@ -76,14 +76,16 @@ class DisturbedFleet:
         poses, distances = self._fleet.reset(worlds)
         return poses, self._seen(distances, enumerate(worlds))
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Drives one control period."""
         turns = heading_changes.copy()
         driving = np.flatnonzero(active).tolist()
         for i in driving:
             episode = self._episodes[i]
             turns[i] = episode.turn_scale * turns[i] + episode.turn_noise * episode.generator.standard_normal()
-        motions, distances = self._fleet.advance(turns, active)
+        motions, distances = self._fleet.advance(turns, active, paces)
         return motions, self._seen(distances, ((i, i) for i in driving))
 
     def close(self) -> None:

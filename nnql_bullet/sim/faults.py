@@ -73,9 +73,9 @@ class FaultySimulator:
         self._noise = _generator(world)
         self._look()
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
         """Drives one control period."""
-        motion = self._simulator.advance(heading_change, trace)
+        motion = self._simulator.advance(heading_change, trace, pace)
         self._look()
         return motion
 
@@ -113,9 +113,11 @@ class FaultyFleet:
             seen[row] = degraded(distances[row], self._faults, self._noise[i])
         return poses, seen
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Drives one control period."""
-        motions, distances = self._fleet.advance(heading_changes, active)
+        motions, distances = self._fleet.advance(heading_changes, active, paces)
         seen = distances.copy()
         for i in np.flatnonzero(active).tolist():
             seen[i] = degraded(distances[i], self._faults, self._noise[i])

@@ -29,12 +29,15 @@ class LocalFleet:
             distances[row] = simulator.scan().distances
         return poses, distances
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Drives one control period."""
+        paces = np.ones(self.size) if paces is None else paces
         motions: dict[int, Motion] = {}
         distances = np.zeros((self.size, RAYS))
         for i in np.flatnonzero(active).tolist():
-            motions[i] = self._simulators[i].advance(float(heading_changes[i]))
+            motions[i] = self._simulators[i].advance(float(heading_changes[i]), None, float(paces[i]))
             distances[i] = self._simulators[i].scan().distances
         return as_motions(motions, self.size), distances
 

@@ -1,7 +1,7 @@
 """The ideal twin: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
 
-A vehicle follows the yaw-rate profile exactly, as a unicycle of constant speed (Siegwart and Nourbakhsh, Autonomous
-Robots, 3.2). Its footprint collides as the oriented box it is, looked at after every wheel command, with whatever moves
+A vehicle follows the profiles of yaw rate and speed exactly, as a unicycle (Siegwart and Nourbakhsh, Autonomous Robots,
+3.2). Its footprint collides as the oriented box it is, looked at after every wheel command, with whatever moves
 where it is by then. The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
 """
 
@@ -23,12 +23,14 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
 from nnql_bullet.sensing import RAYS, Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Motions, Sample, whole_steps
-from nnql_bullet.vehicle.drive import sample_profile, turn_profile, wheel_speeds
+from nnql_bullet.vehicle.drive import sample_profile, sample_ramp, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 SHARE = 16
 """Vehicles that are worth a thread of their own."""
+STILL = 1e-9
+"""What nothing is taken to move less than from one wheel command to the next [m], where it is divided by that."""
 
 _GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
 
@@ -36,14 +38,16 @@ _GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
 class _Constants(NamedTuple):
     """What is the same for all vehicles at all times."""
 
-    stride: float
-    """Way of the axle from one wheel command to the next [m]."""
+    speed: float
+    """Of the drive [m/s]."""
     times: Array
     """Of the commands of a control period, and of its start (k + 1,) [s]."""
     most_rate: float
     """[rad/s]"""
-    acceleration: float
+    yaw_acceleration: float
     """[rad/s2]"""
+    acceleration: float
+    """[m/s2]"""
     footprint: Array
     """A row of `as_rows` (6,)."""
     farthest: float
@@ -60,6 +64,8 @@ class _State(NamedTuple):
     pose: Array
     """(n, 3)"""
     yaw_rate: Array
+    """(n,)"""
+    speed: Array
     """(n,)"""
     clearance: Array
     """At `pose` (n,) [m]."""
@@ -80,12 +86,16 @@ class _Period(NamedTuple):
     """After each command (n, k + 1) [rad/s]."""
     headings: Array
     """Likewise, since the start (n, k + 1) [rad]."""
+    speeds: Array
+    """Likewise (n, k + 1) [m/s]."""
     path: Array
     """Poses after each command (n, k + 1, 3)."""
     near: Array
     """Room for the solids that may come close, and their tracks (n, most, 6)."""
     commands: NDArray[np.int64]
     """How many were carried out (n,)."""
+    path_length: Array
+    """(n,) [m]"""
     clearance: Array
     """Smallest (n,) [m]."""
     heading_error: Array
@@ -118,10 +128,11 @@ class TwinFleet:
         footprint, angles = vehicle.footprint, ray_angles()
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         self._constants = _Constants(
-            stride=drive.speed / COMMAND_RATE,
+            speed=drive.speed,
             times=np.arange(commands + 1) / COMMAND_RATE,
             most_rate=vehicle.limits.yaw_rate,
-            acceleration=vehicle.limits.yaw_acceleration,
+            yaw_acceleration=vehicle.limits.yaw_acceleration,
+            acceleration=vehicle.limits.acceleration,
             footprint=as_rows((footprint,))[0],
             farthest=farthest,
             sensor=np.array(vehicle.sensor[:2]),
@@ -145,7 +156,7 @@ class TwinFleet:
         for i, world in worlds.items():
             start, count, moving = world.start, len(rows[i]) - len(world.tracks), len(world.tracks)
             state.pose[i] = start.x, start.y, start.yaw
-            state.yaw_rate[i] = 0.0
+            state.yaw_rate[i], state.speed[i] = 0.0, self.drive.speed
             state.solids[i, : count + moving] = rows[i]
             state.counts[i] = count, moving, 0
             state.target[i] = *world.target, world.target_radius
@@ -154,15 +165,17 @@ class TwinFleet:
         self._share(_scan, vehicles, self._constants, state, self._period)
         return state.pose[vehicles], self._period.ray_distances[vehicles]
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Follows each turn's profile for one control period, or up to the first contact or the target."""
-        period = self._period
-        self._share(_advance, np.flatnonzero(active), heading_changes, self._constants, self._state, period)
+        period, paces = self._period, np.ones(self.size) if paces is None else paces
+        self._share(_advance, np.flatnonzero(active), heading_changes, paces, self._constants, self._state, period)
         motions = Motions(
             pose=self._state.pose,
             yaw_rate=self._state.yaw_rate,
             duration=period.commands / COMMAND_RATE,
-            path_length=np.asarray(period.commands * self._constants.stride),
+            path_length=period.path_length,
             clearance=period.clearance,
             heading_error=period.heading_error,
             touching=period.event == _TOUCHING,
@@ -173,6 +186,10 @@ class TwinFleet:
     def path(self, vehicle: int) -> Array:
         """Poses of the last control period (k + 1, 3), from its start, after each command carried out."""
         return self._period.path[vehicle, : self._period.commands[vehicle] + 1]
+
+    def speeds(self, vehicle: int) -> Array:
+        """Likewise its speeds (k + 1,) [m/s]."""
+        return self._period.speeds[vehicle, : self._period.commands[vehicle] + 1]
 
     def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
         """Calls a kernel, which lets go of the interpreter, for a share of the vehicles in each thread."""
@@ -213,20 +230,21 @@ class TwinSimulator:
         self._time = 0.0
         self._joints = np.zeros(4)
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target."""
-        m, rays = self._fleet.advance(np.array([heading_change]), np.ones(1, np.bool_))
+        m, rays = self._fleet.advance(np.array([heading_change]), np.ones(1, np.bool_), np.array([pace]))
         self._ray_distances = rays[0].copy()
         self._pose, yaw_rate, duration = Pose(*m.pose[0].tolist()), float(m.yaw_rate[0]), float(m.duration[0])
         touching, at_target = bool(m.touching[0]), bool(m.at_target[0])
+        speeds = self._fleet.speeds(0)
         if trace is not None:
-            self._extend(trace, self._fleet.path(0), over=touching or at_target)
+            self._extend(trace, self._fleet.path(0), speeds, over=touching or at_target)
         self._time += duration
         return Motion(
             pose=self._pose,
-            speed=self.drive.speed,
+            speed=float(speeds[-1]),
             yaw_rate=yaw_rate,
-            wheel_speeds=self._wheel_speeds(yaw_rate),
+            wheel_speeds=self._wheel_speeds(float(speeds[-1]), yaw_rate),
             duration=duration,
             path_length=float(m.path_length[0]),
             clearance=float(m.clearance[0]),
@@ -243,16 +261,17 @@ class TwinSimulator:
         """Rays from the sensor, by the slab method."""
         return scan_from(self._ray_distances)
 
-    def _wheel_speeds(self, yaw_rate: float) -> tuple[float, float]:
-        left, right = wheel_speeds(self.drive.speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
+    def _wheel_speeds(self, speed: float, yaw_rate: float) -> tuple[float, float]:
+        left, right = wheel_speeds(speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
         return left, right
 
-    def _extend(self, trace: list[Sample], path: Array, over: bool) -> None:
+    def _extend(self, trace: list[Sample], path: Array, speeds: Array, over: bool) -> None:
         """Samples between the decisions; the joints turn as the wheels roll."""
         yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
-        for command, yaw_rate in enumerate(yaw_rates, 1):
-            left, right = self._wheel_speeds(yaw_rate)
-            swivel, roll = _caster_rates(self._joints[2], self.drive.speed, yaw_rate, *self._caster)
+        mean_speeds = ((speeds[:-1] + speeds[1:]) / 2).tolist()
+        for command, (speed, yaw_rate) in enumerate(zip(mean_speeds, yaw_rates, strict=True), 1):
+            left, right = self._wheel_speeds(speed, yaw_rate)
+            swivel, roll = _caster_rates(self._joints[2], speed, yaw_rate, *self._caster)
             self._joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
             if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
                 x, y, yaw = path[command].tolist()
@@ -265,6 +284,7 @@ def _empty_state(size: int) -> _State:
     return _State(
         pose=np.zeros((size, 3)),
         yaw_rate=np.zeros(size),
+        speed=np.zeros(size),
         clearance=np.zeros(size),
         solids=np.zeros((size, 0, 6)),
         counts=np.zeros((size, 3), np.int64),
@@ -276,9 +296,11 @@ def _empty_period(size: int, commands: int) -> _Period:
     return _Period(
         rates=np.zeros((size, commands + 1)),
         headings=np.zeros((size, commands + 1)),
+        speeds=np.zeros((size, commands + 1)),
         path=np.zeros((size, commands + 1, 3)),
         near=np.zeros((size, 0, 6)),
         commands=np.zeros(size, np.int64),
+        path_length=np.zeros(size),
         clearance=np.zeros(size),
         heading_error=np.zeros(size),
         event=np.zeros(size, np.int64),
@@ -290,9 +312,9 @@ def _empty_period(size: int, commands: int) -> _Period:
 def _compile() -> None:
     """Compiles the kernels, or loads them from disk, by calling them for nobody."""
     none, some = np.zeros(0, np.int64), np.zeros(1)
-    constants = _Constants(0.0, some, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
+    constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
     with _announced("compiling the ideal vehicle; it is kept on disk, so this happens once"):
-        _advance(none, some[:0], constants, _empty_state(0), _empty_period(0, 0))
+        _advance(none, some[:0], some[:0], constants, _empty_state(0), _empty_period(0, 0))
         _scan(none, constants, _empty_state(0), _empty_period(0, 0))
 
 
@@ -310,11 +332,16 @@ def _announced(what: str, after: float = 1.0) -> Iterator[None]:
 
 @numba.njit(cache=True, nogil=True)
 def _advance(
-    vehicles: NDArray[np.int64], heading_changes: Array, constants: _Constants, state: _State, period: _Period
+    vehicles: NDArray[np.int64],
+    heading_changes: Array,
+    paces: Array,
+    constants: _Constants,
+    state: _State,
+    period: _Period,
 ) -> None:
     """One control period of some vehicles, and their scans."""
     for i in vehicles:
-        _advance_one(i, heading_changes[i], constants, state, period)
+        _advance_one(i, heading_changes[i], paces[i], constants, state, period)
         _scan_one(i, constants, state, period)
 
 
@@ -326,36 +353,50 @@ def _scan(vehicles: NDArray[np.int64], constants: _Constants, state: _State, per
 
 
 @numba.njit(cache=True)
-def _advance_one(i: int, heading_change: float, constants: _Constants, state: _State, period: _Period) -> None:
-    start_rate, yaw = state.yaw_rate[i], state.pose[i, 2]
-    rates, headings, path = period.rates[i], period.headings[i], period.path[i]
-    peak, rise, hold, fall = turn_profile(start_rate, heading_change, constants.most_rate, constants.acceleration)
+def _advance_one(
+    i: int, heading_change: float, pace: float, constants: _Constants, state: _State, period: _Period
+) -> None:
+    start_rate, start_speed, yaw = state.yaw_rate[i], state.speed[i], state.pose[i, 2]
+    rates, headings, speeds, path = period.rates[i], period.headings[i], period.speeds[i], period.path[i]
+    peak, rise, hold, fall = turn_profile(start_rate, heading_change, constants.most_rate, constants.yaw_acceleration)
     sample_profile(start_rate, peak, rise, hold, fall, constants.times, rates, headings)
+    goal = pace * constants.speed
+    steady, stride = start_speed == goal, goal / COMMAND_RATE
+    if steady:
+        speeds[:] = goal
+    else:
+        sample_ramp(start_speed, goal, constants.acceleration, constants.times, speeds)
     path[0, 0], path[0, 1], path[0, 2] = state.pose[i]
     chord, c, s = np.nan, 0.0, 0.0
     for k in range(1, len(headings)):
         middle = yaw + (headings[k - 1] + headings[k]) / 2
         if middle != chord:  # the chord of an arc points along its middle heading; once straight, it stays
             chord, c, s = middle, np.cos(middle), np.sin(middle)
-        path[k, 0] = path[k - 1, 0] + constants.stride * c
-        path[k, 1] = path[k - 1, 1] + constants.stride * s
+        if not steady:
+            stride = (speeds[k - 1] + speeds[k]) / 2 / COMMAND_RATE
+        path[k, 0] = path[k - 1, 0] + stride * c
+        path[k, 1] = path[k - 1, 1] + stride * s
         path[k, 2] = yaw + headings[k]
     # No point of the footprint and of a solid get nearer to each other by more than this from one command to the next.
     quickest = max(abs(start_rate), abs(peak))
-    hop = constants.stride + quickest / COMMAND_RATE * constants.farthest
+    hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
     count, moving, clock = state.counts[i]
     tracks = state.solids[i, count : count + moving]
-    hop += _fastest(tracks) / COMMAND_RATE
+    hop = max(hop + _fastest(tracks) / COMMAND_RATE, STILL)
     near, near_tracks = _near(i, hop * (len(path) - 1), constants, state, period)
     last, event, smallest, left = _follow(
         path, state.target[i], state.clearance[i], hop, constants.footprint, near, near_tracks, clock
     )
     state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
-    state.yaw_rate[i] = rates[last]
+    state.yaw_rate[i], state.speed[i] = rates[last], speeds[last]
     state.clearance[i] = left
     state.counts[i, 2] = clock + last
     follow_tracks(tracks, (clock + last) / COMMAND_RATE, state.solids[i, count - moving : count])
     period.commands[i] = last
+    period.path_length[i] = last * stride
+    if not steady:  # the trapezoidal rule
+        ends = speeds[0] + speeds[last]
+        period.path_length[i] = (speeds[: last + 1].sum() - ends / 2) / COMMAND_RATE
     period.clearance[i] = smallest
     period.heading_error[i] = wrap_angle(heading_change - headings[last])
     period.event[i] = event

@@ -1,7 +1,7 @@
 """A fleet that is spread over worker processes.
 
-Each process holds a fleet of its own, which it is told how to make; what travels are worlds, heading changes and
-motions. A worker ends when its pipe does, however that comes about, so none outlives this process.
+Each process holds a fleet of its own, which it is told how to make; what travels are worlds, commands and motions. A
+worker ends when its pipe does, however that comes about, so none outlives this process.
 """
 
 import multiprocessing
@@ -78,12 +78,15 @@ class WorkerFleet:
             poses[rows], distances[rows] = answers[worker]
         return poses, distances
 
-    def advance(self, heading_changes: Array, active: NDArray[np.bool_]) -> tuple[Motions, Array]:
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+    ) -> tuple[Motions, Array]:
         """Drives one control period, in all processes at once."""
+        paces = np.ones(self.size) if paces is None else paces
         asked = [worker for worker, share in enumerate(self._shares) if active[share].any()]
         for worker in asked:
             share = self._shares[worker]
-            self._send(worker, ("advance", heading_changes[share], active[share]))
+            self._send(worker, ("advance", heading_changes[share], active[share], paces[share]))
         answers = self._collect(asked)
         distances = np.zeros((self.size, RAYS))
         pose, numbers, events = np.zeros((self.size, 3)), np.zeros((5, self.size)), np.zeros((2, self.size), np.bool_)

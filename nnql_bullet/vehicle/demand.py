@@ -10,14 +10,14 @@ Theory of Ground Vehicles, 3.8 (braking) and 5.1 (centripetal force); Siegwart a
 Autonomous Mobile Robots, 3.2 (differential drive).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan, sqrt
 
 import numpy as np
 
 from nnql_bullet.geometry import Array
 from nnql_bullet.vehicle.drive import Turn
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 GRAVITY = 9.81
 """[m/s2]"""
@@ -197,6 +197,50 @@ def braking(vehicle: VehicleSpec) -> Braking:
         by_grip=mu * GRAVITY * vehicle.rear_share / (1 + unloading),
         by_torque=2 * vehicle.wheel_torque / (vehicle.wheel_radius * vehicle.rolling_mass),
     )
+
+
+LEAST_BRAKING = 0.4
+"""Of what it brakes straight ahead, what a vehicle is taken to brake in any turn: it ends the turn, too."""
+LEAST_SHARE = 0.1
+"""Of its limit on yaw acceleration, what a vehicle is taken to follow whatever it carries."""
+
+
+def followed_limits(vehicle: VehicleSpec, speed: float, acceleration: float = 0.0) -> Limits:
+    """What the vehicle follows at the least of the limits that its drive goes by.
+
+    Its yaw rate is what grip holds in a steady turn. A drive wheel pushes with F, the smaller of tau/r and mu N, less
+    what speeds the vehicle up or slows it down; that turns it by F T >= Izz alpha + a m (v w + a alpha).
+
+    Args:
+        vehicle: What turns.
+        speed: Of the rear-axle centre [m/s].
+        acceleration: Along the vehicle, by its size [m/s2].
+    """
+    limits, a = vehicle.limits, vehicle.com_ahead
+    rate = min(limits.yaw_rate, grip_acceleration(vehicle) / speed)
+    push = min(vehicle.wheel_torque / vehicle.wheel_radius, vehicle.contact.wheel_friction * static_rear_load(vehicle))
+    push -= vehicle.rolling_mass * acceleration / 2
+    turning = (push * vehicle.track - a * vehicle.mass * speed * rate) / (vehicle.yaw_inertia + vehicle.mass * a * a)
+    least = LEAST_SHARE * limits.yaw_acceleration
+    return replace(limits, yaw_rate=rate, yaw_acceleration=min(max(turning, least), limits.yaw_acceleration))
+
+
+def turning_deceleration(vehicle: VehicleSpec, speed: float) -> float:
+    """How hard a vehicle still brakes while it turns as `followed_limits` says [m/s2].
+
+    Each drive wheel holds half the side force, within its circle of friction, and one of them its part of what holds
+    the turn: what is left brakes.
+
+    Args:
+        vehicle: What turns.
+        speed: Of the rear-axle centre [m/s].
+    """
+    side = vehicle.mass * speed * followed_limits(vehicle, speed).yaw_rate
+    grip = vehicle.contact.wheel_friction * static_rear_load(vehicle)
+    along = sqrt(max(grip * grip - side * side / 4, 0.0))
+    push = min(vehicle.wheel_torque / vehicle.wheel_radius, along) - vehicle.com_ahead * side / vehicle.track
+    straight = braking(vehicle).deceleration
+    return min(max(2 * push / vehicle.rolling_mass, LEAST_BRAKING * straight), straight)
 
 
 def braking_rear_load(vehicle: VehicleSpec, deceleration: float) -> float:

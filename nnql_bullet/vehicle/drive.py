@@ -1,9 +1,9 @@
-"""From a commanded heading change to wheel speeds: a yaw-rate profile inside the vehicle's limits.
+"""From a commanded heading change and speed to wheel speeds: profiles inside the vehicle's limits.
 
 A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached:
 the trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest
-turn within the limits on yaw rate and yaw acceleration. A turn that a control period cuts short hands its yaw rate on
-to the next one.
+turn within the limits on yaw rate and yaw acceleration. The speed meanwhile goes to what is commanded at the limit on
+acceleration. What a control period cuts short hands its yaw rate and speed on to the next one.
 """
 
 from dataclasses import dataclass
@@ -94,6 +94,24 @@ def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
     return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=-1), axis=-2)
 
 
+def ramp_ways(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
+    """What vehicles drive from each time to the next, from 0 on, that go from a speed to another as `sample_ramp` does.
+
+    Args:
+        speeds: At the start (n,) [m/s].
+        goals: To be reached (n,) [m/s].
+        acceleration: Limit, speeding up and slowing down [m/s2].
+        times: (k,) [s]
+
+    Returns:
+        Ways (n, k) [m], by the trapezoidal rule.
+    """
+    times = np.concatenate([[0.0], times])
+    change, start = acceleration * times, speeds[:, None]
+    ramp = np.minimum(np.maximum(goals[:, None], start - change), start + change)
+    return np.asarray((ramp[:, 1:] + ramp[:, :-1]) / 2 * np.diff(times))
+
+
 @numba.njit(cache=True)
 def sample_profile(
     start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array
@@ -109,6 +127,22 @@ def sample_profile(
             rate = peak * (1 - t / fall)
             heading += (peak + rate) / 2 * t
         rates[i], headings[i] = rate, heading
+
+
+@numba.njit(cache=True)
+def sample_ramp(start: float, goal: float, acceleration: float, times: Array, speeds: Array) -> None:
+    """Fills in the speeds (n,) [m/s] at `times` (n,) [s] of a vehicle that goes from one speed to another and keeps it.
+
+    Args:
+        start: Speed at the start [m/s].
+        goal: Speed to be reached [m/s].
+        acceleration: Limit, speeding up and slowing down [m/s2].
+        times: [s]
+        speeds: To be filled.
+    """
+    for i, time in enumerate(times):
+        change = acceleration * time
+        speeds[i] = min(max(goal, start - change), start + change)
 
 
 @numba.njit(cache=True)

@@ -38,6 +38,8 @@ class Limits:
     """[rad/s]"""
     yaw_acceleration: Positive
     """[rad/s2]"""
+    acceleration: Positive
+    """Along the vehicle, speeding up and slowing down [m/s2]."""
 
 
 @options

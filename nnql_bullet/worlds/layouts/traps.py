@@ -20,10 +20,10 @@ class Traps:
     """Options of traps, each of three boxes: a back wall and two side walls.
 
     The first stands across the straight way from start to target, its opening towards the start; the others stand
-    anywhere. The shipped vehicle, which can neither stop nor reverse, turns at 2 m/s on a circle of 1.28 m radius; to
-    turn round, corners and all, it takes 3.5 m of width. In 8 m it can do that wherever it came in, and drive out
-    again. So what holds it there is not what it can do: once outside, it sees free space, and its target is behind the
-    trap as before. A way out is for one that remembers.
+    anywhere. The shipped vehicle, which does not reverse and stops only in a shield, turns at 2 m/s on a circle of
+    1.28 m radius; to turn round, corners and all, it takes 3.5 m of width. In 8 m it can do that wherever it came in,
+    and drive out again. So what holds it there is not what it can do: once outside, it sees free space, and its target
+    is behind the trap as before. A way out is for one that remembers.
     """
 
     kind: Literal["traps"]
