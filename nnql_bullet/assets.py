@@ -1,4 +1,4 @@
-"""Finds robots and worlds by name or path, in a checkout and in an installed wheel alike."""
+"""Finds what is shipped by name: robots, worlds and policies, in a checkout and in an installed wheel alike."""
 
 from pathlib import Path
 
@@ -25,3 +25,13 @@ def find(kind: str, name: str) -> Path:
             return candidate
     names = ", ".join(sorted(path.stem for path in folder(kind).glob("*.toml")))
     raise UserError(f"{kind}: there is no file '{name}'; give a path to a TOML file or one of: {names}")
+
+
+def policies() -> dict[str, Path]:
+    """The shipped policies by name: files of weights, with a card of the same name beside each."""
+    return {path.stem: path for path in sorted((_PACKAGE / "_data" / "policies").glob("*.safetensors"))}
+
+
+def card(policy: Path) -> Path:
+    """What is known of a shipped policy, as Markdown: a line that says what it is, and then the rest."""
+    return policy.with_suffix(".md")

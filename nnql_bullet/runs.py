@@ -16,7 +16,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from nnql_bullet import __version__
+from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Taught
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
@@ -82,7 +82,8 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
     """What a run has learned, or a rule that has nothing to learn, ready to drive.
 
     Args:
-        policy: A run's folder, a policy file, the name of a rule, or a TOML file that configures one.
+        policy: A run's folder, a policy file, the name of a shipped policy or of a rule, or a TOML file that configures
+            a rule.
         changes: Nested values laid over the configuration that it was trained with; None leaves what is there.
 
     Returns:
@@ -98,9 +99,10 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
         if kind not in RULES:
             raise UserError(f"{name}: '{kind}' has to learn first; train it with: nnql-bullet train --config {name}")
         return experiment, 0
-    if not policy.exists():
-        raise UserError(f"{name}: no such run or policy file, and no rule; rules: {', '.join(RULES)}")
-    path = policy / POLICY if policy.is_dir() else policy
+    path = policy / POLICY if policy.is_dir() else assets.policies()[name] if _is_shipped(policy) else policy
+    if not policy.exists() and not _is_shipped(policy):
+        known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
+        raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
     weights = load_weights(path)
     experiment = Experiment(changed(parse(RunConfig, weights.config, str(path)), **changes))
     experiment.taught.load(weights.arrays)
@@ -108,9 +110,15 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
 
 
 def drives_folder(policy: Path) -> Path:
-    """Where drives of what `open_policy` takes are kept: with its run, and those of a rule under its name in runs/."""
-    home = Path("runs") / policy.stem if _is_configured(policy) else policy if policy.is_dir() else policy.parent
+    """Where drives of what `open_policy` takes are kept: with its run, or under its name in runs/ if it has none."""
+    named = _is_configured(policy) or _is_shipped(policy)
+    home = Path("runs") / policy.stem if named else policy if policy.is_dir() else policy.parent
     return home / "navigate"
+
+
+def _is_shipped(policy: Path) -> bool:
+    """Whether it is the name of a shipped policy, and of nothing else."""
+    return str(policy) in assets.policies() and not policy.exists()
 
 
 def _is_configured(policy: Path) -> bool:

@@ -15,9 +15,12 @@ from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.runs import drives_folder
 from nnql_bullet.sim.engines import PhysicsName
 
+BEST = Path("double_dqn")
+"""Of the shipped policies."""
+
 
 def navigate(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|RULE", help_behavior_hint="")],
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")] = BEST,
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0,
@@ -43,13 +46,15 @@ def navigate(
 
     For example:
 
+        nnql-bullet navigate --world traps --video
         nnql-bullet navigate runs/paper-0
         nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --json
         nnql-bullet navigate vfh --world cover_10 --video
         nnql-bullet navigate straight --world cover_20 --shield
 
     Args:
-        run: Run folder, a policy.safetensors, the name of a rule, or a TOML file that configures one.
+        run: Run folder, a policy.safetensors, the name of a shipped policy or of a rule, or a TOML file that configures
+            a rule; default double_dqn, the best of those that are shipped (`nnql-bullet policies` lists them).
         world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training
             (rules: paper).
         seed: Of the world; default 0.

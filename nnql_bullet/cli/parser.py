@@ -19,6 +19,7 @@ from nnql_bullet.sim.base import WorkerDied
 
 VERBS = (
     "train",
+    "policies",
     "navigate",
     "render",
     "view",
@@ -40,6 +41,7 @@ usage: nnql-bullet VERB [OPTIONS]
 """
 START = """\
 nnql-bullet VERB --help tells more. To begin:
+  nnql-bullet navigate --world traps --video
   nnql-bullet train --episodes 200 --out runs/first
   nnql-bullet navigate runs/first
 """

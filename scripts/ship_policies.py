@@ -1,0 +1,118 @@
+"""Puts trained policies, evaluated, and a card of each into nnql_bullet/_data/policies.
+
+python scripts/ship_policies.py double_dqn=runs/ddqn-1 paper=runs/results/paper-0
+
+Each is driven bare and in a shield through test worlds of every kind, in the twin and in contact physics; with two
+policies that takes some ten minutes on 2 quiet cores. What is driven is kept in runs/ship, and not driven again.
+"""
+
+import argparse
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet import assets
+from nnql_bullet.cli import main as nnql_bullet
+from nnql_bullet.config import to_values, write_toml
+from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.runs import POLICY, open_policy
+
+FOLDER = Path(assets.__file__).parent / "_data" / "policies"
+WORK = Path("runs/ship")
+KINDS = ["--cover", "5,10,15,20", "--world", "traps,aisles,moving", "--split", "test", "--shield"]
+SETTINGS = {
+    "the ideal twin, 300 test worlds of each kind": ["--sim", "twin", "--worlds", "300"],
+    "contact physics (PyBullet, `fast`), 25 test worlds of each kind": ["--physics", "fast", "--worlds", "25"],
+}
+WHAT = {
+    "double_dqn": "decides every step by a dueling network over 24 readings and a map of what it has seen",
+    "paper": "the paper's 8-6-5 network with the numbers that the paper states",
+    "literal": "the paper's 8-6-5 network, the text read by the letter",
+}
+"""Of the presets whose policies may be shipped."""
+LIMITS = """\
+Made for the vehicle and the kinds of worlds above. Success is a share of drives through random worlds, with its 95 %
+interval: evidence, never a statement of safety. Bare, it stops for nothing. So few drives in a shield cannot show that
+collisions are rarer than one in a thousand, and a box that moves makes way for nobody.
+"""
+
+
+def ship(name: str, run: Path) -> None:
+    """Copies what a run has learned."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(run / POLICY, FOLDER / f"{name}.safetensors")
+    write_card(name, {})
+
+
+def evaluated(names: list[str]) -> dict[str, dict[str, Any]]:
+    """What the evaluations found, by setting."""
+    found = {}
+    for number, (title, flags) in enumerate(SETTINGS.items()):
+        out = WORK / str(number)
+        if nnql_bullet(["evaluate", *names, *KINDS, *flags, "--out", str(out)]):
+            raise SystemExit(f"evaluating in {title} failed")
+        found[title] = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    return found
+
+
+def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
+    """The card of a policy that lies in its place."""
+    experiment, episodes = open_policy(FOLDER / f"{name}.safetensors", {})
+    config = experiment.config
+    seed = f" --seed {config.seed}" if config.seed else ""
+    preset = {"nnql": "paper"}.get(config.agent.kind, config.agent.kind)
+    lines = [
+        f"# {name}: {WHAT[preset]}; {episodes} episodes, seed {config.seed}",
+        "",
+        f"Trained by `nnql-bullet train --config {preset}{seed}{_flags(name, config)}`.",
+        "",
+        "## How good",
+        "",
+        *_tables(name, results),
+        "## Limits",
+        "",
+        LIMITS,
+        "## Configuration",
+        "",
+        "```toml",
+        write_toml(to_values(config)).strip(),
+        "```",
+        "",
+    ]
+    assets.card(FOLDER / f"{name}.safetensors").write_text("\n".join(lines), encoding="utf-8")
+
+
+def _flags(name: str, config: Any) -> str:
+    return "" if config.agent.kind == "double_dqn" else f" --sim {config.simulator} --vehicles {config.vehicles}"
+
+
+def _tables(name: str, results: dict[str, dict[str, Any]]) -> list[str]:
+    lines: list[str] = []
+    for title, values in results.items():
+        tiers = {tier["name"]: tier["title"] for tier in values["tiers"]}
+        lines += [f"Success and collisions in % of drives, with 95 % intervals; {title}:", ""]
+        lines += [f"| | {' | '.join(tiers.values())} |", f"|---|{'---|' * len(tiers)}"]
+        for method, label in ((name, "bare"), (f"{name}+shield", "in a shield")):
+            rows = {row["world"]: row for row in values["rows"] if row["method"] == method}
+            for ending, what in (("goal", label), ("collision", "collisions")):
+                cells = [str(Share(*rows[tier]["outcomes"][ending])) for tier in tiers]
+                lines.append(f"| {what} | {' | '.join(cells)} |")
+        lines.append("")
+    return lines
+
+
+def main() -> None:
+    """Ships what is named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("policies", nargs="+", metavar="NAME=RUN")
+    shipped = dict(pair.split("=", 1) for pair in parser.parse_args().policies)
+    for name, run in shipped.items():
+        ship(name, Path(run))
+    results = evaluated(list(shipped))
+    for name in shipped:
+        write_card(name, results)
+
+
+if __name__ == "__main__":
+    main()
