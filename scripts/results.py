@@ -30,7 +30,6 @@ METHODS = {
     "literal": (10, []),
     "q_table": (5, []),
     "genetic": (5, ["--vehicles", "200"]),  # that changes nothing but the time
-    "double_dqn": (3, []),
     "sb3_dqn": (1, ["--vehicles", "16"]),
 }
 """Presets, with the number of their training seeds and what else `train` is told."""

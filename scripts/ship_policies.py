@@ -22,7 +22,7 @@ FOLDER = Path(assets.__file__).parent / "_data" / "policies"
 WORK = Path("runs/ship")
 KINDS = ["--cover", "5,10,15,20", "--world", "traps,aisles,moving", "--split", "test", "--shield"]
 SETTINGS = {
-    "the ideal twin, 300 test worlds of each kind": ["--sim", "twin", "--worlds", "300"],
+    "the ideal twin, 100 test worlds of each kind": ["--sim", "twin", "--worlds", "100"],
     "contact physics (PyBullet, `fast`), 25 test worlds of each kind": ["--physics", "fast", "--worlds", "25"],
 }
 WHAT = {

@@ -18,7 +18,7 @@ from PIL import Image
 
 from nnql_bullet import colours
 from nnql_bullet.agents.nnql import Nnql, NnqlOptions
-from nnql_bullet.env import Navigation, Observations
+from nnql_bullet.env import STOP, Navigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at
@@ -380,6 +380,19 @@ def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) 
     hidden = studio._overlay.write(picture, np.zeros_like(depths), moment, [camera])
     shown = studio._overlay.write(picture, np.ones_like(depths), moment, [camera])
     assert (hidden != shown).any()
+
+
+def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
+    """Where the choice was the agent's own, the pictures are the same."""
+    alone, overruled = tmp_path / "alone.npz", tmp_path / "overruled.npz"
+    drive.save(alone)
+    decided = np.arange(len(drive.action)) >= 4
+    replace(drive, overruled=decided, action=np.where(decided, drive.action + STOP, drive.action)).save(overruled)
+    one, other = (Studio(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overruled))
+    assert (one.frame(1.9) == other.frame(1.9)).all()
+    rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
+    assert rows.min() > 200
+    assert columns.max() < 160
 
 
 # Films
