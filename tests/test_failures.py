@@ -69,6 +69,7 @@ def recording(
         ray_distances=np.full((n + 1, 72), 10.0),
         state_property=np.full(n + 1, "SS"),
         q_values=np.full((n, 5), np.nan),
+        overruled=np.zeros(n, np.bool_),
         action=np.zeros(n, np.int64),
         heading_command=commands,
         heading_error=np.zeros(n),

@@ -80,6 +80,7 @@ def drive() -> Recording:
         ray_distances=rays,
         state_property=np.array(["SS", "NS", "NS", "SS", "NS", "SS", "FS"]),
         q_values=np.where(asked[:, None], rng.normal(size=(STEPS, 5)), np.nan),
+        overruled=rng.random(STEPS) < 0.3,
         action=np.array([5, 1, 0, 5, 4, 5]),
         heading_command=rng.normal(size=STEPS),
         heading_error=rng.normal(size=STEPS),
