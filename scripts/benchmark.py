@@ -1,7 +1,7 @@
 """Measures speed as ratios: both sides of a ratio run in this one process, in turn, so that a noisy machine hurts both.
 
 python scripts/benchmark.py            # a table, some six minutes on 2 cores
-python scripts/benchmark.py --quick    # under a minute: fewer and shorter drives, no whole trainings
+python scripts/benchmark.py --quick    # a minute or two: fewer and shorter drives, no whole trainings
 python scripts/benchmark.py --json     # one object, key to number
 """
 
@@ -81,7 +81,9 @@ def main() -> None:
     """Measures and prints."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--quick", action="store_true", help="under a minute")
+    parser.add_argument(
+        "--quick", action="store_true", help="a minute or two: fewer and shorter drives, no whole trainings"
+    )
     arguments = parser.parse_args()
     table = Table("key", "what", "measured", box=MARKDOWN)
     results = {}

@@ -13,9 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 from nnql_bullet import colours, paper
 from nnql_bullet.env import STOP, TOWARD_TARGET
 from nnql_bullet.render.camera import Camera
+from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Moment, Timeline
 
-Bytes = NDArray[np.uint8]
 Box = tuple[float, float, float, float]
 
 PAPER, FAINT, INK = (255, 255, 255, 205), (134, 142, 150, 255), (33, 37, 41, 255)

@@ -1,5 +1,6 @@
 """The renderers of solid things by name."""
 
+from functools import cache
 from importlib.util import find_spec
 from typing import Literal
 
@@ -42,6 +43,7 @@ def check_renderer(recording: Recording, name: RendererName) -> None:
         raise UserError(NO_EGL)
 
 
+@cache
 def best_renderer() -> RendererName:
     """EGL where it works, else TinyRenderer."""
     return "egl" if works("egl") else "tiny"
