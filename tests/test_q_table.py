@@ -17,7 +17,7 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import Learner
+from nnql_bullet.agents.base import Learner, Memoryless, Stateless
 from nnql_bullet.agents.q_table import QTable
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Observation, Observations, Transitions, stacked
@@ -71,7 +71,7 @@ def q(agent: QTable, readings: list[float]) -> list[float]:
     return [float(value) for value in agent.action_values(seen(readings))[0]]
 
 
-class Dictionary:
+class Dictionary(Memoryless, Stateless):
     """The same learner written anew: a dictionary for the table, one vehicle after the other, Python's floats."""
 
     def __init__(self, options: QTableOptions) -> None:

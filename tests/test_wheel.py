@@ -53,12 +53,13 @@ def run(installed: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedPr
     return start
 
 
-def test_the_wheel_holds_package_robots_and_worlds_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_holds_package_robots_worlds_and_policies_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = [name for name in archive.namelist() if ".dist-info/" not in name]
     data = {name.removeprefix("nnql_bullet/_data/") for name in names if "/_data/" in name}
     expected = {f"{kind}/{path.name}" for kind in ("robots", "worlds") for path in (CHECKOUT / kind).iterdir()}
-    assert data == expected
+    policies = CHECKOUT / "nnql_bullet" / "_data" / "policies"
+    assert data == expected | {f"policies/{path.name}" for path in policies.iterdir()}
     assert all(name.startswith("nnql_bullet/") for name in names)
     assert [name for name in names if "__pycache__" in name or "/tests/" in name] == []
 

@@ -61,6 +61,8 @@ def gap(
         workers: Processes; default one a core. The result does not depend on it.
         out: Where the report goes; default runs/gap.
     """
+    if not runs:
+        raise UserError("give a run: a folder that `train` left, or the name of a shipped policy")
     if against == sim:
         raise UserError(f"--against {against} is the engine itself; give another, or another --sim")
     seeds = split_seeds(split, worlds)

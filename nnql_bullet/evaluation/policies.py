@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from nnql_bullet.agents import Taught
+from nnql_bullet import assets
+from nnql_bullet.agents import RULES, Taught
 from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -59,9 +60,13 @@ def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
         shield: Whether each is followed by itself in a shield.
 
     Raises:
-        UserError: If one cannot be read or is given twice, or vehicles differ in size: the same seeds would then be
-            different worlds.
+        UserError: If there is none, one cannot be read or is given twice, or vehicles differ in size: the same seeds
+            would then be different worlds.
     """
+    if not paths:
+        raise UserError(
+            f"give a policy: a run folder, a policy file, or one of: {', '.join((*assets.policies(), *RULES))}"
+        )
     given = [str(path) for path in paths]
     twice = [path for path in given if given.count(path) > 1]
     if twice:
