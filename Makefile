@@ -8,7 +8,7 @@ DEMO := runs/demo
 .PHONY: help demo test lint format benchmark clean
 
 help:
-	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 9 minutes)'
+	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 6 minutes)'
 	@echo 'make test       the whole test suite'
 	@echo 'make lint       ruff and mypy'
 	@echo 'make format     let ruff rewrite the sources'
