@@ -27,6 +27,7 @@ from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
 from nnql_bullet.render.film import Film, FramesLost, Studio, frame_times, frames
 from nnql_bullet.render.painter import Painter, tint
+from nnql_bullet.render.renderers import best_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
@@ -252,6 +253,16 @@ def test_pictures_look_alike_by_either_renderer(drive: Recording, renderer_of: C
     )
     assert np.abs(tiny - egl).mean() < 2.0
     assert np.quantile(np.abs(tiny - egl), 0.95) <= 12
+
+
+@pytest.mark.parametrize(("egl", "small", "large"), [(True, "tiny", "egl"), (False, "tiny", "tiny")])
+def test_the_best_renderer_depends_on_what_works_and_on_the_size(
+    egl: bool, small: str, large: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nnql_bullet.render.renderers.works", lambda kind: egl)
+    best_renderer.cache_clear()
+    assert (best_renderer(640, 360), best_renderer(1280, 720)) == (small, large)
+    best_renderer.cache_clear()
 
 
 def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
@@ -573,7 +584,7 @@ def test_navigate_leaves_a_video_when_asked(
 ) -> None:
     shot = []
     monkeypatch.setattr("nnql_bullet.cli.navigate.shoot", lambda *arguments: shot.append(arguments))
-    monkeypatch.setattr("nnql_bullet.cli.filming.best_renderer", lambda: "tiny")
+    monkeypatch.setattr("nnql_bullet.cli.filming.best_renderer", lambda width, height: "tiny")
     options = "--world", small_world, "--sim", "twin", "--video", "--json", "--out", tmp_path
     code, out, _ = run_cli("navigate", "hand_rule", *options)
     ((film, times, video),) = shot

@@ -24,7 +24,7 @@ FPS = 30.0
 
 def film_of(recording: Path, camera: CameraName = "chase", size: tuple[int, int] = SIZE) -> Film:
     """A film by the best renderer that works here."""
-    return Film(recording, camera, *size, best_renderer())
+    return Film(recording, camera, *size, best_renderer(*size))
 
 
 def shoot(

@@ -66,9 +66,9 @@ def render(
         speed: How much faster than it happened; default 1.
         begin: Where in the drive to begin [s].
         end: Where to end [s]; default with the drive.
-        renderer: What draws the solid things: EGL where it works, else TinyRenderer (auto, the default), or either; or
-            vtk, for pictures that go into papers: finer, and with the light as it falls, but some 20 times slower.
-            Needs the extra: pip install 'nnql-bullet[render]'.
+        renderer: What draws the solid things: EGL where it works and pictures are larger than 640x360, else
+            TinyRenderer (auto, the default), or either; or vtk, for pictures that go into papers: finer, and with the
+            light as it falls, but some 20 times slower. Needs the extra: pip install 'nnql-bullet[render]'.
         format: MP4 (H.264, plays in browsers) or GIF; default by the name given with --out, else mp4.
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.
@@ -94,7 +94,7 @@ def render(
     last = duration if end is None else min(end, duration)
     if not 0.0 <= begin < last:
         raise UserError(f"--begin, --end: the drive takes {duration:.1f} s; nothing is between {begin:g} and {last:g}")
-    film = Film(path, camera, width, height, best_renderer() if renderer == "auto" else renderer)
+    film = Film(path, camera, width, height, best_renderer(width, height) if renderer == "auto" else renderer)
     check_renderer(loaded, film.renderer)
     if video or frames:
         shoot(film, frame_times(begin, last, fps, speed), video, kind, fps, frames, workers)
