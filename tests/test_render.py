@@ -260,9 +260,7 @@ def test_the_best_renderer_depends_on_what_works_and_on_the_size(
     egl: bool, small: str, large: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nnql_bullet.render.renderers.works", lambda kind: egl)
-    best_renderer.cache_clear()
     assert (best_renderer(640, 360), best_renderer(1280, 720)) == (small, large)
-    best_renderer.cache_clear()
 
 
 def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:

@@ -1,6 +1,5 @@
 """The renderers of solid things by name."""
 
-from functools import cache
 from importlib.util import find_spec
 from typing import Literal
 
@@ -46,7 +45,6 @@ def check_renderer(recording: Recording, name: RendererName) -> None:
         raise UserError(NO_EGL)
 
 
-@cache
 def best_renderer(width: int, height: int) -> RendererName:
     """EGL where it works, else TinyRenderer; that too for pictures up to `SMALL`.
 

@@ -4,6 +4,7 @@ Collision groups keep apart what must not meet: the wheels, which are spheres wi
 only the ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays see only these.
 """
 
+import ctypes
 import os
 import weakref
 from collections.abc import Iterator
@@ -35,20 +36,24 @@ from nnql_bullet.worlds.spec import WorldSpec, track_velocities
 
 
 @contextmanager
-def _silenced_stderr() -> Iterator[None]:
-    """Keeps what C code prints off the user's terminal."""
-    kept = os.dup(2)
+def silenced() -> Iterator[None]:
+    """Keeps what C code prints, and holds back until later, off what this program prints."""
+    c = ctypes.CDLL(None)
+    kept = os.dup(1), os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 2)
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        c.fflush(None)
+        for stream, its in zip((1, 2), kept, strict=True):
+            os.dup2(its, stream)
+            os.close(its)
         os.close(nowhere)
 
 
-with _silenced_stderr():  # it prints its build time
+with silenced():  # it prints its build time
     import pybullet as bullet
 
 CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
@@ -361,4 +366,4 @@ def has_numpy() -> bool:
     return bool(bullet.isNumpyEnabled())
 
 
-__all__ = ["PHYSICS", "BulletSimulator", "Physics", "bullet", "has_numpy"]
+__all__ = ["PHYSICS", "BulletSimulator", "Physics", "bullet", "has_numpy", "silenced"]

@@ -1,11 +1,9 @@
 """Things that are only looked at: PyBullet's renderers and its window, without any physics."""
 
-import ctypes
 import importlib.util
 import multiprocessing
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import cache
 from math import asin, atan2, cos, degrees, sin
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.bullet import bullet
+from nnql_bullet.sim.bullet import bullet, silenced
 from nnql_bullet.sim.contact import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
@@ -156,6 +154,7 @@ class BulletScene:
         bullet.resetDebugVisualizerCamera(distance, degrees(yaw) - 90.0, degrees(pitch), target, self.client)
 
 
+@cache
 def works(kind: SceneKind, patience: float = 60.0) -> bool:
     """Whether a renderer draws something here. It is tried in a process of its own, which a bad driver may end.
 
@@ -201,21 +200,3 @@ def _one_look_a_link(urdf: str) -> str:
             ElementTree.SubElement(joint, "parent", link=link.attrib["name"])
             ElementTree.SubElement(joint, "child", link=name)
     return ElementTree.tostring(robot, encoding="unicode")
-
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Keeps what C code prints off what this program prints: which graphics it found, again and again."""
-    c = ctypes.CDLL(None)
-    kept = os.dup(1), os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for stream in (1, 2):
-            os.dup2(nowhere, stream)
-        yield
-    finally:
-        c.fflush(None)
-        for stream, its in zip((1, 2), kept, strict=True):
-            os.dup2(its, stream)
-            os.close(its)
-        os.close(nowhere)

@@ -21,7 +21,7 @@ from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.sim.bullet import bullet as pybullet
-from nnql_bullet.sim.bullet_scene import silenced
+from nnql_bullet.sim.bullet import silenced
 
 SIZE = 640, 360
 BARE_FRAMES, WARM = 60, 5
