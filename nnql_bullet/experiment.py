@@ -1,6 +1,7 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from os import cpu_count
 from pathlib import Path
@@ -99,6 +100,39 @@ class Conditions:
         if self.wheel_friction is not None:
             vehicle = vehicle.gripping(self.wheel_friction)
         return loaded(vehicle, deck_load(vehicle, self.payload, self.payload_height))
+
+
+@dataclass(frozen=True, slots=True)
+class Departures:
+    """Conditions that a drive is asked for, on top of a policy's own; None leaves those."""
+
+    friction: float | None = None
+    """Of every wheel against the ground."""
+    payload: float | None = None
+    """[kg]"""
+    noise: float | None = None
+    """Standard deviation of each ray [m]."""
+    dead_sector: int | None = None
+    """That sees nothing."""
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is laid over a policy's configuration."""
+        sensors = {"noise": self.noise, "dead_sector": self.dead_sector}
+        return {"conditions": {"wheel_friction": self.friction, "payload": self.payload, "sensors": sensors}}
+
+    @property
+    def given(self) -> dict[str, float]:
+        """Those that are asked for, by the names of their flags."""
+        return {name.replace("_", "-"): value for name, value in asdict(self).items() if value is not None}
+
+    @property
+    def flags(self) -> list[str]:
+        """What asks for them on the command line."""
+        return [text for name, value in self.given.items() for text in (f"--{name}", f"{value:g}")]
+
+
+AS_TRAINED = Departures()
 
 
 @options

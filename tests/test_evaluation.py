@@ -17,6 +17,7 @@ from nnql_bullet.evaluation.drives import DriveTask, Setting, Tier, draw_tiers, 
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, part_name
 from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.experiment import Departures
 from nnql_bullet.recording import load_recording
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import ENDINGS
@@ -188,6 +189,8 @@ class TestParts:
             DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet"), 0),
             DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet", physics="fast"), 0),
             DriveTask(policy("a", "a"), one, TWIN, 25),
+            DriveTask(policy("a", "a"), one, replace(TWIN, departures=Departures(friction=0.5)), 0),
+            DriveTask(policy("a", "a"), one, replace(TWIN, departures=Departures(payload=0.5)), 0),
         ]
         assert len({task.part for task in tasks}) == len(tasks)
         assert DriveTask(policy("a", "z"), one, TWIN, 0).part == tasks[0].part
@@ -296,6 +299,36 @@ class TestCommand:
         assert snapshot(again) == snapshot(out)
         assert kept.stat().st_mtime_ns == marked
 
+    @pytest.mark.parametrize(
+        ("where", "departures"),
+        [
+            (("--sim", "twin"), ("--noise", "0.3", "--dead-sector", "0")),
+            (("--sim", "bullet", "--physics", "fast"), ("--friction", "0.2", "--payload", "80")),
+        ],
+    )
+    def test_conditions_are_those_of_a_drive_with_the_same_flags(
+        self,
+        where: tuple[str, ...],
+        departures: tuple[str, ...],
+        small_world: Path,
+        tiny_run: Path,
+        tmp_path: Path,
+        run_cli: RunCli,
+    ) -> None:
+        lengths = []
+        for asked in ((), departures):
+            out = tmp_path / str(len(asked))
+            flags = ("--world", small_world, *where, *asked)
+            assert run_cli("evaluate", tiny_run, *flags, "--worlds", 2, "--executor", "inline", "--out", out)[0] == 0
+            with (out / "episodes.csv").open(newline="") as file:
+                lengths.append([float(e["path_length"]) for e in csv.DictReader(file)])
+            printed = run_cli("navigate", tiny_run, *flags, "--seed", 1, "--json", "--out", tmp_path / "drive")[1]
+            assert json.loads(printed)["path_length"] == lengths[-1][1]
+        assert lengths[0] != lengths[1]
+        values = json.loads((out / "results.json").read_text())
+        assert all(flag in values["command"].split() for flag in departures)
+        assert departures[0].strip("-") in (out / "evaluation.md").read_text().splitlines()[2]
+
     def test_json_is_what_the_file_holds(
         self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli
     ) -> None:
@@ -316,6 +349,8 @@ class TestCommand:
             (("straight", "straight"), "straight: is given twice"),
             (("straight", "--address", "localhost:1"), "the executor 'processes' takes no address"),
             (("straight", "--workers", "-1"), "workers must be at least 1"),
+            (("straight", "--friction", "0"), "'conditions.wheel_friction': input should be greater than 0"),
+            (("straight", "--dead-sector", "8"), "'conditions.sensors.dead_sector': input should be less than 8"),
         ],
     )
     def test_bad_input_is_one_line_and_leaves_nothing(

@@ -29,7 +29,7 @@ from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import Executor, ExecutorKind, make_executor
-from nnql_bullet.experiment import Experiment, SimulatorName
+from nnql_bullet.experiment import Departures, Experiment, SimulatorName
 from nnql_bullet.files import write_text
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.film import HOLD
@@ -57,6 +57,10 @@ def evaluate(
     sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
     physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
     shield: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
+    friction: Annotated[float | None, tyro.conf.arg(metavar="MU", help_behavior_hint="")] = None,
+    payload: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="")] = None,
+    noise: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None,
+    dead_sector: Annotated[int | None, tyro.conf.arg(metavar="0..7", help_behavior_hint="")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
     executor: Annotated[ExecutorKind, tyro.conf.arg(help_behavior_hint="")] = "processes",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
@@ -79,6 +83,7 @@ def evaluate(
         nnql-bullet evaluate straight hand_rule look_ahead --sim twin
         nnql-bullet evaluate runs/paper-0 runs/paper-1 hand_rule --cover 5,10
         nnql-bullet evaluate runs/paper-0 straight --world traps,aisles,moving --worlds 50 --split test
+        nnql-bullet evaluate double_dqn --shield --friction 0.5 --payload 80
 
     Args:
         policies: Run folders, policy files, rules by name, or TOML files that configure a rule.
@@ -89,6 +94,10 @@ def evaluate(
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin).
         physics: Settings of contact physics; default reference, the more exact.
         shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
+        friction: Of the wheels against the ground, instead of the vehicle's own.
+        payload: On the middle of the deck [kg].
+        noise: Standard deviation of each ray [m].
+        dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
         workers: Pieces that run at a time; default one a core. The result does not depend on it.
         executor: Where they run: processes of this machine (default), this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
@@ -100,7 +109,7 @@ def evaluate(
     if clips < 0:
         raise UserError(f"--clips: must not be negative, not {clips}")
     files = _files(cover, world)
-    setting = Setting(split, sim, physics)
+    setting = Setting(split, sim, physics, Departures(friction, payload, noise, dead_sector))
     where = make_executor(executor, workers or os.cpu_count() or 1, address)
     opened = open_policies(policies, shield)
     _check_engine(opened[0], setting)
@@ -135,9 +144,9 @@ def _items(text: str) -> list[str]:
 
 
 def _check_engine(policy: Policy, setting: Setting) -> None:
-    """An engine that is not there shows before anything is driven."""
+    """An engine that is not there, and conditions that cannot be, show before anything is driven."""
     changes = {"simulator": setting.simulator, "physics": setting.physics}
-    experiment: Experiment = open_policy(Path(policy.path), changes)[0]
+    experiment: Experiment = open_policy(Path(policy.path), changes | setting.departures.changes)[0]
     experiment.simulator.close()
 
 

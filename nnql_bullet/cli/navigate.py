@@ -2,14 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from nnql_bullet.cli.console import say
 from nnql_bullet.cli.driving import RECORDING, drive
 from nnql_bullet.cli.filming import film_of, shoot, whole
-from nnql_bullet.experiment import SimulatorName
+from nnql_bullet.experiment import Departures, SimulatorName
 from nnql_bullet.render.window import watch
 from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.runs import drives_folder
@@ -71,14 +71,11 @@ def navigate(
         gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
         json_output: Print one JSON object instead of text.
     """
-    sensors = {"noise": noise, "dead_sector": dead_sector}
-    conditions = {"wheel_friction": friction, "payload": payload, "sensors": sensors}
-    changes = {"world": world, "simulator": sim, "physics": physics, "conditions": conditions}
-    changes |= {"shield": {} if shield else None}
-    recording, summary = drive(run, seed, changes)
-    given = {"friction": friction, "payload": payload, "noise": noise, "dead-sector": dead_sector}
+    departures = Departures(friction, payload, noise, dead_sector)
+    changes: dict[str, Any] = {"world": world, "simulator": sim, "physics": physics, "shield": {} if shield else None}
+    recording, summary = drive(run, seed, changes | departures.changes)
     name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else []), *(["shield"] if shield else [])]
-    name += [f"{what}-{value:g}" for what, value in given.items() if value is not None]
+    name += [f"{what}-{value:g}" for what, value in departures.given.items()]
     folder = out or drives_folder(run) / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
     recording.save(folder / RECORDING)

@@ -13,7 +13,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, SplitName, check_frozen, load_frozen, split_seeds
-from nnql_bullet.experiment import Experiment, SimulatorName
+from nnql_bullet.experiment import AS_TRAINED, Departures, Experiment, SimulatorName
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.runs import open_policy
@@ -58,18 +58,21 @@ class Setting:
     split: SplitName
     simulator: SimulatorName
     physics: PhysicsName
+    departures: Departures = AS_TRAINED
+    """That policies may not have been trained with."""
 
     @property
     def title(self) -> str:
         """As it is printed."""
         where = "the ideal twin" if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
-        return f"{self.split} worlds, {where}"
+        asked = (f"{name.replace('-', ' ')} {value:g}" for name, value in self.departures.given.items())
+        return ", ".join((f"{self.split} worlds", where, *asked))
 
     @property
     def flags(self) -> list[str]:
         """What says so on the command line, besides the split."""
         physics = [] if self.simulator == "twin" else ["--physics", self.physics]
-        return ["--sim", self.simulator, *physics]
+        return ["--sim", self.simulator, *physics, *self.departures.flags]
 
 
 def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
@@ -125,7 +128,7 @@ class DriveTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        where = self.setting.simulator, self.setting.physics
+        where = self.setting.simulator, self.setting.physics, *self.setting.departures.flags
         return part_name("drives", self.policy.fingerprint, *where, *self.tier.drawn(self.first))
 
 
@@ -209,4 +212,4 @@ def film(task: FilmTask) -> Recording:
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
 def _experiment(policy: Policy, world: str, setting: Setting, vehicles: int) -> Experiment:
     changes = {"world": world, "simulator": setting.simulator, "physics": setting.physics, "vehicles": vehicles}
-    return open_policy(Path(policy.path), {**changes, **policy.changes})[0]
+    return open_policy(Path(policy.path), {**changes, **setting.departures.changes, **policy.changes})[0]
