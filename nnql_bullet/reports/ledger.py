@@ -1,4 +1,4 @@
-"""The ledger of open choices as text and a picture."""
+"""A ledger of choices as text and a picture."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -12,24 +12,23 @@ from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
 from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, TIMEOUT
-from nnql_bullet.evaluation.ledger import TIERS, Budget, Choice, Entry
+from nnql_bullet.evaluation.books import Book, Choice
+from nnql_bullet.evaluation.ledger import Budget, Entry
 from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import csv_text, markdown_table
 
 COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}
-LOWER, HIGHER = TIERS
-"""The tiers, by how much they ask for."""
 
 
-def ledger_markdown(entries: Sequence[Entry], budget: Budget) -> str:
+def ledger_markdown(book: Book, entries: Sequence[Entry], budget: Budget) -> str:
     """The report."""
     lines = [
-        "# What the paper leaves open",
+        f"# {book.title}",
         "",
-        f"{about(budget)} nnql-bullet {__version__}.",
+        f"{about(book, budget)} nnql-bullet {__version__}.",
         "",
         "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is "
-        "that of success over both kinds of worlds, paired by seed, from the default's; an alternative is better or "
+        "that of success over all kinds of worlds, paired by seed, from the default's; an alternative is better or "
         "worse where its 95 % interval leaves zero out. With so many alternatives, one or two will do so by chance.",
         "",
         "![the ledger](ledger.png)",
@@ -39,32 +38,29 @@ def ledger_markdown(entries: Sequence[Entry], budget: Budget) -> str:
                 "choice",
                 "section",
                 "alternative",
-                *(f"{title}" for title in TIERS.values()),
+                *book.tiers.values(),
                 "difference, points",
                 "evidence",
             ),
-            [_row(entry) for entry in entries],
+            [_row(book, entry) for entry in entries],
         ),
         "",
         "## What it decides",
         "",
-        *(f"- {choice.question}: {decision(choice, entries)}" for choice in _choices(entries)),
+        *(f"- {choice.question}: {decision(choice, entries)}" for choice in book.choices),
         "",
-        "Not varied: linear outputs (targets reach -0.6, which no sigmoid does); what belongs to the vehicle and its "
-        "task, as the turn toward the target within its limits, its size, the start heading, the target's radius, and "
-        "walls that are sensed like obstacles.",
-        "",
+        *([f"Not varied: {book.not_varied}.", ""] if book.not_varied else []),
     ]
     return "\n".join(lines)
 
 
-def about(budget: Budget) -> str:
+def about(book: Book, budget: Budget) -> str:
     """What was done."""
     where = "the ideal twin" if budget.simulator == "twin" else f"{budget.simulator} contact physics"
     return (
-        f"Each alternative departs from the preset `paper` in one thing: {budget.seeds} trainings of {budget.episodes} "
-        f"episodes with {budget.vehicles} vehicles in {where}, each then driven greedily through {budget.worlds} "
-        "validation worlds of each kind."
+        f"Each alternative departs from the preset `{book.preset}` in one thing: {budget.seeds} trainings of "
+        f"{budget.episodes} episodes with {budget.vehicles} vehicles in {where}, each then driven greedily through "
+        f"{budget.worlds} validation worlds of each kind."
     )
 
 
@@ -87,21 +83,17 @@ def _listed(labels: Sequence[str]) -> str:
     return " or ".join(labels) if len(labels) < 3 else f"{', '.join(labels[:-1])} or {labels[-1]}"
 
 
-def _choices(entries: Sequence[Entry]) -> list[Choice]:
-    return list({entry.choice.name: entry.choice for entry in entries}.values())
-
-
 def _points(entry: Entry) -> str:
     return " to ".join(f"{100 * number:+.1f}" for number in entry.difference[1:])
 
 
-def _row(entry: Entry) -> tuple[object, ...]:
+def _row(book: Book, entry: Entry) -> tuple[object, ...]:
     stated = ", stated" if entry.choice.stated else ""
     return (
         entry.choice.question,
         f"{entry.choice.section}{stated}",
         entry.alternative.label,
-        *(shown(entry, world) for world in TIERS),
+        *(shown(entry, world) for world in book.tiers),
         "" if entry.verdict == "default" else f"{100 * entry.difference.value:+.1f} ({_points(entry)})",
         entry.verdict,
     )
@@ -113,12 +105,13 @@ def shown(entry: Entry, world: str) -> str:
     return str(interval) if interval else f"{100 * entry.by_seed[world][0]:.1f}"
 
 
-def ledger_values(entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
+def ledger_values(book: Book, entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
     """The same as plain values, for JSON."""
     return {
         "version": __version__,
         **asdict(budget),
-        "tiers": TIERS,
+        "preset": book.preset,
+        "tiers": dict(book.tiers),
         "entries": [
             {
                 "choice": entry.choice.name,
@@ -156,13 +149,14 @@ def ledger_csv(entries: Sequence[Entry]) -> str:
     )
 
 
-def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
+def draw_ledger(book: Book, entries: Sequence[Entry], budget: Budget, path: Path) -> None:
     """Success of every alternative with its interval, choice by choice; dots are training seeds."""
     gaps = np.cumsum([0.0] + [1.6 * (a.choice is not b.choice) for a, b in pairwise(entries)])
     places = -(np.arange(len(entries)) + gaps)
-    figure = Figure(figsize=(11.0, 0.23 * float(-places[-1]) + 1.9), layout="constrained")
-    panels = figure.subplots(1, len(TIERS), sharey=True)
-    for axes, (world, title) in zip(panels, TIERS.items(), strict=True):
+    size = 3.0 + max(2.0 * len(book.tiers), 8.0), 0.23 * float(-places[-1]) + 1.9
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(1, len(book.tiers), sharey=True, squeeze=False)[0]
+    for axes, (world, title) in zip(panels, book.tiers.items(), strict=True):
         for place, entry in zip(places.tolist(), entries, strict=True):
             colour = COLOURS[entry.verdict]
             seeds = 100 * np.array(entry.by_seed[world])
@@ -179,7 +173,7 @@ def draw_ledger(entries: Sequence[Entry], budget: Budget, path: Path) -> None:
         axes.spines[["top", "right", "left"]].set_visible(False)
         axes.tick_params(axis="y", length=0)
     panels[0].set_yticks(places, [entry.alternative.label for entry in entries], fontsize=8)
-    for choice in _choices(entries):
+    for choice in book.choices:
         first = next(k for k, entry in enumerate(entries) if entry.choice is choice)
         title, x = f"{choice.question}{' *' if choice.stated else ''}", panels[0].get_yaxis_transform()
         panels[0].text(-0.02, places[first] + 1.0, title, transform=x, fontsize=9, va="center", ha="right", color=SAFE)
