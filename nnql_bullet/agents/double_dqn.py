@@ -332,7 +332,7 @@ class Learning:
         with torch.random.fork_rng(devices=[]):  # its weights are drawn, though they are replaced at once
             self.online = DuelingNetwork(options.frames * width, options.hidden)
         _load(self.online, _weights(network))
-        self.optimizer = torch.optim.Adam(self.online.parameters())
+        self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
         rows = max(options.buffer_size // vehicles, options.steps + options.frames)
         self.replay = Replay(rows, vehicles, width, options.frames)
 
