@@ -158,17 +158,16 @@ def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
         cells: The map (SIZE, SIZE).
         corner: Its first cell, counted from the target (2,).
     """
-    cost, left = np.ones((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
+    barred = (cells > 0).astype(np.int8)
+    beside = _widened(barred)
+    walls = barred + beside + _widened(beside)
+    metre = np.array((1.0, *COSTS[::-1]))
+    cost, left = np.empty((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
     for a in range(SIZE):
         for b in range(SIZE):
-            if cells[a, b] > 0:
-                for near_a in range(max(a - 2, 0), min(a + 3, SIZE)):
-                    for near_b in range(max(b - 2, 0), min(b + 3, SIZE)):
-                        off = max(abs(near_a - a), abs(near_b - b))
-                        cost[near_a, near_b] = max(cost[near_a, near_b], COSTS[off])
+            cost[a, b] = CELL / 2 * metre[walls[a, b]]
             if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
                 left[a, b] = CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
-    cost *= CELL / 2
     # Whether a row may get shorter by the row before it, and by the one after it.
     by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
     for _ in range(_MOST_SWEEPS):
@@ -186,6 +185,19 @@ def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
         if not changed:
             break
     return left
+
+
+@numba.njit(cache=True, nogil=True)
+def _widened(marks: Cells) -> Cells:
+    """Marks (SIZE, SIZE) of 0 and 1, and of all cells that touch one that is marked."""
+    along, wide = np.zeros(SIZE + 2, np.int8), np.empty((SIZE, SIZE), np.int8)
+    for a in range(SIZE):
+        row, before, after = marks[a], marks[max(a - 1, 0)], marks[min(a + 1, SIZE - 1)]
+        for b in range(SIZE):
+            along[b + 1] = row[b] | before[b] | after[b]
+        for b in range(SIZE):
+            wide[a, b] = along[b] | along[b + 1] | along[b + 2]
+    return wide
 
 
 @numba.njit(cache=True, nogil=True)
