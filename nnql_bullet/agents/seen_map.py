@@ -48,6 +48,7 @@ _BESIDE = 4
 """So many rays on it is looked for something near what a ray met."""
 _MOST_SWEEPS = 40
 _DIAGONAL = 2**0.5
+_ROUNDING = 1e-9
 
 
 def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Array:
@@ -157,26 +158,46 @@ def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
         cells: The map (SIZE, SIZE).
         corner: Its first cell, counted from the target (2,).
     """
-    cost, left = np.ones((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
+    barred = (cells > 0).astype(np.int8)
+    beside = _widened(barred)
+    walls = barred + beside + _widened(beside)
+    metre = np.array((1.0, *COSTS[::-1]))
+    cost, left = np.empty((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
     for a in range(SIZE):
         for b in range(SIZE):
-            if cells[a, b] > 0:
-                for near_a in range(max(a - 2, 0), min(a + 3, SIZE)):
-                    for near_b in range(max(b - 2, 0), min(b + 3, SIZE)):
-                        off = max(abs(near_a - a), abs(near_b - b))
-                        cost[near_a, near_b] = max(cost[near_a, near_b], COSTS[off])
+            cost[a, b] = CELL / 2 * metre[walls[a, b]]
             if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
                 left[a, b] = CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
-    cost *= CELL / 2
+    # Whether a row may get shorter by the row before it, and by the one after it.
+    by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
     for _ in range(_MOST_SWEEPS):
         changed = False
         for a in range(SIZE):
-            changed |= _sweep(left, cost, a, a - 1)
+            if by_before[a]:
+                by_before[a] = False
+                if _sweep(left, cost, a, a - 1):
+                    changed = by_before[min(a + 1, SIZE - 1)] = by_after[max(a - 1, 0)] = True
         for a in range(SIZE - 1, -1, -1):
-            changed |= _sweep(left, cost, a, a + 1)
+            if by_after[a]:
+                by_after[a] = False
+                if _sweep(left, cost, a, a + 1):
+                    changed = by_before[min(a + 1, SIZE - 1)] = by_after[max(a - 1, 0)] = True
         if not changed:
             break
     return left
+
+
+@numba.njit(cache=True, nogil=True)
+def _widened(marks: Cells) -> Cells:
+    """Marks (SIZE, SIZE) of 0 and 1, and of all cells that touch one that is marked."""
+    along, wide = np.zeros(SIZE + 2, np.int8), np.empty((SIZE, SIZE), np.int8)
+    for a in range(SIZE):
+        row, before, after = marks[a], marks[max(a - 1, 0)], marks[min(a + 1, SIZE - 1)]
+        for b in range(SIZE):
+            along[b + 1] = row[b] | before[b] | after[b]
+        for b in range(SIZE):
+            wide[a, b] = along[b] | along[b + 1] | along[b + 2]
+    return wide
 
 
 @numba.njit(cache=True, nogil=True)
@@ -192,23 +213,31 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
     Returns:
         Whether any got shorter, by more than rounding.
     """
-    before = left[a].sum()
+    here, cost_here = left[a], cost[a]
+    best = here.copy()
     if 0 <= beside < SIZE:
-        there, here = left[beside], left[a]
-        cost_there, cost_here = cost[beside], cost[a]
+        there, cost_there = left[beside], cost[beside]
         for b in range(1, SIZE - 1):
             straight = there[b] + cost_there[b] + cost_here[b]
             between = min(cost_there[b], cost_here[b - 1])
             one = there[b - 1] + _DIAGONAL * (max(cost_there[b - 1], between) + max(cost_here[b], between))
             between = min(cost_there[b], cost_here[b + 1])
             other = there[b + 1] + _DIAGONAL * (max(cost_there[b + 1], between) + max(cost_here[b], between))
-            here[b] = min(here[b], straight, one, other)
+            best[b] = min(best[b], straight, one, other)
+    # From either end at once: neither waits for the other, which takes half the time.
+    upward, downward = best.copy(), best.copy()
+    last_up, last_down = best[0], best[SIZE - 1]
     for b in range(1, SIZE):
-        left[a, b] = min(left[a, b], left[a, b - 1] + cost[a, b - 1] + cost[a, b])
-    for b in range(SIZE - 2, -1, -1):
-        left[a, b] = min(left[a, b], left[a, b + 1] + cost[a, b + 1] + cost[a, b])
-    after = left[a].sum()
-    return bool(after < before - 1e-9)
+        c = SIZE - 1 - b
+        last_up = min(best[b], last_up + (cost_here[b - 1] + cost_here[b]))
+        last_down = min(best[c], last_down + (cost_here[c + 1] + cost_here[c]))
+        upward[b], downward[c] = last_up, last_down
+    shorter = False
+    for b in range(SIZE):
+        best[b] = min(upward[b], downward[b])
+        shorter |= best[b] < here[b] - _ROUNDING
+        here[b] = best[b]
+    return shorter
 
 
 @numba.njit(cache=True, nogil=True)
