@@ -19,6 +19,7 @@ from nnql_bullet.agents.scan_points import newcomers, scan_points
 from nnql_bullet.agents.sector_faults import ENOUGH, completed, contradictions
 from nnql_bullet.agents.shield import Shield, ShieldOptions
 from nnql_bullet.agents.turns import nearest_turns
+from nnql_bullet.agents.vfh import Vfh, VfhOptions
 from nnql_bullet.env import (
     ACTIONS,
     STOP,
@@ -33,7 +34,7 @@ from nnql_bullet.env import (
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.experiment import Experiment, RunConfig, load_config
-from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances
+from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import EpisodeSummary, overruled, run_episode, run_episodes
 from nnql_bullet.sensing import RAYS, ray_angles
@@ -325,6 +326,22 @@ class TestMemory:
         _, done, _ = drive(twin, world, around(Remembering(suicidal)), steps=40)
         assert told == done
         assert wanted != done
+
+    def test_one_that_reckons_its_heading_does_not_lose_it(
+        self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
+    ) -> None:
+        """Against the simulator's, though the shield turns it, at speed and on the spot."""
+        agent = Vfh(VfhOptions(), vehicle, DRIVE)
+        shield, navigation = around(agent), Navigation(twin, TaskOptions())
+        observed = navigation.reset(load_world("traps").draw(0, 0.8))
+        shield.begin(0, 0)
+        start, instead = twin.pose().yaw, []
+        for _ in range(150):
+            action = int(shield.exploit(stacked([observed]))[0])
+            instead += [action] if shield.overruled[0] else []
+            observed = navigation.step(action).s_t
+            assert wrap_angle(float(agent._headings[0]) - twin.pose().yaw + start) == pytest.approx(0.0, abs=1e-6)
+        assert min(instead) < STOP < max(instead)
 
     def test_vehicles_of_a_fleet_are_driven_as_each_alone(
         self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
