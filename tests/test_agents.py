@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Taught, make_agent
+from nnql_bullet.agents.base import Corrected
 from nnql_bullet.env import ACTIONS, FleetNavigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig, load_config
@@ -133,6 +134,30 @@ class TestEveryAgent:
             asked.append(agent.exploit(rows(observations, [0])))
         assert np.array_equal(np.array(asked), decided(make(kind), drive, [0]))
 
+    def test_one_that_remembers_what_it_did_can_be_told_what_was_done(
+        self, kind: str, make: Make, drive: Drive
+    ) -> None:
+        """The same past in another order is another one to those that remember it, and to nobody else."""
+        everybody, half = list(range(VEHICLES)), DECISIONS // 2
+        shuffled = [drive[k] for k in np.random.default_rng(0).permutation(half).tolist()]
+        agents = [opinionated(make(kind)) for _ in range(2)]
+        later = [
+            decided(agent, past + drive[half:], everybody)[half:]
+            for agent, past in zip(agents, (drive[:half], shuffled), strict=True)
+        ]
+        assert isinstance(agents[0], Corrected) == (not np.array_equal(*later))
+
+    def test_told_of_its_own_choice_it_goes_on_as_untold(self, kind: str, make: Make, drive: Drive) -> None:
+        agent, everybody = opinionated(make(kind)), list(range(VEHICLES))
+        for vehicle in everybody:
+            agent.begin(vehicle, vehicle)
+        told = []
+        for observations in drive:
+            told.append(agent.exploit(observations))
+            if isinstance(agent, Corrected):
+                agent.correct(told[-1])
+        assert np.array_equal(told, decided(opinionated(make(kind)), drive, everybody))
+
     def test_there_may_be_more_vehicles_than_worlds(
         self, kind: str, make: Make, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
     ) -> None:
@@ -144,6 +169,15 @@ class TestEveryAgent:
     def test_unknown_options_are_refused(self, kind: str) -> None:
         with pytest.raises(UserError, match=r"unknown key 'agent.colour'; valid keys: .*kind"):
             options_of(kind, colour=3)
+
+
+def opinionated(agent: Agent) -> Agent:
+    """The agent with some chance in its weights: untrained, some do the same whatever they see."""
+    if isinstance(agent, Taught):
+        chance = np.random.default_rng(1)
+        arrays = agent.arrays().items()
+        agent.load({name: (a + chance.normal(size=a.shape)).astype(a.dtype) for name, a in arrays})
+    return agent
 
 
 def mixed(one: Observations, other: Observations) -> Observations:

@@ -424,6 +424,31 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
         fleet.close()
 
 
+def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
+    vehicle: VehicleSpec, twin_drive: list[tuple[Any, Observations, Any]]
+) -> None:
+    """One of another mind does as it likes; another is told to do that, and then the first one comes to its senses."""
+    one, other, untold = (DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3))
+    minds = [
+        {name: values + chance.normal(size=values.shape).astype(values.dtype) for name, values in one.arrays().items()}
+        for chance in map(np.random.default_rng, range(2))
+    ]
+    for agent, mind in ((one, 0), (other, 1), (untold, 1)):
+        agent.load(minds[mind])
+    half = len(twin_drive) // 2
+    for _, seen, _ in twin_drive[:half]:
+        done = one.exploit(seen)
+        assert not np.array_equal(other.exploit(seen), done)
+        other.correct(done)
+        untold.exploit(seen)
+    one.load(minds[1])
+    mine, told, its_own = (agent.action_values(twin_drive[half][1]) for agent in (one, other, untold))
+    assert np.array_equal(mine, told)
+    assert not np.array_equal(mine, its_own)
+    for _, seen, _ in twin_drive[half:]:
+        assert np.array_equal(one.exploit(seen), other.exploit(seen))
+
+
 class TestLearning:
     def test_the_seed_decides(self, parts: Callable[..., Any]) -> None:
         found = []

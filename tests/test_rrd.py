@@ -80,8 +80,8 @@ def drive() -> Recording:
         ray_distances=rays,
         state_property=np.array(["SS", "NS", "NS", "SS", "NS", "SS", "FS"]),
         q_values=np.where(asked[:, None], rng.normal(size=(STEPS, 5)), np.nan),
-        overruled=rng.random(STEPS) < 0.3,
-        action=np.array([5, 1, 0, 5, 4, 5]),
+        overruled=np.array([False, True, False, False, True, True]),
+        action=np.array([5, 1, 0, 5, 8, 11]),
         heading_command=rng.normal(size=STEPS),
         heading_error=rng.normal(size=STEPS),
         clearance=rng.uniform(size=STEPS),
@@ -257,7 +257,21 @@ class TestFile:
         assert [state for (state,) in states] == drive.state_property.tolist()
         _, actions = file.rows("/action", "StateChange:state")
         toward = "toward the target"
-        assert [action for (action,) in actions] == [toward, "left 30°", "straight on", toward, "right 60°", toward, ""]
+        done = [toward, "left 30°", "straight on", toward, "stop, left 60°", f"stop, {toward}"]
+        assert [action for (action,) in actions] == [*done, ""]
+        assert set(done) <= set(file.static("/action", "StateConfiguration:values"))
+
+    def test_what_a_shield_does_is_shown_and_told(self, file: File, drive: Recording) -> None:
+        when, deciders = file.rows("/decided_by", "StateChange:state")
+        assert when == pytest.approx(drive.state_time)
+        assert [who for (who,) in deciders] == ["agent", "shield", "agent", "agent", "shield", "shield", ""]
+        when, texts = file.rows("/events", "TextLog:text")
+        told = [(time, text) for time, (text,) in zip(when.tolist(), texts, strict=True) if "shield" in text]
+        assert sorted(told) == [
+            (0.5, "shield: left 30°"),
+            (2.0, "shield: stop, left 60°"),
+            (2.5, "shield: stop, toward the target"),
+        ]
 
     def test_the_contact_and_the_ending_are_told(self, file: File, drive: Recording) -> None:
         when, texts = file.rows("/events", "TextLog:text")
@@ -266,7 +280,7 @@ class TestFile:
         assert (3.0, "contact with an obstacle or a wall", "ERROR") in told
         assert (3.0, "collision after 3.0 s", "INFO") in told
         assert (0.5, f"non-safe: nearest reading {drive.readings[1].min():.2f} m", "INFO") in told
-        assert len(told) == 8  # six changes of property beside them
+        assert len(told) == 11  # beside them six changes of property and three acts of a shield
         when, places = file.rows("/world/contacts", "Points3D:positions")
         assert when.tolist() == [3.0]
         assert places[0][0] == pytest.approx([9.0, 9.0, 0.0], abs=1e-5)

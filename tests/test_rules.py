@@ -14,6 +14,7 @@ from scipy.stats import chisquare
 
 from nnql_bullet import paper
 from nnql_bullet.agents import Agent, make_agent
+from nnql_bullet.agents.base import Corrected
 from nnql_bullet.agents.foresight import scan_clearances
 from nnql_bullet.agents.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions
 from nnql_bullet.agents.potential_field import repulsion
@@ -238,11 +239,17 @@ class TestLookAhead:
             assert rooms[chosen] > margin - slack
             assert better == []
         elif max(rooms) < margin - slack:
-            lasts = [next((k for k, box in enumerate(boxes) if box.intersects(cloud)), len(boxes)) for boxes in sweeps]
-            assert lasts[chosen] >= max(lasts) - 10
+            lasts, surely = (
+                [
+                    next((k for k, box in enumerate(boxes) if box.buffer(by).intersects(cloud)), len(boxes))
+                    for boxes in sweeps
+                ]
+                for by in (-slack, slack)
+            )
+            assert lasts[chosen] >= max(surely) - 10
             if lasts[chosen] == len(sweeps[0]):
-                free = [room for room, last in zip(rooms, lasts, strict=True) if last == len(sweeps[0])]
-                assert rooms[chosen] > max(free) - slack
+                free = [room for room, last in zip(rooms, surely, strict=True) if last == len(sweeps[0])]
+                assert rooms[chosen] > max(free, default=0.0) - slack
 
     def test_without_obstacles_it_goes_toward_the_target(self, make: Make) -> None:
         agent = make("look_ahead")
@@ -425,6 +432,20 @@ class TestVfh:
         # Gaps at 60 and 120 degrees of the start. Had the direction turned along, 95 would be the one before.
         seen = ring(gaps=(60.0 - turned, 120.0 - turned))
         assert action(agent, observed(seen, yaw_rate=float(rates[0]))) == LEFT_30
+
+    @given(st.lists(st.tuples(st.integers(0, 4), bearings, st.floats(-0.5, 0.5)), min_size=1, max_size=5), distances)
+    @settings(max_examples=60, deadline=None)
+    def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
+        self, make: Make, past: list[tuple[int, float, float]], rays: Array
+    ) -> None:
+        """In the open one chooses what leads to the target; another, whose target is elsewhere, is told to do that."""
+        one, other = make("vfh"), make("vfh")
+        assert isinstance(other, Corrected)
+        for turn, elsewhere, rate in past:
+            action(one, observed(bearing=paper.TURNS[turn], yaw_rate=rate))
+            action(other, observed(bearing=elsewhere, yaw_rate=rate))
+            other.correct(np.array([turn]))
+        assert action(one, observed(rays, 0.2)) == action(other, observed(rays, 0.2))
 
     def test_a_blocked_direction_stays_blocked_until_its_density_is_low(self, make: Make) -> None:
         # One ray at 7.8 m adds 1 + 64 - 60.84 = 4.16, between the thresholds; at 7 m it adds 16. Where the target's

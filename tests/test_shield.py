@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from copy import deepcopy
 from dataclasses import asdict, replace
 from math import cos, inf, pi, radians, sin
 from pathlib import Path
@@ -10,15 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.escape import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Escape
+from nnql_bullet.agents.reckoning import Sight, found_pose, seen_from
 from nnql_bullet.agents.scan_points import newcomers, scan_points
 from nnql_bullet.agents.sector_faults import ENOUGH, completed, contradictions
 from nnql_bullet.agents.shield import Shield, ShieldOptions
 from nnql_bullet.agents.turns import nearest_turns
+from nnql_bullet.agents.vfh import Vfh, VfhOptions
 from nnql_bullet.env import (
     ACTIONS,
     STOP,
@@ -33,7 +38,7 @@ from nnql_bullet.env import (
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.experiment import Experiment, RunConfig, load_config
-from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances
+from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import EpisodeSummary, overruled, run_episode, run_episodes
 from nnql_bullet.sensing import RAYS, ray_angles
@@ -123,7 +128,7 @@ def drive(
     return summary, noting.done, noting.poses[:-1]
 
 
-def seen_from(pose: Pose, *boxes: OrientedBox) -> Array:
+def rays_from(pose: Pose, *boxes: OrientedBox) -> Array:
     """What the rays read there, by the slab method."""
     x, y = pose.x + cos(pose.yaw) * SENSOR[0], pose.y + sin(pose.yaw) * SENSOR[0]
     rows = np.array([(b.x, b.y, b.half_length, b.half_width, cos(b.yaw), sin(b.yaw)) for b in boxes]).reshape(-1, 6)
@@ -326,6 +331,22 @@ class TestMemory:
         assert told == done
         assert wanted != done
 
+    def test_one_that_reckons_its_heading_does_not_lose_it(
+        self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
+    ) -> None:
+        """Against the simulator's, though the shield turns it, at speed and on the spot."""
+        agent = Vfh(VfhOptions(), vehicle, DRIVE)
+        shield, navigation = around(agent), Navigation(twin, TaskOptions())
+        observed = navigation.reset(load_world("traps").draw(0, 0.8))
+        shield.begin(0, 0)
+        start, instead = twin.pose().yaw, []
+        for _ in range(150):
+            action = int(shield.exploit(stacked([observed]))[0])
+            instead += [action] if shield.overruled[0] else []
+            observed = navigation.step(action).s_t
+            assert wrap_angle(float(agent._headings[0]) - twin.pose().yaw + start) == pytest.approx(0.0, abs=1e-6)
+        assert min(instead) < STOP < max(instead)
+
     def test_vehicles_of_a_fleet_are_driven_as_each_alone(
         self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
     ) -> None:
@@ -344,6 +365,69 @@ class TestMemory:
         assert overruled(always(0), 3).tolist() == [False] * 3
 
 
+def arc(way: float, turn: float) -> Array:
+    """Where a vehicle gets that turns evenly on its way (3,)."""
+    bend = turn / way
+    return np.array([sin(turn) / bend, (1 - cos(turn)) / bend, turn]) if turn else np.array([way, 0.0, 0.0])
+
+
+def sight(target: complex, pose: Array) -> Sight:
+    """Of a place in the frame of the pose, by complex numbers."""
+    seen = (target - complex(pose[0], pose[1])) * np.exp(-1j * pose[2])
+    return Sight(abs(seen), float(np.angle(seen)))
+
+
+class TestReckoning:
+    @given(st.floats(0.2, 1.0), st.floats(-0.8, 0.8), st.floats(3.0, 100.0), st.floats(-pi, pi))
+    def test_who_went_as_reckoned_is_found_there(
+        self, way: float, turn: float, distance: float, bearing: float
+    ) -> None:
+        pose, target = arc(way, turn), distance * np.exp(1j * bearing)
+        assert found_pose(pose, sight(target, np.zeros(3)), sight(target, pose)) == pytest.approx(pose, abs=1e-9)
+
+    @given(
+        st.tuples(st.floats(0.5, 1.0), st.floats(-0.6, 0.6)),
+        st.tuples(st.floats(-0.1, 0.1), st.floats(-0.4, 0.4)),
+        st.floats(10.0, 100.0),
+        st.floats(-1.0, 1.0),
+    )
+    def test_who_went_another_way_is_found_on_it(
+        self, way: tuple[float, float], off: tuple[float, float], distance: float, bearing: float
+    ) -> None:
+        """With a target ahead: the length of the way shows in its distance as far as that is along it."""
+        true, target = arc(way[0] + off[0], way[1] + off[1]), distance * np.exp(1j * bearing)
+        found = found_pose(arc(*way), sight(target, np.zeros(3)), sight(target, true))
+        across = abs(off[0]) * abs(sin(bearing - true[2] / 2))
+        assert np.hypot(*(found - true)[:2]) < across + 0.03
+        assert found[2] == pytest.approx(true[2], abs=2 * (across + 0.03) / distance)
+
+    def test_points_are_seen_from_a_pose_as_complex_numbers_say(self) -> None:
+        points, pose = np.random.default_rng(0).normal(size=(9, 2)), np.array([0.7, -0.2, 0.5])
+        expected = (points @ [1, 1j] - complex(0.7, -0.2)) * np.exp(-0.5j)
+        assert seen_from(pose, points) @ [1, 1j] == pytest.approx(expected)
+
+    @pytest.mark.parametrize(("friction", "load"), [(0.4, 0.0), (0.8, 80.0)])
+    def test_what_slips_takes_nothing_that_stands_for_what_moves(
+        self, vehicle: VehicleSpec, friction: float, load: float
+    ) -> None:
+        """A vehicle that cannot follow what is asked of it, in contact physics, among boxes of which none moves."""
+        laden, shares = loaded(vehicle.gripping(friction), deck_load(vehicle, load)), []
+        with closing(contact_simulator("bullet", "fast", laden, DRIVE)) as simulator:
+            for seed in (1, 8, 16):
+                shield = Shield(ShieldOptions(), always(TOWARD_TARGET), laden, DRIVE, TaskOptions())
+                navigation = Navigation(simulator, TaskOptions())
+                observed, moving = navigation.reset(load_world("cover_20").draw(seed, 0.8)), 0
+                shield.begin(0, 0)
+                for _ in range(80):
+                    o = stacked([observed])
+                    moving += int(shield._at_worst(o, deepcopy(shield._memories))[1].any())
+                    transition = navigation.step(int(shield.exploit(o)[0]))
+                    assert not transition.motion.touching
+                    observed = transition.s_t
+                shares.append(moving / 80)
+        assert np.mean(shares) < 0.05  # corners, seen between two rays
+
+
 class TestNewcomers:
     @pytest.mark.parametrize("seed", range(6))
     def test_nothing_that_stands_has_come(self, twin: TwinSimulator, seed: int) -> None:
@@ -358,21 +442,21 @@ class TestNewcomers:
             c, s = cos(then.yaw), sin(then.yaw)
             dx, dy = now.x - then.x, now.y - then.y
             moved = np.array([c * dx + s * dy, c * dy - s * dx, now.yaw - then.yaw])
-            found += int(newcomers(scan_points(rays, (0.35, 0.0, 0.475)), before, moved, SENSOR).sum())
+            found += int(newcomers(scan_points(rays, (0.35, 0.0, 0.475)), before, moved, 0.0, SENSOR).sum())
             before, then = rays, now
         assert found <= 4  # a corner, seen between two rays
 
-    @pytest.mark.parametrize("speed", [0.5, 1.0])
-    def test_a_box_that_has_come_nearer_has(self, speed: float) -> None:
+    @pytest.mark.parametrize(("speed", "strayed"), [(0.5, 0.0), (1.0, 0.0), (1.0, 0.2)])
+    def test_a_box_that_has_come_nearer_has(self, speed: float, strayed: float) -> None:
         box = OrientedBox(MIDDLE.x + 5.0, MIDDLE.y, 0.5, 1.0)
         came = replace(box, x=box.x - 0.5 * speed)
-        before, now = seen_from(MIDDLE, box), seen_from(MIDDLE, came)
+        before, now = rays_from(MIDDLE, box), rays_from(MIDDLE, came)
         points = scan_points(now, (0.35, 0.0, 0.475))
-        found = newcomers(points, before, np.zeros(3), SENSOR)
+        found = newcomers(points, before, np.zeros(3), strayed, SENSOR)
         assert found.sum() >= 0.8 * np.isfinite(points[:, 0]).sum() > 0
-        gone = scan_points(seen_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), (0.35, 0.0, 0.475))
-        assert not newcomers(gone, before, np.zeros(3), SENSOR).any()
-        assert not newcomers(points, np.full(RAYS, np.nan), np.zeros(3), SENSOR).any()
+        gone = scan_points(rays_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), (0.35, 0.0, 0.475))
+        assert not newcomers(gone, before, np.zeros(3), strayed, SENSOR).any()
+        assert not newcomers(points, np.full(RAYS, np.nan), np.zeros(3), strayed, SENSOR).any()
 
 
 class TestSectorFaults:
@@ -388,7 +472,7 @@ class TestSectorFaults:
     def test_a_wall_that_goes_on_inside_speaks_against_a_sector(self, sector: int) -> None:
         angle = sector * paper.SECTOR_ANGLE
         wall = OrientedBox(MIDDLE.x + 4.0 * cos(angle), MIDDLE.y + 4.0 * sin(angle), 1.0, 8.0, angle)
-        rays = self.dead(seen_from(MIDDLE, wall), sector)
+        rays = self.dead(rays_from(MIDDLE, wall), sector)
         against = contradictions(rays, NO_POINTS, SENSOR)
         assert against[sector] == 1.0
         assert np.delete(against, sector).max() <= 0.5  # where the wall ends, it may end at a border
@@ -493,12 +577,12 @@ class TestEscape:
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
         escape = Escape(side=1)
         wall = OrientedBox(MIDDLE.x, MIDDLE.y - 1.2 - 0.5, 50.0, 0.5)
-        assert escape.heading(0.0, seen_from(MIDDLE, wall)) == pytest.approx(0.0, abs=0.02)
-        nearer = seen_from(replace(MIDDLE, y=99.7), wall)
+        assert escape.heading(0.0, rays_from(MIDDLE, wall)) == pytest.approx(0.0, abs=0.02)
+        nearer = rays_from(replace(MIDDLE, y=99.7), wall)
         assert escape.heading(0.0, nearer) > 0.05
-        farther = seen_from(replace(MIDDLE, y=101.0), wall)
+        farther = rays_from(replace(MIDDLE, y=101.0), wall)
         assert escape.heading(0.0, farther) < -0.3
-        assert Escape(side=-1).heading(0.0, seen_from(replace(MIDDLE, yaw=pi), wall)) == pytest.approx(0.0, abs=0.02)
+        assert Escape(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall)) == pytest.approx(0.0, abs=0.02)
         assert Escape().heading(0.7, nearer) == 0.7
 
 

@@ -38,13 +38,14 @@ def place_among_rays(x: float, y: float, sensor: Array) -> float:
 
 
 @numba.njit(cache=True)
-def newcomers(points: Array, before: Array, moved: Array, sensor: Array) -> NDArray[np.bool_]:
+def newcomers(points: Array, before: Array, moved: Array, strayed: float, sensor: Array) -> NDArray[np.bool_]:
     """Which points of a scan (72,) lie where the scan before saw that there was nothing: what they belong to moves.
 
     Args:
         points: In the vehicle frame (72, 2) [m]; NaN for none.
         before: Ray distances of the scan before (72,) [m]; NaN if there was none.
         moved: The pose of now in the vehicle frame of then (3,).
+        strayed: How far off that may be [m].
         sensor: x, y in the vehicle frame [m].
     """
     found = np.zeros(len(points), np.bool_)
@@ -55,5 +56,5 @@ def newcomers(points: Array, before: Array, moved: Array, sensor: Array) -> NDAr
         x, y = moved[0] + c * points[k, 0] - s * points[k, 1], moved[1] + s * points[k, 0] + c * points[k, 1]
         place, distance = place_among_rays(x, y, sensor), np.hypot(x - sensor[0], y - sensor[1])
         free = min(before[int(place) % RAYS], before[int(place + 1) % RAYS])
-        found[k] = distance < free - NEWCOMER - NEWCOMER_SHARE * distance
+        found[k] = distance < free - NEWCOMER - NEWCOMER_SHARE * distance - strayed
     return found

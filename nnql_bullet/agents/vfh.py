@@ -4,6 +4,7 @@ Ulrich and Borenstein, "VFH+: Reliable Obstacle Avoidance for Fast Mobile Robots
 the directions of histograms do not turn with the vehicle: they are those of the frame that it starts in.
 """
 
+from dataclasses import dataclass
 from math import ceil, cos, floor, hypot, pi, radians, sin
 from typing import Annotated, Literal
 
@@ -68,6 +69,19 @@ class VfhOptions:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class _Decided:
+    """What n vehicles decided last."""
+
+    seen: Observations
+    headings: Array
+    """At that time (n,) [rad]."""
+    chosen: Array
+    """Directions (n,) [rad]."""
+    actions: NDArray[np.int64]
+    """(n,)"""
+
+
 class Vfh(Rule):
     """The direction of least cost among the openings; the action nearest to it is taken.
 
@@ -89,6 +103,7 @@ class Vfh(Rule):
         self._bearings = wrap_angles(ray_angles())
         self._weights = np.array([options.target_weight, options.heading_weight, options.previous_weight])
         self._headings, self._chosen, self._blocked = np.zeros(0), np.zeros(0), np.zeros((0, BINS), np.bool_)
+        self._decided: _Decided
 
     def begin(self, vehicle: int, world_seed: int) -> None:
         """Nothing is blocked, and the direction chosen last is straight ahead."""
@@ -109,10 +124,18 @@ class Vfh(Rule):
             masked, density, headings, headings + bearing, self._chosen[:n], radians(o.wide_degrees), self._weights
         )
         actions = nearest_actions(wrap_angles(chosen - headings), bearing)
-        turned = turn_headings(observations.yaw_rate, heading_change(actions, bearing), self._limits, self._period)
-        self._headings[:n] = headings + turned[:, 0]
-        self._chosen[:n], self._blocked[:n] = chosen, blocked
+        self._blocked[:n] = blocked
+        self._decided = _Decided(observations, headings, chosen, actions)
+        self.correct(actions)
         return actions
+
+    def correct(self, actions: NDArray[np.int64]) -> None:
+        """Remembers how far these turn and, where they are not its own, their directions as the ones chosen last."""
+        last, n = self._decided, len(actions)
+        turns = heading_change(actions, last.seen.target_bearing)
+        turned = turn_headings(last.seen.yaw_rate, turns, self._limits, self._period)
+        self._headings[:n] = last.headings + turned[:, 0]
+        self._chosen[:n] = np.where(actions == last.actions, last.chosen, last.headings + turns)
 
     def _make_room(self, size: int) -> None:
         """Lets so many vehicles be remembered."""

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from math import degrees
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -26,7 +27,6 @@ from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
 from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
-from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
@@ -45,7 +45,11 @@ SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "ri
 TURNS = tuple(
     f"{'left' if turn > 0 else 'right'} {abs(degrees(turn)):.0f}°" if turn else "straight on" for turn in paper.TURNS
 )
-ACTIONS = {**dict(enumerate(TURNS)), TOWARD_TARGET: "toward the target"}
+ACTIONS = (*TURNS, "toward the target")
+MANOEUVRES = (*ACTIONS, *(f"stop, {action}" for action in ACTIONS))
+"""By number, as `env` counts them."""
+DECIDERS = {"agent": SAFE, "shield": NON_SAFE}
+"""Who may have taken a decision, and their colours."""
 PROPERTIES = {"SS": ("safe", SAFE), "NS": ("non-safe", NON_SAFE), "WS": ("winning", GOAL), "FS": ("failure", COLLISION)}
 """What the paper's two letters stand for, and their colours."""
 
@@ -204,19 +208,29 @@ def _log_strips(
 
 
 def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
-    """The property of each state, and the action taken in it until the end."""
+    """The property of each state, and the manoeuvre decided on in it until the end, and by whom."""
     values, (labels, colours) = list(PROPERTIES), zip(*PROPERTIES.values(), strict=True)
     stream.log("property", rr.StateConfiguration(values=values, labels=labels, colors=_rgba(*colours)), static=True)
     stream.send_columns(
         "property", _at_states(recording), rr.StateChange.columns(state=recording.state_property.tolist())
     )
-    actions = [ACTIONS[action] for action in recording.action.tolist()]
-    stream.log(
-        "action",
-        rr.StateConfiguration(values=list(ACTIONS.values()), colors=_rgba(*LINES[: len(ACTIONS)])),
-        static=True,
-    )
-    stream.send_columns("action", _at_states(recording), rr.StateChange.columns(state=[*actions, ""]))
+    stops = [TIMEOUT] * len(ACTIONS)
+    _log_line(stream, recording, "action", MANOEUVRES, (*LINES[: len(ACTIONS)], *stops), recording.action)
+    _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overruled)
+
+
+def _log_line(
+    stream: rr.RecordingStream,
+    recording: Recording,
+    entity: str,
+    values: Sequence[str],
+    colours: Sequence[str],
+    steps: NDArray[np.integer[Any] | np.bool_],
+) -> None:
+    """Which of the values, by number, holds in each step (n,)."""
+    stream.log(entity, rr.StateConfiguration(values=values, colors=_rgba(*colours)), static=True)
+    states = [values[step] for step in steps.tolist()]
+    stream.send_columns(entity, _at_states(recording), rr.StateChange.columns(state=[*states, ""]))
 
 
 def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
@@ -251,13 +265,17 @@ def _send_numbers(stream: rr.RecordingStream, entity: str, index: list[rr.TimeCo
 
 
 def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
-    """In words: where the property changes, contacts (in the world too), and the ending."""
+    """In words: where the property changes, what a shield does, contacts (in the world too), and the ending."""
     nearest = recording.readings.min(axis=1)
     labels = [PROPERTIES[letters][0] for letters in recording.state_property.tolist()]
     events = [
         (state, f"{labels[state]}: nearest reading {nearest[state]:.2f} m", rr.TextLogLevel.INFO)
         for state in range(len(labels))
         if state == 0 or labels[state] != labels[state - 1]
+    ]
+    events += [
+        (step, f"shield: {MANOEUVRES[recording.action[step]]}", rr.TextLogLevel.WARN)
+        for step in np.flatnonzero(recording.overruled).tolist()
     ]
     touching = (np.flatnonzero(recording.contact) + 1).tolist()
     events += [(state, "contact with an obstacle or a wall", rr.TextLogLevel.ERROR) for state in touching]
@@ -285,7 +303,7 @@ def _layout(recording: Recording) -> rrb.Blueprint:
         ),
     )
     curves = rrb.Vertical(
-        rrb.StateTimelineView(name="property and action", contents=["property", "action"]),
+        rrb.StateTimelineView(name="property and action", contents=["property", "action", "decided_by"]),
         rrb.TimeSeriesView(origin="q_values", name="action values"),
         rrb.TimeSeriesView(origin="readings", name="readings [m]"),
         rrb.Tabs(
