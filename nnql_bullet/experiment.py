@@ -1,6 +1,7 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
 from collections.abc import Mapping
+from contextlib import closing
 from functools import cached_property, partial
 from os import cpu_count
 from pathlib import Path
@@ -29,6 +30,7 @@ from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
+from nnql_bullet.training.selection import Candidates, SelectionOptions, count_goals
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import WorldSource, load_world
@@ -108,6 +110,8 @@ class TrainingOptions:
     worlds: tuple[str, ...] = ()
     """Shipped worlds or TOML files, of which each episode takes any, in place of the run's world."""
     disturbances: Disturbances = Disturbances()
+    selection: SelectionOptions | None = None
+    """How a late state is chosen as the policy; the last one is if this is not given."""
 
 
 @options
@@ -192,6 +196,20 @@ class Experiment:
             UserError: If there is none, or the vehicle would stand in an obstacle at its start.
         """
         return self._drawn(self.worlds, seed)
+
+    @cached_property
+    def selection_worlds(self) -> list[WorldSpec]:
+        """The validation worlds that candidates are tried in; none without a selection.
+
+        Raises:
+            UserError: If there is no such world.
+        """
+        selection = self.config.training.selection
+        if selection is None:
+            return []
+        names = selection.worlds or self.config.training.worlds or (self.config.world,)
+        sources = [self._source(name) for name in dict.fromkeys(names)]
+        return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
 
     def _drawn(self, source: WorldSource, seed: int) -> WorldSpec:
         if seed < 0:
@@ -310,6 +328,17 @@ class Experiment:
                 raise _missing("stable-baselines3", "sb3") from None
             return DqnTraining(agent, navigation, world_of, seed)
         return Training(self.learner, navigation, world_of, seed)
+
+    def try_out(self, candidates: Candidates, workers: int | None = None) -> dict[int, int]:
+        """In how many of `selection_worlds` each candidate comes to its target, in the twin. The agent stays as it is.
+
+        Raises:
+            UserError: If there is no worker.
+        """
+        worlds = self.selection_worlds
+        twin = Experiment(changed(self.config, simulator="twin", vehicles=len(worlds)))
+        with closing(twin.fleet(workers)) as fleet:
+            return count_goals(twin.taught, candidates, FleetNavigation(fleet, self.config.task), worlds)
 
 
 def _missing(library: str, extra: str) -> UserError:
