@@ -96,8 +96,8 @@ class Nnql(QLearning):
             r_t, discount_t = np.tile(r_t, 2), np.tile(discount_t, 2)
         q_before, q_t = self.network(self._encoded(np.concatenate([before, after]))).split(len(turns))
         q_tm1 = q_before.gather(1, torch.from_numpy(turns)[:, None])[:, 0]
-        r_t, discount_t = torch.from_numpy(r_t), torch.from_numpy(discount_t)
-        td_error = r_t + discount_t * o.discount * q_t.detach().amax(dim=-1) - q_tm1.detach()
+        rewards, discounts = torch.from_numpy(r_t), torch.from_numpy(discount_t)
+        td_error = rewards + discounts * o.discount * q_t.detach().amax(dim=-1) - q_tm1.detach()
         # d/dq of 1/2 (target - q)^2, where the target of eq. (2) is q + learning_rate * td_error.
         parameters = list(self.network.parameters())
         gradients = torch.autograd.grad(q_tm1, parameters, -o.learning_rate * td_error)

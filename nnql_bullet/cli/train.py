@@ -69,7 +69,7 @@ def train(
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
         episodes: Training episodes in all; default 1000, with genetic 20000, with double_dqn 12000.
         seed: Of the whole run; default 0.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, with tuned cover_7.5, with double_dqn a mix.
+        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, tuned cover_7.5, double_dqn a mix.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
         workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
