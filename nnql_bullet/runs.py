@@ -2,15 +2,17 @@
 
 - config.toml: the configuration, every key resolved
 - episodes.csv: a line for each finished episode
-- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv, and what was under way then
-- policy.safetensors: what the agent has learned, for `navigate`
+- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv, and what was under way then;
+  with a selection (`training/selection.py`) the candidates too
+- policy.safetensors: what the agent has learned, for `navigate`: the last of it, or what was selected in the end
+- selection.csv: with a selection, how the candidates did, once the training is over
 - learning_curve.png: drawn when the training stops
 """
 
 import csv
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +28,12 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
+from nnql_bullet.training.selection import Candidates, most_goals
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
-_UNDER_WAY = "under_way/"
+SELECTION = "selection.csv"
+_UNDER_WAY, _CANDIDATE = "under_way/", "candidate/"
 _NUMBERS = ("duration", "path_length", "clearance", "mean_clearance", "lateral_acceleration", "heading_error")
 
 
@@ -40,6 +44,14 @@ class Run:
     folder: Path
     config: RunConfig
     episodes: list[TrainingEpisode]
+    candidates: Candidates = field(default_factory=dict)
+    """To select from."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all is done that it was configured for."""
+        selected = self.config.training.selection is None or (self.folder / SELECTION).is_file()
+        return len(self.episodes) == self.config.episodes and selected
 
     def create(self, overwrite: bool) -> None:
         """Starts the folder.
@@ -55,7 +67,7 @@ class Run:
                 raise UserError(f"{folder}: is not empty; go on with --resume, or give --overwrite or another --out")
             if not (folder / CONFIG).is_file():
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another --out")
-            for name in (CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
+            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
                 (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
@@ -63,14 +75,42 @@ class Run:
     def save(self, agent: Taught, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
+        What was selected before is no longer the policy then.
+
         Raises:
             OSError: If a file cannot be written; the checkpoint before this one is then whole.
         """
+        (self.folder / SELECTION).unlink(missing_ok=True)
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
         config, done, learned = to_values(self.config), len(self.episodes), agent.arrays()
         under_way = {_UNDER_WAY + name: values for name, values in training.arrays().items()}
-        save_weights(Weights(config, done, {**learned, **under_way}), self.folder / CHECKPOINT)
+        candidates = {
+            f"{_CANDIDATE}{episodes}/{name}": values
+            for episodes, arrays in self.candidates.items()
+            for name, values in arrays.items()
+        }
+        save_weights(Weights(config, done, {**learned, **under_way, **candidates}), self.folder / CHECKPOINT)
         save_weights(Weights(config, done, learned), self.folder / POLICY)
+
+    def save_selected(self, candidates: Candidates, goals: Mapping[int, int], worlds: int) -> int:
+        """Makes the candidate with the most goals the policy, and writes down how each did.
+
+        Args:
+            candidates: That were tried.
+            goals: In how many worlds each came to its target.
+            worlds: Of so many.
+
+        Returns:
+            After how many episodes it was.
+
+        Raises:
+            OSError: If a file cannot be written; the selection is then not made.
+        """
+        best = most_goals(goals)
+        save_weights(Weights(to_values(self.config), best, candidates[best]), self.folder / POLICY)
+        lines = [f"{episodes},{count},{worlds},{int(episodes == best)}" for episodes, count in goals.items()]
+        write_text(self.folder / SELECTION, "\n".join(["episodes,goals,worlds,selected", *lines, ""]))
+        return best
 
     def save_config(self) -> None:
         """Writes the configuration, every key resolved."""
@@ -150,7 +190,8 @@ def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
         raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that 'train' wrote")
     config = parse(RunConfig, read_toml(folder / CONFIG), str(folder / CONFIG))
     rows: list[TrainingEpisode] = []
-    state = None
+    state: State | None = None
+    candidates: Candidates = {}
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
@@ -160,14 +201,24 @@ def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
         parts = weights.arrays.items()
         state = State(
-            learned={name: values for name, values in parts if not name.startswith(_UNDER_WAY)},
+            learned={name: values for name, values in parts if not name.startswith((_UNDER_WAY, _CANDIDATE))},
             under_way={name.removeprefix(_UNDER_WAY): values for name, values in parts if name.startswith(_UNDER_WAY)},
         )
+        candidates = _candidates(weights.arrays)
     if episodes is not None and episodes < len(rows):
         raise UserError(f"{folder}: has {len(rows)} episodes already, so --episodes {episodes} leaves nothing to do")
     if episodes is not None:
         config = parse(RunConfig, to_values(config) | {"episodes": episodes}, "--episodes")
-    return Run(folder, config, rows), state
+    return Run(folder, config, rows, candidates), state
+
+
+def _candidates(arrays: Mapping[str, NDArray[Any]]) -> Candidates:
+    """Those in a checkpoint."""
+    found: Candidates = {}
+    for name in sorted(name for name in arrays if name.startswith(_CANDIDATE)):
+        episodes, _, part = name.removeprefix(_CANDIDATE).partition("/")
+        found.setdefault(int(episodes), {})[part] = arrays[name]
+    return dict(sorted(found.items()))
 
 
 def _as_csv(episodes: list[TrainingEpisode]) -> str:

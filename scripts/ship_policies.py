@@ -1,6 +1,6 @@
 """Puts trained policies, evaluated, and a card of each into nnql_bullet/_data/policies.
 
-python scripts/ship_policies.py double_dqn=runs/ddqn-1 paper=runs/results/paper-0
+python scripts/ship_policies.py double_dqn=runs/ddqn-1 tuned=runs/tuned-0 paper=runs/results/paper-0
 
 Each is driven bare and in a shield through test worlds of every kind, in the twin and in contact physics; with two
 policies that takes some ten minutes on 2 quiet cores. What is driven is kept in runs/ship, and not driven again.
@@ -16,6 +16,7 @@ from nnql_bullet import assets
 from nnql_bullet.cli import main as nnql_bullet
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.experiment import preset_of
 from nnql_bullet.runs import POLICY, open_policy
 
 FOLDER = Path(assets.__file__).parent / "_data" / "policies"
@@ -29,6 +30,7 @@ WHAT = {
     "double_dqn": "decides every step by a dueling network over 24 readings and a map of what it has seen",
     "paper": "the paper's 8-6-5 network with the numbers that the paper states",
     "literal": "the paper's 8-6-5 network, the text read by the letter",
+    "tuned": "the paper's 8-6-5 network with numbers set by evidence, where the paper states others too",
 }
 """Of the presets whose policies may be shipped."""
 LIMITS = """\
@@ -60,12 +62,14 @@ def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
     """The card of a policy that lies in its place."""
     experiment, episodes = open_policy(FOLDER / f"{name}.safetensors", {})
     config = experiment.config
-    seed = f" --seed {config.seed}" if config.seed else ""
-    preset = {"nnql": "paper"}.get(config.agent.kind, config.agent.kind)
+    trained = preset_of(config)
+    if trained is None or trained[0] not in WHAT:
+        raise SystemExit(f"{name}: was not trained by one of these presets: {', '.join(WHAT)}")
+    preset, flags = trained
     lines = [
         f"# {name}: {WHAT[preset]}; {episodes} episodes, seed {config.seed}",
         "",
-        f"Trained by `nnql-bullet train --config {preset}{seed}{_flags(name, config)}`.",
+        f"Trained by `{' '.join(['nnql-bullet train --config', preset, *flags])}`.",
         "",
         "## How good",
         "",
@@ -81,10 +85,6 @@ def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
         "",
     ]
     assets.card(FOLDER / f"{name}.safetensors").write_text("\n".join(lines), encoding="utf-8")
-
-
-def _flags(name: str, config: Any) -> str:
-    return "" if config.agent.kind == "double_dqn" else f" --sim {config.simulator} --vehicles {config.vehicles}"
 
 
 def _tables(name: str, results: dict[str, dict[str, Any]]) -> list[str]:

@@ -264,6 +264,22 @@ def test_steps_at_once_are_gradient_descent_on_the_sum_of_their_errors(steps):
     assert close(agent.arrays(), summed(before, wants, 0.3))
 
 
+@pytest.mark.parametrize(("action", "mirror_image"), [(0, 0), (1, 3), (2, 4), (3, 1), (4, 2)])
+def test_a_mirrored_step_teaches_as_the_step_and_its_mirror_image_at_once(action, mirror_image):
+    def in_a_mirror(readings):
+        ahead, left, side_left, back_left, behind, back_right, side_right, right = readings
+        return observed([ahead, right, side_right, back_right, behind, back_left, side_left, left])
+
+    step = transition(action, reward=-0.3, discount=0.5)
+    image = transition(mirror_image, reward=-0.3, discount=0.5, before=in_a_mirror(BEFORE), after=in_a_mirror(AFTER))
+    mirrored, both = Nnql(NnqlOptions(mirrored=True), 3), Nnql(NnqlOptions(), 3)
+    (td_error,) = mirrored.learn(step)
+    td_errors = both.learn(together(step, image))
+    for name in NAMES:
+        assert np.allclose(mirrored.arrays()[name], both.arrays()[name], rtol=0, atol=1e-14)
+    assert td_error == pytest.approx(td_errors[0], abs=1e-14)
+
+
 def test_one_step_at_once_is_not_several_one_after_another():
     steps = [(BEFORE, 1, 0.4, 1.0, AFTER), (AFTER, 1, -0.6, 0.0, BEFORE), (BEFORE, 4, -0.4, 1.0, AFTER)]
     at_once, one_by_one = random_agent(gradient_step=0.3), random_agent(gradient_step=0.3)

@@ -36,10 +36,19 @@ class NnqlOptions(QLearningOptions):
     learn_in_safe_states: bool = False
     """Whether steps from safe states train the network too. The text asks it only in non-safe states, so its reward for
     safe to non-safe teaches nothing; with this on, the turn toward the target counts as the nearest of the five."""
+    mirrored: bool = False
+    """Whether every step teaches its mirror image too, as left and right are all the same to the vehicle. The text says
+    nothing of it."""
     hidden_weights: Positive = 1.0
     """Initial weights into the hidden layer are uniform within +- this; all zero could not break the symmetry."""
     output_weights: Positive = 0.1
     """Initial weights into the output layer are uniform within +- this: Q-values start near zero (II.D)."""
+
+
+MIRRORED_SECTORS = -np.arange(paper.SECTORS) % paper.SECTORS
+"""Of each of the eight sectors the one on the other side (8,)."""
+MIRRORED_TURNS = nearest_turns(-np.array(paper.TURNS))
+"""Of each of the five turns the one to the other side, by number (5,)."""
 
 
 class Nnql(QLearning):
@@ -80,18 +89,22 @@ class Nnql(QLearning):
         if len(taught) == 0:
             return td_errors
         turns = nearest_turns(heading_change(t.a_tm1[taught], t.s_tm1.target_bearing[taught]))
-        inputs = np.concatenate([t.s_tm1.readings[taught], t.s_t.readings[taught]])
-        q_before, q_t = self.network(self._encoded(inputs)).split(len(taught))
+        before, after, r_t, discount_t = (x[taught] for x in (t.s_tm1.readings, t.s_t.readings, t.r_t, t.discount_t))
+        if o.mirrored:
+            before, after = (np.concatenate([x, x[:, MIRRORED_SECTORS]]) for x in (before, after))
+            turns = np.concatenate([turns, MIRRORED_TURNS[turns]])
+            r_t, discount_t = np.tile(r_t, 2), np.tile(discount_t, 2)
+        q_before, q_t = self.network(self._encoded(np.concatenate([before, after]))).split(len(turns))
         q_tm1 = q_before.gather(1, torch.from_numpy(turns)[:, None])[:, 0]
-        r_t, discount_t = torch.from_numpy(t.r_t[taught]), torch.from_numpy(t.discount_t[taught])
-        td_error = r_t + discount_t * o.discount * q_t.detach().amax(dim=-1) - q_tm1.detach()
+        rewards, discounts = torch.from_numpy(r_t), torch.from_numpy(discount_t)
+        td_error = rewards + discounts * o.discount * q_t.detach().amax(dim=-1) - q_tm1.detach()
         # d/dq of 1/2 (target - q)^2, where the target of eq. (2) is q + learning_rate * td_error.
         parameters = list(self.network.parameters())
         gradients = torch.autograd.grad(q_tm1, parameters, -o.learning_rate * td_error)
         with torch.no_grad():
             for parameter, gradient in zip(parameters, gradients, strict=True):
                 parameter.sub_(gradient, alpha=o.gradient_step)
-        td_errors[taught] = td_error.numpy()
+        td_errors[taught] = td_error.numpy()[: len(taught)]
         return td_errors
 
     def arrays(self) -> dict[str, Array]:

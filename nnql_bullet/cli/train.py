@@ -18,10 +18,11 @@ from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, SimulatorName, load_config
 from nnql_bullet.reports.plots import draw_learning_curve
-from nnql_bullet.runs import LEARNING_CURVE, POLICY, Run, open_run
+from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, Run, open_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.training.base import Trainer
+from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 
 SAVE_EVERY = 5.0
 """Seconds from one checkpoint to the next."""
@@ -46,6 +47,8 @@ def train(
 
     The folder holds config.toml, episodes.csv, policy.safetensors, learning_curve.png and a checkpoint. The result is a
     function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to go on from.
+    With the table training.selection in the configuration, late states of the training are tried in
+    validation worlds in the twin, whatever it drove in; the best is the policy, and selection.csv says how all did.
 
     For example:
 
@@ -54,17 +57,19 @@ def train(
         nnql-bullet train --vehicles 64 --out runs/quick
         nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
         nnql-bullet train --config genetic --vehicles 200 --sim twin
+        nnql-bullet train --config tuned
         nnql-bullet train --config double_dqn --seed 1
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
-        config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), q_table (a
-            table instead of the network), genetic (a search over its weights), double_dqn (which decides every step and
-            keeps a map; in the twin, 64 vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
+        config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the
+            same with numbers set by evidence; in the twin, 32 vehicles), q_table (a table instead of the network),
+            genetic (a search over its weights), double_dqn (which decides every step and keeps a map; in the twin, 64
+            vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
         episodes: Training episodes in all; default 1000, with genetic 20000, with double_dqn 12000.
         seed: Of the whole run; default 0.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, with double_dqn a mix.
+        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, tuned cover_7.5, double_dqn a mix.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
         workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
@@ -79,7 +84,7 @@ def train(
         if given:
             raise UserError(f"{given[0]} cannot go with --resume: a run goes on as it was configured")
         run, state = open_run(resume, episodes)
-        if len(run.episodes) == run.config.episodes:
+        if run.is_over:
             say(f"{run.folder} has its {run.config.episodes} episodes already; give more with --episodes")
             return 0
         experiment = Experiment(run.config)
@@ -90,7 +95,9 @@ def train(
         resolved = load_config(name, {**changes, "vehicles": vehicles, "training": mix})
         experiment, state = Experiment(resolved), None
         experiment.taught  # noqa: B018 (refuses rules)
-        experiment.training_world(0)  # what is wrong with world or robot shows before anything is written
+        # What is wrong with worlds or robot shows before anything is written.
+        experiment.training_world(0)
+        experiment.selection_worlds  # noqa: B018
         run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
@@ -109,13 +116,15 @@ def train(
                 run.save_config()
             worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(c.training.worlds or (c.world,)))
             say(f"training {c.agent.kind} in {where}, world {worlds}{several}")
-            finished, died = _run(run, agent, training), None
+            finished, died = len(run.episodes) == c.episodes or _run(run, agent, training), None
         except WorkerDied as error:
             finished, died = False, error
     if run.episodes:
         draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
         say(f"learning curve: {run.folder / LEARNING_CURVE}")
     if finished:
+        if c.training.selection:
+            _select(run, experiment, c.training.selection, workers)
         say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet navigate {run.folder}")
         return 0
     stopped = f"stopped after episode {len(run.episodes)} of {c.episodes}"
@@ -135,11 +144,13 @@ def _run(run: Run, agent: Taught, training: Trainer) -> bool:
     """
     total, begin = run.config.episodes, time.monotonic()
     recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
-    steps, saved = 0, begin
+    steps, saved, selection = 0, begin, run.config.training.selection
     with _interrupts() as interrupted, progress("training", total, len(run.episodes)) as show:
         try:
             for episode in training.episodes():
                 run.episodes.append(episode)
+                if selection:
+                    keep(run.candidates, len(run.episodes), agent, selection)
                 recent.append(episode.summary.ending == "goal")
                 steps += episode.summary.steps
                 done, now = len(run.episodes), time.monotonic()
@@ -155,6 +166,17 @@ def _run(run: Run, agent: Taught, training: Trainer) -> bool:
             if not interrupted():  # else whatever interrupted this process reached that one too
                 raise
     return len(run.episodes) == total
+
+
+def _select(run: Run, experiment: Experiment, selection: SelectionOptions, workers: int | None) -> None:
+    """Makes the candidate that does best in validation worlds the policy."""
+    candidates = finalists(run.candidates, len(run.episodes), experiment.taught, selection)
+    worlds = len(experiment.selection_worlds)
+    say(f"trying {len(candidates)} candidates in {worlds} validation worlds, in the ideal twin")
+    goals = experiment.try_out(candidates, workers)
+    best = run.save_selected(candidates, goals, worlds)
+    others = f"the {len(goals)} came to {min(goals.values())} to {max(goals.values())}; all: {run.folder / SELECTION}"
+    say(f"selected: what was learned after {best} episodes, with {goals[best]} goals of {worlds}; {others}")
 
 
 @contextmanager

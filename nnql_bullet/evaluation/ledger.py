@@ -25,6 +25,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
+from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
 CONTACT_FLEET = 8
 """Vehicles that are tested at a time in contact physics, where each takes 34 MB."""
@@ -85,13 +86,19 @@ def task_of(book: Book, alternative: Alternative, seed: int, budget: Budget) -> 
 
 
 def train_and_test(task: LedgerTask) -> list[Counts]:
-    """Trains, then drives greedily through validation worlds, in the same simulator."""
+    """Trains, selects if so configured, then drives greedily through validation worlds, in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ledger")
     experiment = Experiment(config)
     with closing(experiment.training_fleet(workers=1)) as fleet:
-        navigation = FleetNavigation(fleet, config.task)
-        for _ in islice(experiment.trainer(navigation).episodes(), config.episodes):
-            pass
+        training = experiment.trainer(FleetNavigation(fleet, config.task))
+        agent, selection = experiment.taught, config.training.selection
+        candidates: Candidates = {}
+        for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
+            if selection:
+                keep(candidates, done, agent, selection)
+    if selection:
+        candidates = finalists(candidates, config.episodes, agent, selection)
+        agent.load(candidates[most_goals(experiment.try_out(candidates, workers=1))])
     found = []
     for world in task.tiers:
         vehicles = task.worlds if config.simulator == "twin" else min(task.worlds, CONTACT_FLEET)

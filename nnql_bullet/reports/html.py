@@ -26,7 +26,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Share
-from nnql_bullet.experiment import PRESETS, RunConfig, load_config
+from nnql_bullet.experiment import load_config, preset_of
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
@@ -46,15 +46,6 @@ RECENT = 100
 
 Verb = Literal["evaluate", "gap"]
 _FILES: dict[Verb, tuple[str, str]] = {"evaluate": ("results.json", "evaluation.md"), "gap": ("gap.json", "gap.md")}
-_FLAGS = {
-    "seed": "--seed",
-    "episodes": "--episodes",
-    "world": "--world",
-    "simulator": "--sim",
-    "physics": "--physics",
-    "vehicles": "--vehicles",
-}
-"""Of `train`, by the key of a configuration that each sets."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -322,20 +313,10 @@ def _version(library: str) -> str:
         return "not installed"
 
 
-def _preset(config: RunConfig) -> str | None:
-    """The preset that, with flags, is the whole configuration."""
-    flags = {key: getattr(config, key) for key in _FLAGS}
-    return next((preset for preset in PRESETS if load_config(preset, flags) == config), None)
-
-
 def _training_command(run: Run, policy: Policy) -> str:
     """What trains a run again: from a preset and flags where they say it all, else from the file of its recipe."""
-    preset = _preset(run.config)
-    base = load_config(preset or "paper", {})
-    given = {_FLAGS[key]: getattr(run.config, key) for key in _FLAGS if preset or key == "seed"}
-    usual = {_FLAGS[key]: getattr(base, key) for key in _FLAGS}
-    flags = [part for flag, value in given.items() if value != usual[flag] for part in (flag, str(value))]
-    config = preset or _recipe_file(policy)
+    seed = ["--seed", str(run.config.seed)] if run.config.seed else []
+    config, flags = preset_of(run.config) or (_recipe_file(policy), seed)
     return shlex.join(["nnql-bullet", "train", "--config", config, *flags, "--out", str(run.folder)])
 
 
@@ -349,7 +330,7 @@ def _recipe_files(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, str]:
     return {
         _recipe_file(policy): write_toml(_departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
         for run, policy in pairs
-        if not _preset(run.config)
+        if not preset_of(run.config)
     }
 
 

@@ -1,0 +1,83 @@
+"""Which of a training's late states becomes its policy: the one that comes to the most goals in validation worlds.
+
+What an agent drives like goes up and down from one episode of its training to the next, and where it happens to end is
+no better than where it was a while before. So what it has learned is kept now and then, and in the end the last few of
+these candidates are driven greedily. That is done in the ideal twin, whatever the training drove in: in contact physics
+it would take as long as the training.
+
+The worlds are the last of the split `validation`, whose first ones figures are made of: those stay figures of worlds
+that nothing was chosen on.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+from pydantic import Field
+
+from nnql_bullet.agents import Taught
+from nnql_bullet.config import options
+from nnql_bullet.env import FleetNavigation
+from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import run_episodes
+from nnql_bullet.seeding import VALIDATION_WORLDS
+from nnql_bullet.worlds.spec import WorldSpec
+
+Candidates = dict[int, dict[str, Array]]
+"""What had been learned (`Taught.arrays`) after so many episodes, in their order."""
+
+
+@options
+class SelectionOptions:
+    """Among how many late states of a training the best is looked for, and how."""
+
+    candidates: Annotated[int, Field(ge=2)] = 8
+    """How many are tried in the end, the last state among them."""
+    every: Annotated[int, Field(ge=1)] = 50
+    """Episodes from one to the next. They do not follow the number of episodes asked for, so that a run can be stopped
+    and gone on with."""
+    worlds: tuple[str, ...] = ()
+    """Shipped worlds or TOML files to try them in, each once; by default those of the training."""
+    count: Annotated[int, Field(ge=1, le=1000)] = 100
+    """Validation worlds of each."""
+
+    @property
+    def seeds(self) -> range:
+        """Of the validation worlds."""
+        return VALIDATION_WORLDS[-self.count :]
+
+
+def keep(candidates: Candidates, episodes: int, agent: Taught, options: SelectionOptions) -> None:
+    """Takes in what the agent has learned after so many episodes, if its turn has come; the oldest may go for it."""
+    if episodes % options.every == 0:
+        candidates[episodes] = agent.arrays()
+        for old in sorted(candidates)[: -options.candidates]:
+            del candidates[old]
+
+
+def finalists(candidates: Candidates, episodes: int, agent: Taught, options: SelectionOptions) -> Candidates:
+    """The last candidates of a training that is over after so many episodes, the agent as it is now among them."""
+    known = {**candidates, episodes: agent.arrays()}
+    return {which: known[which] for which in sorted(known)[-options.candidates :]}
+
+
+def count_goals(
+    agent: Taught, candidates: Candidates, navigation: FleetNavigation, worlds: Sequence[WorldSpec]
+) -> dict[int, int]:
+    """In how many of the worlds each candidate comes to its target, driven greedily.
+
+    Args:
+        agent: Drives; what it has learned is replaced.
+        candidates: To be tried.
+        navigation: Where it drives.
+        worlds: The same for all.
+    """
+    goals = {}
+    for episodes, arrays in candidates.items():
+        agent.load(arrays)
+        goals[episodes] = sum(summary.ending == "goal" for summary in run_episodes(navigation, worlds, agent))
+    return goals
+
+
+def most_goals(goals: Mapping[int, int]) -> int:
+    """After how many episodes it came to the most goals; of equals, the later."""
+    return max(goals, key=lambda episodes: (goals[episodes], episodes))
