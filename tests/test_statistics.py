@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from nnql_bullet.evaluation.statistics import interquartile_mean, seeds_share
+from nnql_bullet.evaluation.statistics import interquartile_mean, mean_interval, seeds_share
 from nnql_bullet.geometry import Array
 
 
@@ -62,3 +62,12 @@ def test_seeds_that_all_do_alike_have_no_spread() -> None:
 def test_the_same_generator_gives_the_same_interval() -> None:
     scores = [np.linspace(0.2, 0.9, 10)]
     assert seeds_share(scores, generator()) == seeds_share(scores, generator())
+
+
+def test_an_interval_of_means_is_worked_out_place_by_place() -> None:
+    scores = np.random.default_rng(4).uniform(0, 1, (6, 3))
+    low, high = mean_interval(scores, generator())
+    chance = np.random.default_rng(5)
+    means = np.array([scores[chance.integers(6, size=6)].mean(axis=0) for _ in range(20_000)])
+    assert low == pytest.approx(np.quantile(means, 0.025, axis=0), abs=0.015)
+    assert high == pytest.approx(np.quantile(means, 0.975, axis=0), abs=0.015)

@@ -47,6 +47,8 @@ class Book:
     """Of a training, unless another number is asked for."""
     seeds: int
     """Trainings of each alternative, likewise."""
+    vehicles: int = 64
+    """That each learns from at once, likewise."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Changes to the preset that all trainings share."""
     not_varied: str = ""
@@ -256,6 +258,79 @@ _PAPER = (
 )
 
 
+_TUNED = (
+    Choice(
+        "selection",
+        "the policy is",
+        "-",
+        _alternatives(
+            ("the best of 8 late states", _DEFAULT),
+            ("the last state", {"training": {"selection": {"candidates": 1}}}),
+        ),
+    ),
+    Choice(
+        "temperature",
+        "temperature",
+        "IV",
+        _alternatives(
+            ("0.4 to 0.1", _DEFAULT),
+            ("0.8 to 0.01, as stated", _agent(temperature_max=0.8, temperature_min=0.01)),
+            ("0.2 to 0.03", _agent(temperature_max=0.2, temperature_min=0.03)),
+        ),
+    ),
+    Choice(
+        "schedule",
+        "how the temperature falls",
+        "II.E",
+        _alternatives(
+            ("exponentially, by episode 600", _DEFAULT),
+            ("linearly, by episode 1000", _agent(schedule="linear", schedule_episodes=1000)),
+        ),
+    ),
+    Choice(
+        "discount",
+        "discount",
+        "IV",
+        _alternatives(("0", _agent(discount=0.0)), ("0.15, as stated", _DEFAULT), ("0.5", _agent(discount=0.5))),
+    ),
+    Choice(
+        "cover",
+        "boxes in training",
+        "IV",
+        _alternatives(
+            ("5 % cover, as in the paper", {"world": "paper"}),
+            ("7.5 % cover", _DEFAULT),
+            ("10 % cover", {"world": "cover_10"}),
+        ),
+    ),
+    Choice(
+        "period",
+        "how long is one step",
+        "II.C",
+        _alternatives(
+            ("0.5 s", _drive(decision_period=0.5)), ("0.75 s", _DEFAULT), ("1 s", _drive(decision_period=1.0))
+        ),
+    ),
+    Choice(
+        "mirror",
+        "a step teaches its mirror image too",
+        "-",
+        _alternatives(("no", _agent(mirrored=False)), ("yes", _DEFAULT)),
+    ),
+    Choice(
+        "weights",
+        "initial weights into the hidden layer",
+        "III.B",
+        _alternatives(("within 0.6", _DEFAULT), ("within 1", _agent(hidden_weights=1.0))),
+    ),
+    Choice(
+        "vehicles",
+        "vehicles that learn at once",
+        "-",
+        _alternatives(("1", {"vehicles": 1}), ("32", _DEFAULT), ("64", {"vehicles": 64})),
+    ),
+)
+
 _UNDISTURBED = {"start_yaw": False, "noise": 0.0, "dead_sector": 0.0, "turn_scale": 0.0, "turn_noise_degrees": 0.0}
 
 _DOUBLE_DQN = (
@@ -326,6 +401,15 @@ BOOKS = {
                 "as the turn toward the target within its limits, its size, the start heading, the target's radius, "
                 "and walls that are sensed like obstacles"
             ),
+        ),
+        Book(
+            preset="tuned",
+            title="What tuned is made of",
+            tiers={"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover"},
+            choices=_TUNED,
+            episodes=1000,
+            seeds=10,
+            vehicles=32,
         ),
         Book(
             preset="double_dqn",

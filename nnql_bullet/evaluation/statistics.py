@@ -77,3 +77,17 @@ def seeds_share(scores: Sequence[Array], generator: np.random.Generator) -> Shar
     )
     interval = result.confidence_interval
     return Share(value, float(interval.low), float(interval.high))
+
+
+def mean_interval(scores: Array, generator: np.random.Generator) -> tuple[Array, Array]:
+    """Bootstrap 95 % intervals of means.
+
+    Args:
+        scores: Of each training seed, at some places (n, m).
+        generator: Of the bootstrap.
+
+    Returns:
+        Their lower and upper ends (m,).
+    """
+    result = bootstrap((scores,), np.mean, n_resamples=RESAMPLES, batch=100, method="percentile", rng=generator)
+    return np.asarray(result.confidence_interval.low), np.asarray(result.confidence_interval.high)

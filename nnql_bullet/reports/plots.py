@@ -27,15 +27,19 @@ from nnql_bullet.colours import (
     TIMEOUT,
     VEHICLE,
 )
+from nnql_bullet.evaluation.statistics import mean_interval
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at, moved
 from nnql_bullet.recording import Recording
+from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
 
 DPI = 150
 """Of pictures."""
 OUTLINE_EVERY = 4.0
 """Distance along the path from one outline of the vehicle to the next [m]."""
+BAND_PLACES = 400
+"""Along a curve, where its interval is worked out."""
 
 
 def draw_trajectory(recording: Recording, path: Path) -> None:
@@ -107,6 +111,8 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
 def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]], path: Path, window: int = 50) -> None:
     """Success while training: a line for each run and, for a recipe with several, their mean as far as all have come.
 
+    With three runs or more, a band is the bootstrap 95 % interval of that mean over training seeds.
+
     Args:
         recipes: Runs by name, by the name of what they share but for their training seed; none without an episode.
         path: Of the picture.
@@ -129,6 +135,10 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
             shortest = min(map(len, curves.values()))
             mean = np.mean([curve[:shortest] for curve in curves.values()], axis=0)
             axes.plot(np.arange(1, shortest + 1), mean, color=colour, lw=2.2, label=f"{recipe}: mean of {len(curves)}")
+        if len(curves) > 2:
+            places = np.arange(window // 4, shortest, max(1, shortest // BAND_PLACES))
+            low, high = mean_interval(np.array([curve[places] for curve in curves.values()]), rng(0, Stream.BOOTSTRAP))
+            axes.fill_between(places + 1, low, high, color=colour, alpha=0.25, lw=0)
     axes.set(ylabel="success [%]", ylim=(-2, 102), xlabel="episode", xlim=(0, None))
     axes.grid(color="#e9ecef", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)

@@ -30,8 +30,8 @@ Candidates = dict[int, dict[str, Array]]
 class SelectionOptions:
     """Among how many late states of a training the best is looked for, and how."""
 
-    candidates: Annotated[int, Field(ge=2)] = 8
-    """How many are tried in the end, the last state among them."""
+    candidates: Annotated[int, Field(ge=1)] = 8
+    """How many are tried in the end, the last state among them; 1 takes that."""
     every: Annotated[int, Field(ge=1)] = 50
     """Episodes from one to the next. They do not follow the number of episodes asked for, so that a run can be stopped
     and gone on with."""
