@@ -18,7 +18,7 @@ from nnql_bullet.agents.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation
-from nnql_bullet.evaluation.ledger import TIERS, Counts, LedgerTask, train_and_test
+from nnql_bullet.evaluation.ledger import Counts, LedgerTask, train_and_test
 from nnql_bullet.experiment import Experiment, changed, load_config
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.runs import open_policy
@@ -227,7 +227,8 @@ class TestResume:
 def test_the_ledger_tests_what_a_run_would_have_selected(whole: Path, selecting_config: Path) -> None:
     config = load_config(str(selecting_config), {"simulator": "twin", "vehicles": 3, "seed": 7, "episodes": TOTAL})
     expected = []
-    for world in TIERS:
+    tiers = ("paper", "cover_10")
+    for world in tiers:
         endings = driven(whole, world, range(4))
         expected.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
-    assert train_and_test(LedgerTask(json.dumps(to_values(config)), 0, 4)) == expected
+    assert train_and_test(LedgerTask(json.dumps(to_values(config)), 0, tiers, 4)) == expected
