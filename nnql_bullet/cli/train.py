@@ -63,7 +63,7 @@ def train(
 
     Args:
         config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the
-            same with numbers set by evidence; in the twin, 32 vehicles), q_table (a table instead of the network),
+            same with numbers set by evidence; in the twin, 64 vehicles), q_table (a table instead of the network),
             genetic (a search over its weights), double_dqn (which decides every step and keeps a map; in the twin, 64
             vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
         sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).

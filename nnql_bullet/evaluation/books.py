@@ -47,8 +47,6 @@ class Book:
     """Of a training, unless another number is asked for."""
     seeds: int
     """Trainings of each alternative, likewise."""
-    vehicles: int = 64
-    """That each learns from at once, likewise."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Changes to the preset that all trainings share."""
     not_varied: str = ""
@@ -273,18 +271,9 @@ _TUNED = (
         "temperature",
         "IV",
         _alternatives(
-            ("0.4 to 0.1", _DEFAULT),
             ("0.8 to 0.01, as stated", _agent(temperature_max=0.8, temperature_min=0.01)),
-            ("0.2 to 0.03", _agent(temperature_max=0.2, temperature_min=0.03)),
-        ),
-    ),
-    Choice(
-        "schedule",
-        "how the temperature falls",
-        "II.E",
-        _alternatives(
-            ("exponentially, by episode 600", _DEFAULT),
-            ("linearly, by episode 1000", _agent(schedule="linear", schedule_episodes=1000)),
+            ("0.8 to 0.1", _agent(temperature_max=0.8)),
+            ("0.4 to 0.1", _DEFAULT),
         ),
     ),
     Choice(
@@ -308,7 +297,26 @@ _TUNED = (
         "how long is one step",
         "II.C",
         _alternatives(
-            ("0.5 s", _drive(decision_period=0.5)), ("0.75 s", _DEFAULT), ("1 s", _drive(decision_period=1.0))
+            ("0.5 s", _drive(decision_period=0.5)),
+            ("0.6 s", _DEFAULT),
+            ("0.75 s", _drive(decision_period=0.75)),
+            ("1 s", _drive(decision_period=1.0)),
+        ),
+    ),
+    Choice(
+        "front",
+        "non-safe: front sector below",
+        "II.C",
+        _alternatives(("4.5 m", _task(front_distance=4.5)), ("5 m", _DEFAULT), ("5.5 m", _task(front_distance=5.5))),
+    ),
+    Choice(
+        "front_sides",
+        "non-safe: front sides below",
+        "II.C",
+        _alternatives(
+            ("3 m", _task(front_side_distance=3.0)),
+            ("3.5 m", _DEFAULT),
+            ("4 m", _task(front_side_distance=4.0)),
         ),
     ),
     Choice(
@@ -318,16 +326,10 @@ _TUNED = (
         _alternatives(("no", _agent(mirrored=False)), ("yes", _DEFAULT)),
     ),
     Choice(
-        "weights",
-        "initial weights into the hidden layer",
-        "III.B",
-        _alternatives(("within 0.6", _DEFAULT), ("within 1", _agent(hidden_weights=1.0))),
-    ),
-    Choice(
         "vehicles",
         "vehicles that learn at once",
         "-",
-        _alternatives(("1", {"vehicles": 1}), ("32", _DEFAULT), ("64", {"vehicles": 64})),
+        _alternatives(("1", {"vehicles": 1}), ("64", _DEFAULT)),
     ),
 )
 
@@ -408,8 +410,7 @@ BOOKS = {
             tiers={"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover"},
             choices=_TUNED,
             episodes=1000,
-            seeds=10,
-            vehicles=32,
+            seeds=5,
         ),
         Book(
             preset="double_dqn",
@@ -424,7 +425,7 @@ BOOKS = {
             },
             choices=_DOUBLE_DQN,
             episodes=4000,
-            seeds=3,
+            seeds=2,
             base=_agent(schedule_episodes=4000),
         ),
     )
