@@ -68,7 +68,6 @@ CONDITIONS = {
     "none": (),
     "the ideal twin": TWIN,
     "friction 0.5": ("--friction", "0.5"),
-    "friction 0.9": ("--friction", "0.9"),
     "payload 80 kg": ("--payload", "80"),
     "noise of 5 cm": ("--noise", "0.05"),
 }
@@ -336,7 +335,7 @@ def main() -> None:
     parser.add_argument("--twin-worlds", type=int, default=300, help="and in the twin")
     parser.add_argument("--shield-worlds", type=int, default=50, help="and in the shield")
     parser.add_argument("--condition-worlds", type=int, default=25, help="and under each condition")
-    parser.add_argument("--stage-worlds", type=int, default=50, help="validation worlds along a training")
+    parser.add_argument("--stage-worlds", type=int, default=25, help="validation worlds along a training")
     parser.add_argument("--ledger-seeds", type=int, default=10, help="trainings of each alternative of the ledger")
     parser.add_argument("--physics", default="fast", help="of the test")
     parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")

@@ -195,7 +195,7 @@ class TestResume:
 
         def advance(self: TwinFleet, *args: Any) -> Any:
             calls.append(args)
-            if len(calls) == 200:
+            if len(calls) == 20:
                 os.kill(os.getpid(), signal.SIGINT)
             return real(self, *args)
 
