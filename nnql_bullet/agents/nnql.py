@@ -38,7 +38,7 @@ class NnqlOptions(QLearningOptions):
     safe to non-safe teaches nothing; with this on, the turn toward the target counts as the nearest of the five."""
     mirrored: bool = False
     """Whether every step teaches its mirror image too, as left and right are all the same to the vehicle. The text says
-    nothing of it; to the preset `tuned` it is worth more than any other choice (`nnql-bullet ledger tuned`)."""
+    nothing of it; what it is worth to the preset `tuned` says `nnql-bullet ledger tuned`."""
     hidden_weights: Positive = 1.0
     """Initial weights into the hidden layer are uniform within +- this; all zero could not break the symmetry."""
     output_weights: Positive = 0.1
