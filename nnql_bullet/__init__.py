@@ -5,10 +5,10 @@ Importing it makes `nnql_bullet/Tricycle-v0` known to `gymnasium.make` and `gymn
 
 from gymnasium.envs.registration import register
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 register(
     id="nnql_bullet/Tricycle-v0",
-    entry_point="nnql_bullet.tricycle_env:TricycleEnv",
-    vector_entry_point="nnql_bullet.tricycle_env:TricycleVectorEnv",
+    entry_point="nnql_bullet.gym_env:TricycleEnv",
+    vector_entry_point="nnql_bullet.gym_env:TricycleVectorEnv",
 )

@@ -17,7 +17,7 @@ from nnql_bullet.task import (
     ENDINGS,
     GOES_ON,
     REWARD_TERMS,
-    Property,
+    StateProperty,
     TaskOptions,
     ending,
     readings_of,
@@ -31,7 +31,7 @@ TOWARD_TARGET = len(paper.TURNS)
 ACTIONS = len(paper.TURNS) + 1
 STOP = ACTIONS
 """Added to an action: the same turn, while the vehicle runs down to standing, and on the spot where it stands. Agents
-choose among the actions alone; these are for a driver that knows more than an agent is asked for."""
+choose among the actions alone; these are for a policy that knows more than an agent is asked for."""
 MANOEUVRES = ACTIONS + STOP
 LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], 2)
@@ -43,7 +43,7 @@ def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_beari
     return np.where(np.isnan(_TURNS[action]), toward, _TURNS[action])
 
 
-def pace(action: int | NDArray[np.int64]) -> Array:
+def speed_scale(action: int | NDArray[np.int64]) -> Array:
     """The speeds (...) that actions (...) ask for, as shares of the drive's."""
     return np.where(np.less(action, STOP), 1.0, 0.0)
 
@@ -60,7 +60,7 @@ class Observation:
     """In the vehicle frame [rad], positive to the left."""
     yaw_rate: float
     """[rad/s]"""
-    property: Property
+    state_property: StateProperty
     ray_distances: Array
     """What is behind the readings (72,) [m]. The paper's vehicle is not told: only agents that say so use it."""
 
@@ -99,17 +99,17 @@ class Navigation:
         """Carries out one decision."""
         s_tm1 = self._observation
         turn = float(heading_change(action, s_tm1.target_bearing))
-        motion = self.simulator.advance(turn, trace, float(pace(action)))
+        motion = self.simulator.advance(turn, trace, float(speed_scale(action)))
         s_t = self._observe(motion.pose, motion.yaw_rate, self.simulator.scan(), motion)
         self._steps += 1
-        terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task).tolist()
-        end = int(ending(s_t.property, self._steps, self.task))
+        terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task).tolist()
+        end = int(ending(s_t.state_property, self._steps, self.task))
         self._observation = s_t
         return Transition(
             s_tm1=s_tm1,
             a_tm1=action,
             r_t=sum(terms),
-            discount_t=float(s_t.property in (Property.SAFE, Property.NON_SAFE)),
+            discount_t=float(s_t.state_property in (StateProperty.SAFE, StateProperty.NON_SAFE)),
             s_t=s_t,
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
             ending=None if end == GOES_ON else ENDINGS[end],
@@ -118,7 +118,7 @@ class Navigation:
 
     def _observe(self, pose: Pose, yaw_rate: float, scan: Scan, motion: Motion | None) -> Observation:
         touching, at_target = (motion.touching, motion.at_target) if motion else (False, False)
-        before = self._observation.property if motion else Property.SAFE
+        before = self._observation.state_property if motion else StateProperty.SAFE
         readings = readings_of(scan.distances, self.task)
         # NumPy's functions, as for a fleet: the last bit of Python's own is another now and then.
         dx, dy = self._world.target[0] - pose.x, self._world.target[1] - pose.y
@@ -127,7 +127,7 @@ class Navigation:
             target_distance=float(np.hypot(dx, dy)),
             target_bearing=float(wrap_angle(np.arctan2(dy, dx) - pose.yaw)),
             yaw_rate=yaw_rate,
-            property=Property(int(state_property(readings, touching, at_target, self.task, before))),
+            state_property=StateProperty(int(state_property(readings, touching, at_target, self.task, before))),
             ray_distances=scan.distances,
         )
 
@@ -144,8 +144,8 @@ class Observations:
     """(n,) [rad]"""
     yaw_rate: Array
     """(n,) [rad/s]"""
-    property: NDArray[np.int64]
-    """`Property` (n,)."""
+    state_property: NDArray[np.int64]
+    """`StateProperty` (n,)."""
     ray_distances: Array
     """(n, 72) [m]"""
 
@@ -224,7 +224,7 @@ class FleetNavigation:
         self._target[vehicles] = [world.target for world in worlds.values()]
         self._steps[vehicles] = 0
         nothing = np.zeros(len(vehicles), np.bool_)
-        safe = np.full(len(vehicles), Property.SAFE)
+        safe = np.full(len(vehicles), StateProperty.SAFE)
         self._observe(vehicles, poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing, safe)
 
     def step(self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None) -> Transitions:
@@ -238,22 +238,22 @@ class FleetNavigation:
         if active is None:
             active = np.ones(self.fleet.size, np.bool_)
         turns = heading_change(actions, s_tm1.target_bearing)
-        motions, ray_distances = self.fleet.advance(turns, active, pace(actions))
+        motions, ray_distances = self.fleet.advance(turns, active, speed_scale(actions))
         m = Motions(*(getattr(motions, field.name).copy() for field in fields(Motions)))
         v = np.flatnonzero(active)
-        before = s_tm1.property[v]
+        before = s_tm1.state_property[v]
         self._observe(v, m.pose[v], m.yaw_rate[v], ray_distances[v], m.touching[v], m.at_target[v], before)
         s_t = self._observations
         self._steps += active
-        terms = reward_terms(s_tm1.property, s_t.property, s_tm1.readings, s_t.readings, self.task)
+        terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task)
         return Transitions(
             s_tm1=s_tm1,
             a_tm1=actions,
             r_t=terms.sum(axis=-1),
-            discount_t=np.where(s_t.property <= Property.NON_SAFE, 1.0, 0.0),
+            discount_t=np.where(s_t.state_property <= StateProperty.NON_SAFE, 1.0, 0.0),
             s_t=s_t,
             terms=terms,
-            ending=ending(s_t.property, self._steps, self.task),
+            ending=ending(s_t.state_property, self._steps, self.task),
             motions=m,
             active=active,
         )
@@ -276,7 +276,7 @@ class FleetNavigation:
             target_distance=np.hypot(dx, dy),
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
-            property=state_property(readings, touching, at_target, self.task, before),
+            state_property=state_property(readings, touching, at_target, self.task, before),
             ray_distances=ray_distances.copy(),
         )
         if len(vehicles) < self.fleet.size:

@@ -1,5 +1,6 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
+import copy
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass
@@ -11,33 +12,34 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, Learner, Taught, make_agent
-from nnql_bullet.agents.genetic import Genetic
-from nnql_bullet.agents.nnql import NnqlOptions
-from nnql_bullet.agents.sb3_dqn import Sb3Dqn
-from nnql_bullet.agents.shield import Shield, ShieldOptions
+from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, LearningAgent, Trainable, make_agent
+from nnql_bullet.agents.learning.genetic import Genetic
+from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
 from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import FleetNavigation, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.seeding import Stream, rng, training_world_seed
-from nnql_bullet.sim.base import DriveOptions, Fleet, Simulator
-from nnql_bullet.sim.disturbances import Disturbances, DisturbedFleet, turned
+from nnql_bullet.shield.shield import Shield, ShieldOptions
+from nnql_bullet.sim.base import Fleet, Simulator
+from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedFleet, turned
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
 from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
 from nnql_bullet.sim.local import local_fleet
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, SelectionOptions, count_goals
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import WorldSource, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
-SimulatorName = Literal[EngineName, "twin"]
+SimulatorName = Literal[EngineName, "kinematic"]
 
 PATH_MARGIN = 0.15
 """What a world's path is wider on either side than the circle around the vehicle [m]."""
@@ -60,10 +62,10 @@ PRESETS: dict[str, dict[str, Any]] = {
             "gradient_step": 1.0,  # the target of eq. (2) taken at its word
         },
     },
-    # The paper's network, turns, rewards and update, but its numbers too by evidence: `nnql-bullet ledger tuned` says
+    # The paper's network, turns, rewards and update, but its numbers too by evidence: `nnql-bullet ablate tuned` says
     # what each is worth.
     "tuned": {
-        "simulator": "twin",
+        "simulator": "kinematic",
         "vehicles": 64,
         "world": "cover_7.5",  # stated is a cover of 5 %
         "drive": {"decision_period": 0.6},
@@ -78,16 +80,16 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Another agent in the paper's place, all else being equal.
     **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
     # A search learns from whole episodes where the others learn from steps, so it is given more of them.
-    # Decides every step, and is given what that takes: the ideal vehicle, many at a time, and all kinds of worlds.
+    # Decides every step, and is given what that takes: the kinematic model, many at a time, and all kinds of worlds.
     "double_dqn": {
         "episodes": 12_000,
-        "simulator": "twin",
+        "simulator": "kinematic",
         "vehicles": 64,
         "agent": {"kind": "double_dqn"},
         "training": {
             # The hardest twice.
             "worlds": ["cover_10", "cover_15", *["cover_20"] * 2, "traps", *["aisles"] * 2, "moving"],
-            "disturbances": {
+            "domain_randomization": {
                 "start_yaw": True,
                 "noise": 0.05,
                 "dead_sector": 0.05,
@@ -108,6 +110,14 @@ TRAIN_FLAGS = {
     "vehicles": "--vehicles",
 }
 """Of `nnql-bullet train`, by the key of a configuration that each sets."""
+
+
+RENAMED_KEYS = (
+    ("training", "disturbances", "domain_randomization"),
+    ("agent", "seen_map", "grid_map"),
+    ("shield", "leads", "recovers"),
+)
+"""Keys of configurations as version 0.1 wrote them: table, key, and the key of now."""
 
 
 @options
@@ -168,7 +178,7 @@ class TrainingOptions:
 
     worlds: tuple[str, ...] = ()
     """Shipped worlds or TOML files, of which each episode takes any, in place of the run's world."""
-    disturbances: Disturbances = Disturbances()
+    domain_randomization: DomainRandomization = DomainRandomization()
     selection: SelectionOptions | None = None
     """How a late state is chosen as the policy; the last one is if this is not given."""
 
@@ -184,7 +194,7 @@ class RunConfig:
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"
-    """Contact physics in one of two engines, or the ideal vehicle."""
+    """Contact physics in one of two engines, or the kinematic model."""
     physics: PhysicsName = "fast"
     """Of contact physics."""
     vehicles: Annotated[int, Field(ge=1)] = 1
@@ -224,6 +234,18 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
 def changed(config: RunConfig, **changes: Any) -> RunConfig:
     """The configuration with nested values laid over it; None leaves what is there."""
     return parse(RunConfig, merged(to_values(config), changes), "command line")
+
+
+def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a configuration that an older version wrote, under the names of now."""
+    new = copy.deepcopy(dict(values))
+    if new.get("simulator") == "twin":
+        new["simulator"] = "kinematic"
+    for table, old, now in RENAMED_KEYS:
+        group = new.get(table)
+        if isinstance(group, dict) and old in group:
+            group[now] = group.pop(old)
+    return new
 
 
 def preset_of(config: RunConfig) -> tuple[str, list[str]] | None:
@@ -294,7 +316,7 @@ class Experiment:
         """The world of a training episode."""
         sources, seed = self._training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
-        return turned(self._drawn(source, seed), self.config.training.disturbances)
+        return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
     def _training_sources(self) -> list[WorldSource]:
@@ -304,8 +326,8 @@ class Experiment:
     def simulator(self) -> Simulator:
         """The simulator."""
         c = self.config
-        if c.simulator == "twin":
-            simulator: Simulator = TwinSimulator(self.vehicle, c.drive)
+        if c.simulator == "kinematic":
+            simulator: Simulator = KinematicSimulator(self.vehicle, c.drive)
         else:
             simulator = contact_simulator(c.simulator, c.physics, self.vehicle, c.drive)
         return FaultySimulator(simulator, c.conditions.sensors) if c.conditions.sensors.any else simulator
@@ -314,7 +336,8 @@ class Experiment:
         """As many vehicles as the configuration says.
 
         Args:
-            workers: Processes (contact physics) or threads (twin) to share them among, whatever the result; one a core
+            workers: Processes (contact physics) or threads (kinematic model) to share them among, whatever the result;
+                one a core
                 if not given.
 
         Raises:
@@ -329,13 +352,13 @@ class Experiment:
 
     def training_fleet(self, workers: int | None = None) -> Fleet:
         """The same as `fleet` gives, disturbed as training asks for."""
-        fleet, disturbances = self.fleet(workers), self.config.training.disturbances
-        return DisturbedFleet(fleet, disturbances) if disturbances.any else fleet
+        fleet, domain_randomization = self.fleet(workers), self.config.training.domain_randomization
+        return RandomizedFleet(fleet, domain_randomization) if domain_randomization.any else fleet
 
     def _sound_fleet(self, workers: int) -> Fleet:
         c, size = self.config, self.config.vehicles
-        if c.simulator == "twin":
-            return TwinFleet(self.vehicle, c.drive, size, workers)
+        if c.simulator == "kinematic":
+            return KinematicFleet(self.vehicle, c.drive, size, workers)
         make = partial(local_fleet, partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive))
         return make(size) if min(workers, size) == 1 else WorkerFleet(make, size, min(workers, size))
 
@@ -350,33 +373,33 @@ class Experiment:
         return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
-    def driver(self) -> Agent:
+    def policy(self) -> Agent:
         """What drives for good: the agent, in its shield if it has one."""
         c = self.config
         return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent
 
     @property
-    def taught(self) -> Taught:
+    def trainable(self) -> Trainable:
         """The agent as one that can be taught.
 
         Raises:
             UserError: If it is a rule.
         """
-        if not isinstance(self.agent, Taught):
+        if not isinstance(self.agent, Trainable):
             kind = self.config.agent.kind
-            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet navigate {kind}")
+            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet drive {kind}")
         return self.agent
 
     @property
-    def learner(self) -> Learner:
+    def learning_agent(self) -> LearningAgent:
         """The agent as one that learns step by step.
 
         Raises:
             UserError: If it is a rule.
         """
-        if not isinstance(self.taught, Learner):
+        if not isinstance(self.trainable, LearningAgent):
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
-        return self.taught
+        return self.trainable
 
     def trainer(self, navigation: FleetNavigation) -> Trainer:
         """What trains the agent, in the way of its kind.
@@ -384,7 +407,7 @@ class Experiment:
         Raises:
             UserError: If it is a rule, or what its training needs is not installed.
         """
-        agent, world_of, seed = self.taught, self.training_world, self.config.seed
+        agent, world_of, seed = self.trainable, self.training_world, self.config.seed
         if isinstance(agent, Genetic):
             try:
                 from nnql_bullet.training.evolution import Evolution
@@ -397,18 +420,20 @@ class Experiment:
             except ImportError:
                 raise _missing("stable-baselines3", "sb3") from None
             return DqnTraining(agent, navigation, world_of, seed)
-        return Training(self.learner, navigation, world_of, seed)
+        return Training(self.learning_agent, navigation, world_of, seed)
 
     def try_out(self, candidates: Candidates, workers: int | None = None) -> dict[int, int]:
-        """In how many of `selection_worlds` each candidate comes to its target, in the twin. The agent stays as it is.
+        """In how many of `selection_worlds` each candidate comes to its target, in the kinematic model.
+
+        The agent stays as it is.
 
         Raises:
             UserError: If there is no worker.
         """
         worlds = self.selection_worlds
-        twin = Experiment(changed(self.config, simulator="twin", vehicles=len(worlds)))
-        with closing(twin.fleet(workers)) as fleet:
-            return count_goals(twin.taught, candidates, FleetNavigation(fleet, self.config.task), worlds)
+        kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
+        with closing(kinematic.fleet(workers)) as fleet:
+            return count_goals(kinematic.trainable, candidates, FleetNavigation(fleet, self.config.task), worlds)
 
 
 def _missing(library: str, extra: str) -> UserError:

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, sin
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from nnql_bullet.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class OrientedBox:
         return np.asarray(scaled @ np.array([[c, s], [-s, c]]) + (self.x, self.y))
 
 
-@numba.njit(cache=True)
+@njit()
 def wrap_angle(angle: float) -> float:
     """The same direction in (-pi, pi]."""
     wrapped = pi - (pi - angle) % (2.0 * pi)
@@ -83,7 +84,7 @@ def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
     return np.array(rows, dtype=np.float64).reshape(len(rows), 6)
 
 
-@numba.njit(cache=True)
+@njit()
 def squared_distance(x: float, y: float, box: Array) -> float:
     """Squared distance [m2] from the point (x, y) to the filled box of a row (6,) of `as_rows`; 0 inside."""
     dx, dy = x - box[0], y - box[1]
@@ -92,7 +93,7 @@ def squared_distance(x: float, y: float, box: Array) -> float:
     return float(along * along + across * across)
 
 
-@numba.njit(cache=True)
+@njit()
 def _corners_to_box(a: Array, b: Array) -> float:
     """Smallest squared distance from a corner of row `a` to the filled box of row `b`."""
     closest = np.inf
@@ -104,7 +105,7 @@ def _corners_to_box(a: Array, b: Array) -> float:
     return closest
 
 
-@numba.njit(cache=True)
+@njit()
 def _overlap_along_axes_of(a: Array, b: Array) -> bool:
     """Whether the projections on both axes of row `a` overlap (one half of the separating-axis test)."""
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -114,7 +115,7 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
     return bool(along and across)
 
 
-@numba.njit(cache=True)
+@njit()
 def clearance(footprint: Array, boxes: Array) -> float:
     """Distance [m] from one box to the nearest of several; 0 where they overlap, infinite where there are none.
 
@@ -137,7 +138,7 @@ def clearance(footprint: Array, boxes: Array) -> float:
     return closest
 
 
-@numba.njit(cache=True)
+@njit()
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
     """`clearance` of a footprint, a row (6,) in the vehicle's frame, with the vehicle at x, y [m] and yaw [rad]."""
     c, s = np.cos(yaw), np.sin(yaw)
@@ -149,7 +150,7 @@ def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array)
         c * footprint[4] - s * footprint[5],
         s * footprint[4] + c * footprint[5],
     )
-    return float(clearance(row, boxes))
+    return float(clearance(row, boxes))  # type: ignore[arg-type]
 
 
 def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sensor_range: float) -> Array:

@@ -17,7 +17,7 @@ from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import overruled
+from nnql_bullet.rollout import overridden
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.payload import urdf_text
@@ -50,7 +50,7 @@ class Recording:
     """Of the five turns (n, 5); NaN where the agent did not ask itself."""
     action: NDArray[np.int64]
     """(n,), `env.STOP` and more where the vehicle was to stop."""
-    overruled: NDArray[np.bool_]
+    overridden: NDArray[np.bool_]
     """Where a shield took the decision in the agent's place (n,)."""
     heading_command: Array
     """Heading change asked for (n,) [rad]."""
@@ -128,7 +128,9 @@ def load_recording(path: Path) -> Recording:
         about = json.loads(str(arrays.pop("about")))
         if about.pop("format") != FORMAT:
             raise ValueError("another format")
-        arrays.setdefault("overruled", np.zeros(arrays["action"].shape, np.bool_))  # older recordings know no shield
+        if "overruled" in arrays:  # the name in version 0.1
+            arrays["overridden"] = arrays.pop("overruled")
+        arrays.setdefault("overridden", np.zeros(arrays["action"].shape, np.bool_))  # older recordings know no shield
         return Recording(about=about, **arrays)
     except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them into
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -144,21 +146,21 @@ class Recorder:
         self._agent = agent
         self._steps: list[Transition] = []
         self._values: list[Array] = []
-        self._overruled: list[bool] = []
+        self._overridden: list[bool] = []
 
-    def begin(self, world: WorldSpec, observation: Observation) -> None:
+    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
         self._world = world
         self._first = observation
         self.trace.clear()
         self._steps.clear()
         self._values = [self._expected(observation)]
-        self._overruled.clear()
+        self._overridden.clear()
 
-    def see(self, transition: Transition) -> None:
+    def on_step(self, transition: Transition) -> None:
         """One step."""
         self._steps.append(transition)
-        self._overruled.append(bool(overruled(self._agent, 1)[0]))
+        self._overridden.append(bool(overridden(self._agent, 1)[0]))
         if transition.ending is None:
             self._values.append(self._expected(transition.s_t))
 
@@ -191,10 +193,10 @@ class Recorder:
             state_pose=_poses(poses),
             readings=np.array([observation.readings for observation in observations]),
             ray_distances=np.array([observation.ray_distances for observation in observations]),
-            state_property=np.array([observation.property.label for observation in observations]),
+            state_property=np.array([observation.state_property.label for observation in observations]),
             q_values=np.array(self._values[: len(steps)]),
             action=np.array([step.a_tm1 for step in steps]),
-            overruled=np.array(self._overruled),
+            overridden=np.array(self._overridden),
             heading_command=heading_change(
                 [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]
             ),

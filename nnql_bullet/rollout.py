@@ -19,44 +19,44 @@ from nnql_bullet.env import (
 )
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.local import as_motions
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, Property
+from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 
-class Driver(Protocol):
+class Policy(Protocol):
     """Decides for vehicles, of which it may remember what it saw and did. Every agent is one."""
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """The actions (n,) that it holds best for vehicles 0 to n - 1."""
 
 
 @runtime_checkable
-class Overruling(Protocol):
-    """A driver that takes decisions in an agent's place, as a shield does."""
+class Overriding(Protocol):
+    """A policy that takes decisions in an agent's place, as a shield does."""
 
-    overruled: NDArray[np.bool_]
+    overridden: NDArray[np.bool_]
     """Of which vehicles the last decision was not the agent's (n,)."""
 
 
-def overruled(driver: Driver, size: int) -> NDArray[np.bool_]:
+def overridden(policy: Policy, size: int) -> NDArray[np.bool_]:
     """Of which of so many vehicles the last decision was not the agent's (n,): of none without a shield."""
-    return driver.overruled if isinstance(driver, Overruling) else np.zeros(size, np.bool_)
+    return policy.overridden if isinstance(policy, Overriding) else np.zeros(size, np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
 class Reflex:
-    """A driver that remembers nothing."""
+    """A policy that remembers nothing."""
 
     policy: Callable[[Observations], NDArray[np.int64]]
     """Actions (n,) for what n vehicles see."""
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """There is nothing to forget."""
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """What the policy says."""
         return self.policy(observations)
 
@@ -87,7 +87,7 @@ class EpisodeSummary:
     """Sum of rewards, not discounted."""
     terms: dict[str, float]
     """Sum of each reward term."""
-    overruled_steps: int = 0
+    overridden_steps: int = 0
     """Decisions that a shield took in its agent's place."""
     stop_steps: int = 0
     """Decisions to brake, to stand or to turn on the spot."""
@@ -106,7 +106,7 @@ class Tally:
         self._world_seed = np.zeros(size, np.int64)
         self._ending = np.full(size, GOES_ON)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
-        self._overruled, self._stops, self._standing = (
+        self._overridden, self._stops, self._standing = (
             np.zeros(size, np.int64),
             np.zeros(size, np.int64),
             np.zeros(size),
@@ -126,33 +126,33 @@ class Tally:
         """Whose episodes have ended (n,)."""
         return np.asarray(self._ending != GOES_ON)
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """A new episode of one vehicle."""
         self._world_seed[vehicle] = world_seed
         self._ending[vehicle] = GOES_ON
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
-            *(self._overruled, self._stops, self._standing),
+            *(self._overridden, self._stops, self._standing),
         ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
 
-    def add(self, transitions: Transitions, overruled: NDArray[np.bool_] | None = None) -> None:
+    def add(self, transitions: Transitions, overridden: NDArray[np.bool_] | None = None) -> None:
         """One step of those vehicles that took one.
 
         Args:
             transitions: Of n vehicles.
-            overruled: Of which vehicles a shield took the decision (n,); of none if it is not given.
+            overridden: Of which vehicles a shield took the decision (n,); of none if it is not given.
         """
         t, on = transitions, transitions.active
-        if overruled is not None:
-            self._overruled += on & overruled
+        if overridden is not None:
+            self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP)
         self._standing[on] += np.where(t.motions.path_length[on] < STANDS, t.motions.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
-        self._non_safe += on & (t.s_tm1.property == Property.NON_SAFE)
+        self._non_safe += on & (t.s_tm1.state_property == StateProperty.NON_SAFE)
         self._duration[on] += t.motions.duration[on]
         self._path_length[on] += t.motions.path_length[on]
         self._squared_errors[on] += t.motions.heading_error[on] ** 2
@@ -179,7 +179,7 @@ class Tally:
             non_safe_steps=int(self._non_safe[v]),
             episode_return=sum(terms),
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
-            overruled_steps=int(self._overruled[v]),
+            overridden_steps=int(self._overridden[v]),
             stop_steps=int(self._stops[v]),
             standing_time=float(self._standing[v]),
         )
@@ -192,52 +192,52 @@ class Watcher(Protocol):
     def trace(self) -> list[Sample] | None:
         """Where samples between decisions go, if they are wanted."""
 
-    def begin(self, world: WorldSpec, observation: Observation) -> None:
+    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
         """The start of the episode."""
 
-    def see(self, transition: Transition) -> None:
+    def on_step(self, transition: Transition) -> None:
         """One step."""
 
 
 def run_episode(
-    navigation: Navigation, world: WorldSpec, driver: Driver, watcher: Watcher | None = None
+    navigation: Navigation, world: WorldSpec, policy: Policy, watcher: Watcher | None = None
 ) -> EpisodeSummary:
     """Drives one vehicle through one episode.
 
     Args:
         navigation: The environment.
         world: Where.
-        driver: Chooses the actions.
+        policy: Chooses the actions.
         watcher: Is shown each step.
     """
     observation = navigation.reset(world)
-    driver.begin(0, world.seed)
+    policy.reset(0, world.seed)
     if watcher:
-        watcher.begin(world, observation)
+        watcher.on_reset(world, observation)
     tally = Tally(1)
-    tally.begin(0, world.seed)
+    tally.reset(0, world.seed)
     while not tally.over[0]:
-        action = int(driver.exploit(stacked([observation]))[0])
+        action = int(policy.act(stacked([observation]))[0])
         transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
-            watcher.see(transition)
-        tally.add(_alone(transition), overruled(driver, 1))
+            watcher.on_step(transition)
+        tally.add(_alone(transition), overridden(policy, 1))
         observation = transition.s_t
     return tally.summary(0)
 
 
-def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], driver: Driver) -> list[EpisodeSummary]:
+def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy) -> list[EpisodeSummary]:
     """Drives an episode in each world, as many at a time as there are vehicles.
 
     Returns:
         What they came to, in the order of `worlds`.
     """
-    summaries = dict(finished_episodes(navigation, worlds, driver))
+    summaries = dict(finished_episodes(navigation, worlds, policy))
     return [summaries[i] for i in range(len(worlds))]
 
 
 def finished_episodes(
-    navigation: FleetNavigation, worlds: Sequence[WorldSpec], driver: Driver
+    navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy
 ) -> Iterator[tuple[int, EpisodeSummary]]:
     """Drives an episode in each world, as many at a time as there are vehicles; they begin in the order of `worlds`.
 
@@ -255,14 +255,14 @@ def finished_episodes(
             place[vehicle] = next(waiting, -1)
         begun = {vehicle: worlds[place[vehicle]] for vehicle in free if place[vehicle] >= 0}
         for vehicle, world in begun.items():
-            tally.begin(vehicle, world.seed)
-            driver.begin(vehicle, world.seed)
+            tally.reset(vehicle, world.seed)
+            policy.reset(vehicle, world.seed)
         navigation.reset(begun)
         active = place >= 0
         if not active.any():
             return
-        actions = driver.exploit(navigation.observations)
-        tally.add(navigation.step(actions, active), overruled(driver, n))
+        actions = policy.act(navigation.observations)
+        tally.add(navigation.step(actions, active), overridden(policy, n))
 
 
 def _alone(t: Transition) -> Transitions:

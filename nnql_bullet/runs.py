@@ -4,7 +4,7 @@
 - episodes.csv: a line for each finished episode
 - checkpoint.safetensors: what the agent has learned after the last line of episodes.csv, and what was under way then;
   with a selection (`training/selection.py`) the candidates too
-- policy.safetensors: what the agent has learned, for `navigate`: the last of it, or what was selected in the end
+- policy.safetensors: what the agent has learned, for `drive`: the last of it, or what was selected in the end
 - selection.csv: with a selection, how the candidates did, once the training is over
 - learning_curve.png: drawn when the training stops
 """
@@ -19,10 +19,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from nnql_bullet import __version__, assets
-from nnql_bullet.agents import RULES, Taught
+from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
+from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config, migrated
 from nnql_bullet.files import write_text
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.task import REWARD_TERMS
@@ -72,7 +72,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
 
-    def save(self, agent: Taught, training: Trainer) -> None:
+    def save(self, agent: Trainable, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
         What was selected before is no longer the policy then.
@@ -82,8 +82,8 @@ class Run:
         """
         (self.folder / SELECTION).unlink(missing_ok=True)
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
-        config, done, learned = to_values(self.config), len(self.episodes), agent.arrays()
-        under_way = {_UNDER_WAY + name: values for name, values in training.arrays().items()}
+        config, done, learned = to_values(self.config), len(self.episodes), agent.state_dict()
+        under_way = {_UNDER_WAY + name: values for name, values in training.state_dict().items()}
         candidates = {
             f"{_CANDIDATE}{episodes}/{name}": values
             for episodes, arrays in self.candidates.items()
@@ -144,8 +144,8 @@ def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, i
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
     weights = load_weights(path)
-    experiment = Experiment(changed(parse(RunConfig, weights.config, str(path)), **changes))
-    experiment.taught.load(weights.arrays)
+    experiment = Experiment(changed(parse(RunConfig, migrated(weights.config), str(path)), **changes))
+    experiment.trainable.load_state_dict(weights.arrays)
     return experiment, weights.episodes
 
 
@@ -153,7 +153,7 @@ def drives_folder(policy: Path) -> Path:
     """Where drives of what `open_policy` takes are kept: with its run, or under its name in runs/ if it has none."""
     named = _is_configured(policy) or _is_shipped(policy)
     home = Path("runs") / policy.stem if named else policy if policy.is_dir() else policy.parent
-    return home / "navigate"
+    return home / "drives"
 
 
 def _is_shipped(policy: Path) -> bool:
@@ -171,9 +171,9 @@ class State:
     """What a checkpoint holds."""
 
     learned: dict[str, NDArray[Any]]
-    """For `Taught.load`."""
+    """For `Trainable.load_state_dict`."""
     under_way: dict[str, NDArray[Any]]
-    """For `Trainer.load`."""
+    """For `Trainer.load_state_dict`."""
 
 
 def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
@@ -188,14 +188,14 @@ def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
     """
     if not (folder / CONFIG).is_file():
         raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that 'train' wrote")
-    config = parse(RunConfig, read_toml(folder / CONFIG), str(folder / CONFIG))
+    config = parse(RunConfig, migrated(read_toml(folder / CONFIG)), str(folder / CONFIG))
     rows: list[TrainingEpisode] = []
     state: State | None = None
     candidates: Candidates = {}
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
-        trained = parse(RunConfig, weights.config, str(folder / CHECKPOINT))
+        trained = parse(RunConfig, migrated(weights.config), str(folder / CHECKPOINT))
         same = replace(trained, episodes=config.episodes) == config
         if not same or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")

@@ -21,7 +21,7 @@ class Stream(IntEnum):
     CHANCE = 7
     REPLAY = 8
     MIX = 9
-    DISTURBANCE = 10
+    DOMAIN_RANDOMIZATION = 10
 
 
 VALIDATION_WORLDS = range(0, 100_000)

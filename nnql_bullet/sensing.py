@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
 
 RAYS_PER_SECTOR = 9
 RAYS = paper.SECTORS * RAYS_PER_SECTOR
@@ -46,7 +46,7 @@ def sector_readings(distances: Array) -> Array:
     return nearest.reshape(*distances.shape[:-1], paper.SECTORS)
 
 
-@numba.njit(cache=True)
+@njit()
 def _nearest(distances: Array) -> Array:
     """The smallest of each row (m,); NumPy takes ten times as long over short rows."""
     nearest = np.empty(len(distances))

@@ -21,7 +21,7 @@ Events = bool | NDArray[np.bool_]
 Distance = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
 
 
-class Property(IntEnum):
+class StateProperty(IntEnum):
     """The state property (II.C)."""
 
     SAFE = 0
@@ -51,9 +51,9 @@ class TaskOptions:
     """What the paper leaves open about states, rewards and endings."""
 
     front_distance: Distance = 5.0
-    """A state is non-safe with the front sector below this [m]. Success of NNQL at 10 % cover (twin, validation worlds,
-    4 seeds), with the front-side distance beside it: 5 and 3.5 m gave 74 %, 4 and 3.5 m 73 %, 6 and 4 m 64 %, 7 and
-    3.5 m 56 %."""
+    """A state is non-safe with the front sector below this [m]. Success of NNQL at 10 % cover (kinematic model,
+    validation worlds, 4 seeds), with the front-side distance beside it: 5 and 3.5 m gave 74 %, 4 and 3.5 m 73 %, 6 and
+    4 m 64 %, 7 and 3.5 m 56 %."""
     front_side_distance: Distance = 3.5
     """... or one of the sectors at +-45 degrees below this [m]. On this vehicle, whose yaw rate takes time to build up,
     2.5 / 3.5 m gave 95 / 97 % at 5 % and 68 / 74 % at 10 % cover (NNQL), 97 / 99 % and 82 / 88 % (a hand rule that
@@ -99,32 +99,34 @@ def readings_of(ray_distances: Array, task: TaskOptions) -> Array:
     return middle_readings(ray_distances) if task.sector_reading == "middle" else sector_readings(ray_distances)
 
 
-def is_safe(readings: Array, task: TaskOptions, before: Properties = Property.SAFE) -> NDArray[np.bool_]:
+def is_safe(readings: Array, task: TaskOptions, before: Properties = StateProperty.SAFE) -> NDArray[np.bool_]:
     """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...).
 
     Args:
         readings: [m]
         task: Says below what a reading is not.
-        before: `Property` (...) of the states before, for the hysteresis.
+        before: `StateProperty` (...) of the states before, for the hysteresis.
     """
-    raised = task.hysteresis * np.equal(before, Property.NON_SAFE)[..., None]
+    raised = task.hysteresis * np.equal(before, StateProperty.NON_SAFE)[..., None]
     return np.asarray((readings >= np.where(task.thresholds > 0, task.thresholds + raised, 0.0)).all(axis=-1))
 
 
-_PROPERTY = np.array([[Property.NON_SAFE, Property.SAFE], [Property.WINNING] * 2, [Property.FAILURE] * 2])
+_PROPERTY = np.array(
+    [[StateProperty.NON_SAFE, StateProperty.SAFE], [StateProperty.WINNING] * 2, [StateProperty.FAILURE] * 2]
+)
 
 
 def state_property(
-    readings: Array, touching: Events, at_target: Events, task: TaskOptions, before: Properties = Property.SAFE
+    readings: Array, touching: Events, at_target: Events, task: TaskOptions, before: Properties = StateProperty.SAFE
 ) -> NDArray[np.int64]:
-    """`Property` (...) of states with these readings (..., 8) [m] and these events (...) on the way there.
+    """`StateProperty` (...) of states with these readings (..., 8) [m] and these events (...) on the way there.
 
     Args:
         readings: [m]
         touching: Whether an obstacle or wall was touched.
         at_target: Whether the target was reached.
         task: Says what is safe.
-        before: `Property` (...) of the states that they come from; that of a start is as good as safe.
+        before: `StateProperty` (...) of the states that they come from; that of a start is as good as safe.
     """
     event = np.maximum(np.multiply(touching, 2), at_target)
     return np.asarray(_PROPERTY[event, is_safe(readings, task, before).astype(np.int64)])

@@ -27,9 +27,9 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     # Not at the top: worker processes import this file again, and would carry along all that these need.
     from benchmarks.contact import contact_over_bare
     from benchmarks.floor import fast_over_floor
+    from benchmarks.kinematic import kinematic_steps_per_second
     from benchmarks.rendering import film_over_bare
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
-    from benchmarks.twin import twin_steps_per_second
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
     from nnql_bullet.sim.bullet_scene import works
@@ -47,13 +47,13 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             "speed of two worker processes over one's",
             lambda: two_workers_over_one(*(4, 3) if quick else (30, 4)),
         ),
-        "twin_steps_per_second": (
-            f"twin, control steps a second on {CORES} cores, 72 rays, about 40 boxes",
-            lambda: twin_steps_per_second(CORES, 2.0 if quick else 10.0),
+        "kinematic_steps_per_second": (
+            f"kinematic model, control steps a second on {CORES} cores, 72 rays, about 40 boxes",
+            lambda: kinematic_steps_per_second(CORES, 2.0 if quick else 10.0),
         ),
-        "paper_training_twin_s": (
-            f"1000 paper episodes in the twin, {VEHICLES} vehicles [s]",
-            lambda: paper_training_s("twin", CORES),
+        "paper_training_kinematic_s": (
+            f"1000 paper episodes in the kinematic model, {VEHICLES} vehicles [s]",
+            lambda: paper_training_s("kinematic", CORES),
         ),
         "paper_training_contact_s": (
             f"1000 paper episodes in contact physics, {VEHICLES} vehicles [s]",
@@ -73,7 +73,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
         "simulator_mb": ("memory of one contact simulator process [MB]", simulator_mb),
     }
     if quick:
-        del table["paper_training_twin_s"], table["paper_training_contact_s"]
+        del table["paper_training_kinematic_s"], table["paper_training_contact_s"]
     return table
 
 

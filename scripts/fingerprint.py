@@ -41,23 +41,23 @@ _SMALL_SEARCH = {"kind": "genetic", "population": 8, "worlds": 2, "elites": 2}
 _SMALL_DQN = {"kind": "double_dqn", "learning_starts": 400, "batch_size": 64, "exploration_episodes": 30}
 _FEW = {"worlds": ["cover_10"], "candidates": 2, "every": 10, "count": 5}
 TRAININGS: dict[str, tuple[str, dict[str, Any]]] = {
-    "paper, kinematic, 1": ("paper", {"simulator": "twin", "episodes": 40}),
-    "paper, kinematic, 16": ("paper", {"simulator": "twin", "vehicles": 16, "episodes": 60}),
+    "paper, kinematic, 1": ("paper", {"simulator": "kinematic", "episodes": 40}),
+    "paper, kinematic, 16": ("paper", {"simulator": "kinematic", "vehicles": 16, "episodes": 60}),
     "paper, bullet, 1": ("paper", {"simulator": "bullet", "episodes": 5}),
     "paper, bullet, 4": ("paper", {"simulator": "bullet", "vehicles": 4, "episodes": 8}),
     "paper, mujoco, 2": ("paper", {"simulator": "mujoco", "vehicles": 2, "episodes": 4}),
-    "literal, kinematic, 16": ("literal", {"simulator": "twin", "vehicles": 16, "episodes": 40}),
+    "literal, kinematic, 16": ("literal", {"simulator": "kinematic", "vehicles": 16, "episodes": 40}),
     "tuned, kinematic, 64": ("tuned", {"episodes": 100, "training": {"selection": _FEW}}),
     "tuned, bullet, 4": (
         "tuned",
         {"simulator": "bullet", "vehicles": 4, "episodes": 8, "training": {"selection": _FEW}},
     ),
-    "q_table, kinematic, 1": ("q_table", {"simulator": "twin", "episodes": 40}),
-    "q_table, kinematic, 16": ("q_table", {"simulator": "twin", "vehicles": 16, "episodes": 60}),
+    "q_table, kinematic, 1": ("q_table", {"simulator": "kinematic", "episodes": 40}),
+    "q_table, kinematic, 16": ("q_table", {"simulator": "kinematic", "vehicles": 16, "episodes": 60}),
     "q_table, bullet, 4": ("q_table", {"simulator": "bullet", "vehicles": 4, "episodes": 8}),
     "genetic, kinematic, 16": (
         "genetic",
-        {"simulator": "twin", "vehicles": 16, "episodes": 40, "agent": _SMALL_SEARCH},
+        {"simulator": "kinematic", "vehicles": 16, "episodes": 40, "agent": _SMALL_SEARCH},
     ),
     "genetic, bullet, 4": ("genetic", {"simulator": "bullet", "vehicles": 4, "episodes": 16, "agent": _SMALL_SEARCH}),
     "double_dqn, kinematic, 16": ("double_dqn", {"vehicles": 16, "episodes": 32, "agent": _SMALL_DQN}),
@@ -65,7 +65,7 @@ TRAININGS: dict[str, tuple[str, dict[str, Any]]] = {
         "double_dqn",
         {"simulator": "bullet", "vehicles": 4, "episodes": 6, "agent": {**_SMALL_DQN, "learning_starts": 100}},
     ),
-    "sb3_dqn, kinematic, 8": ("sb3_dqn", {"simulator": "twin", "vehicles": 8, "episodes": 16}),
+    "sb3_dqn, kinematic, 8": ("sb3_dqn", {"simulator": "kinematic", "vehicles": 8, "episodes": 16}),
 }
 
 
@@ -128,7 +128,7 @@ class Case:
     policy: str
     worlds: tuple[str, ...]
     seeds: range
-    simulator: str = "twin"
+    simulator: str = "kinematic"
     physics: str = "fast"
     shield: bool = False
     conditions: str = "plain"
@@ -143,10 +143,9 @@ class Case:
     @property
     def name(self) -> str:
         """In the file of hashes."""
-        simulator = "kinematic" if self.simulator == "twin" else self.simulator
         shield = "shield" if self.shield else "bare"
         return ", ".join(
-            (self.policy, simulator, self.conditions, shield, self.worlds[0] if len(self.worlds) == 1 else "all")
+            (self.policy, self.simulator, self.conditions, shield, self.worlds[0] if len(self.worlds) == 1 else "all")
         )
 
 
@@ -179,12 +178,12 @@ def _driven(case: Case) -> str:
         changes = {"world": world, "vehicles": len(case.seeds), **case.changes}
         experiment, _ = open_policy(Path(case.policy), changes)
         worlds = [experiment.world(seed) for seed in case.seeds]
-        if case.simulator == "twin":
+        if case.simulator == "kinematic":
             with closing(experiment.fleet(1)) as fleet:
                 navigation = FleetNavigation(fleet, experiment.config.task)
-                summaries = run_episodes(navigation, worlds, experiment.driver)
+                summaries = run_episodes(navigation, worlds, experiment.policy)
         else:
-            summaries = [run_episode(experiment.navigation, one, experiment.driver) for one in worlds]
+            summaries = [run_episode(experiment.navigation, one, experiment.policy) for one in worlds]
             experiment.simulator.close()
         # Renamed since: the hash is of numbers and endings, in the order of the record's fields.
         total.add([list(asdict(summary).values()) for summary in summaries])
@@ -193,7 +192,7 @@ def _driven(case: Case) -> str:
 
 def recordings(quick: bool) -> Iterable[tuple[str, str]]:
     """One drive a simulator, step by step."""
-    for simulator, shield in product(("twin", "bullet", "mujoco"), (False, True)):
+    for simulator, shield in product(("kinematic", "bullet", "mujoco"), (False, True)):
         case = Case("tuned", ("moving",), range(1), simulator, "fast", shield, "worn")
         yield case.name, _recorded(case)
 
@@ -212,7 +211,7 @@ def environments(quick: bool) -> Iterable[tuple[str, str]]:
 
     import nnql_bullet  # noqa: F401 (registers them)
 
-    for simulator in ("twin", "bullet"):
+    for simulator in ("kinematic", "bullet"):
         actions = np.random.Generator(np.random.PCG64(0))
         env = gymnasium.make("nnql_bullet/Tricycle-v0", config="paper", simulator=simulator, disable_env_checker=True)
         total = Hash()
@@ -224,14 +223,14 @@ def environments(quick: bool) -> Iterable[tuple[str, str]]:
                 if terminated or truncated:
                     break
         env.close()
-        yield f"single, {'kinematic' if simulator == 'twin' else simulator}", total.text
+        yield f"single, {simulator}", total.text
         several = gymnasium.make_vec("nnql_bullet/Tricycle-v0", num_envs=3, config="paper", simulator=simulator)
         total = Hash().add(several.reset(seed=5)[0])
         for _ in range(120):
             seen, reward, terminated, truncated, _ = several.step(actions.integers(6, size=3))
             total.add([seen, reward, terminated, truncated])
         several.close()
-        yield f"vector, {'kinematic' if simulator == 'twin' else simulator}", total.text
+        yield f"vector, {simulator}", total.text
 
 
 def fidelity(quick: bool) -> Iterable[tuple[str, str]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from nnql_bullet import __version__, paper
-from nnql_bullet.agents.straight import Straight
+from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.env import FleetNavigation, Navigation, Transitions, heading_change
 from nnql_bullet.experiment import Experiment, load_config
@@ -63,9 +63,9 @@ class Told:
         self._waiting = iter(decisions)
         self.reset, self.pose, self.scan = simulator.reset, simulator.pose, simulator.scan
 
-    def advance(self, _: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
+    def advance(self, _: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
         """Drives one control period."""
-        return self._simulator.advance(next(self._waiting)[1], trace, pace)
+        return self._simulator.advance(next(self._waiting)[1], trace, speed_scale)
 
 
 def train(folder: Path, seed: int) -> None:
@@ -79,10 +79,10 @@ def train(folder: Path, seed: int) -> None:
     with closing(Experiment(config).fleet(workers=1)) as fleet:
         experiment = Experiment(config)
         navigation = Noting(fleet, config.task)
-        learner, training = experiment.taught, experiment.trainer(navigation)
+        learner, training = experiment.trainable, experiment.trainer(navigation)
         if state:
-            learner.load(state.learned)
-            training.load(state.under_way)
+            learner.load_state_dict(state.learned)
+            training.load_state_dict(state.under_way)
         episodes = zip(range(len(run.episodes), config.episodes), training.episodes(), strict=False)
         for _, episode in track(episodes, "training", total=config.episodes, completed=len(run.episodes)):
             run.episodes.append(episode)
@@ -107,16 +107,16 @@ def record(
         RuntimeError: If that is another drive.
     """
     waiting = iter(decisions)
-    driver = Reflex(lambda observations: np.array([next(waiting)[0]]))
+    policy = Reflex(lambda observations: np.array([next(waiting)[0]]))
     navigation = Navigation(Told(experiment.simulator, decisions), experiment.config.task)
     recorder = Recorder(experiment.vehicle, Straight())  # what the network thought of the turns changed at every step
-    if run_episode(navigation, world, driver, watcher=recorder) != summary:
+    if run_episode(navigation, world, policy, watcher=recorder) != summary:
         raise RuntimeError(f"world {world.seed}: the drive is not repeated; report this with your machine's name")
     return recorder.recording(version=__version__)
 
 
-def navigate(folder: Path, file: str, seed: int) -> Recording:
-    """Drives what was learned, greedily, as `nnql-bullet navigate` does."""
+def drive(folder: Path, file: str, seed: int) -> Recording:
+    """Drives what was learned, greedily, as `nnql-bullet drive` does."""
     experiment, _ = open_policy(folder, {"world": file, "physics": "reference"})
     recorder = Recorder(experiment.vehicle, experiment.agent)
     run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
@@ -206,7 +206,7 @@ def main() -> None:
         train(folder, a.seed)
     for file, seed in NEW:
         if not film(folder, f"{file}-{seed}").exists():
-            navigate(folder, file, seed).save(film(folder, f"{file}-{seed}"))
+            drive(folder, file, seed).save(film(folder, f"{file}-{seed}"))
     training = [load_recording(film(folder, number)) for number in TRAINING]
     draw(training, [load_recording(film(folder, f"{file}-{seed}")) for file, seed in NEW], a.out)
     print(a.out)

@@ -1,8 +1,8 @@
 """Trains every method over its seeds, drives all of them and every rule through the test worlds, and fills results/.
 
-Everything is tested on the split `test`, which nothing is chosen on: in contact physics, in the twin through more of
-the same worlds, in a shield, and under conditions that nothing was trained with. The ledgers of choices are a part of
-it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
+Everything is tested on the split `test`, which nothing is chosen on: in contact physics, in the kinematic model through
+more of the same worlds, in a shield, and under conditions that nothing was trained with. The ablations of choices are a
+part of it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
 
     python scripts/results.py                    # as in the README
     python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
@@ -30,7 +30,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.training.base import TrainingEpisode
 
-TWIN = ("--sim", "twin")
+KINEMATIC = ("--sim", "kinematic")
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Method:
     preset: str
     seeds: int
     """Trainings."""
-    flags: tuple[str, ...] = TWIN
+    flags: tuple[str, ...] = KINEMATIC
     """What else `train` is told."""
     stages: tuple[int, ...] = ()
     """Episodes after which it is looked at on the way."""
@@ -52,12 +52,12 @@ METHODS = {
     "tuned": Method("tuned", 10),
     "tuned_contact": Method("tuned", 3, ("--sim", "bullet")),
     "q_table": Method("q_table", 5),
-    "genetic": Method("genetic", 5, (*TWIN, "--vehicles", "200")),  # that changes nothing but the time
-    "sb3_dqn": Method("sb3_dqn", 1, (*TWIN, "--vehicles", "16")),
+    "genetic": Method("genetic", 5, (*KINEMATIC, "--vehicles", "200")),  # that changes nothing but the time
+    "sb3_dqn": Method("sb3_dqn", 1, (*KINEMATIC, "--vehicles", "16")),
     "double_dqn": Method("double_dqn", 5, stages=(500, 1000, 1500, 2000, 3000, 4500, 6000, 8000, 10_000)),
 }
 LEARNING_FROM_STEPS = ("paper", "tuned", "q_table", "sb3_dqn")
-"""Whose success while they explore is drawn."""
+"""Whose success while they act_exploring is drawn."""
 COVERS = ("--cover", "5,10,15,20")
 HARD = ("--world", "traps,aisles,moving")
 HARD_SEEDS = 2
@@ -66,7 +66,7 @@ SHIELDED_RULES = ("straight", "hand_rule")
 """That success in a shield is held against."""
 CONDITIONS = {
     "none": (),
-    "the ideal twin": TWIN,
+    "the kinematic model": KINEMATIC,
     "friction 0.5": ("--friction", "0.5"),
     "payload 80 kg": ("--payload", "80"),
     "noise of 5 cm": ("--noise", "0.05"),
@@ -75,15 +75,15 @@ CONDITIONS = {
 CONDITION_COVERS = ("--cover", "5,10,15")
 DEAD_SECTORS = (0, 1)
 """One at a time, untold, in the shield."""
-STAGE_WORLDS = ("--cover", "10,20", *HARD, "--split", "validation", *TWIN)
-PARTS = ("ledgers", "covers", "hard", "twin", "shield", "conditions", "learning")
+STAGE_WORLDS = ("--cover", "10,20", *HARD, "--split", "validation", *KINEMATIC)
+PARTS = ("ablations", "covers", "hard", "kinematic", "shield", "conditions", "learning")
 """Methods of `Results`, in the order in which they are called."""
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
 """Files of a report that go into results/."""
 DOUBLE_DQN_CHOICES = "map,frames"
-"""Of its ledger, whose trainings take long."""
-LEDGER = ("ledger.md", "ledger.json", "ledger.csv", "ledger.png")
-"""Of a ledger."""
+"""Of its ablation, whose trainings take long."""
+ABLATION = ("ablation.md", "ablation.json", "ablation.csv", "ablation.png")
+"""Of a ablation."""
 
 
 @dataclass(frozen=True)
@@ -185,12 +185,12 @@ class Results:
         asked = ["--split", "test", "--worlds", self.scaled(worlds), *flags]
         self.make(name, ["evaluate", *policies, *asked], KEPT)
 
-    def ledgers(self) -> None:
+    def ablations(self) -> None:
         """What each choice of a preset is worth."""
-        self.make("ledger", ["ledger", "--seeds", self.scaled(self.a.ledger_seeds)], LEDGER)
-        self.make("ledger-tuned", ["ledger", "tuned", "--seeds", self.scaled(3)], LEDGER)
+        self.make("ablation", ["ablate", "--seeds", self.scaled(self.a.ablation_seeds)], ABLATION)
+        self.make("ablation-tuned", ["ablate", "tuned", "--seeds", self.scaled(3)], ABLATION)
         budget = ["--seeds", self.scaled(2), "--worlds", self.scaled(100), "--only", DOUBLE_DQN_CHOICES]
-        self.make("ledger-double_dqn", ["ledger", "double_dqn", *budget], LEDGER)
+        self.make("ablation-double_dqn", ["ablate", "double_dqn", *budget], ABLATION)
 
     def covers(self) -> None:
         """Everything in contact physics, by cover."""
@@ -201,9 +201,9 @@ class Results:
         some = [*self.runs(seeds=HARD_SEEDS), *RULES]
         self.evaluate("hard", some, self.a.worlds, *HARD, "--physics", self.a.physics)
 
-    def twin(self) -> None:
-        """The same through more worlds of all kinds, in the twin."""
-        self.evaluate("twin", [*self.runs(), *RULES], self.a.twin_worlds, *COVERS, *HARD, *TWIN)
+    def kinematic(self) -> None:
+        """The same through more worlds of all kinds, in the kinematic model."""
+        self.evaluate("kinematic", [*self.runs(), *RULES], self.a.kinematic_worlds, *COVERS, *HARD, *KINEMATIC)
 
     def shield(self) -> None:
         """What learning is worth where a shield makes almost anything succeed."""
@@ -230,7 +230,7 @@ class Results:
         return drives_of(out)
 
     def learning(self) -> None:
-        """How fast methods come to succeed: while they explore, and on validation worlds."""
+        """How fast methods come to succeed: while they act_exploring, and on validation worlds."""
         draw_learning(self.trials, self.a.results / "learning.png")
         trials = [trial for trial in self.trials if trial.method == "double_dqn"]
         rows: list[dict[str, Any]] = []
@@ -331,11 +331,11 @@ def main() -> None:
     parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="some parts")
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of seeds and worlds")
     parser.add_argument("--worlds", type=int, default=25, help="test worlds of each kind in contact physics")
-    parser.add_argument("--twin-worlds", type=int, default=300, help="and in the twin")
+    parser.add_argument("--kinematic-worlds", type=int, default=300, help="and in the kinematic model")
     parser.add_argument("--shield-worlds", type=int, default=50, help="and in the shield")
     parser.add_argument("--condition-worlds", type=int, default=25, help="and under each condition")
     parser.add_argument("--stage-worlds", type=int, default=25, help="validation worlds along a training")
-    parser.add_argument("--ledger-seeds", type=int, default=10, help="trainings of each alternative of the ledger")
+    parser.add_argument("--ablation-seeds", type=int, default=10, help="trainings of each alternative of the ablation")
     parser.add_argument("--physics", default="fast", help="of the test")
     parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")
     parser.add_argument("--workers", type=int, default=2, help="trainings and drives at a time")

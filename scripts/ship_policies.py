@@ -2,8 +2,9 @@
 
 python scripts/ship_policies.py double_dqn=runs/ddqn-1 tuned=runs/tuned-0 paper=runs/results/paper-0
 
-Each is driven bare and in a shield through test worlds of every kind, in the twin and in contact physics; with two
-policies that takes some ten minutes on 2 quiet cores. What is driven is kept in runs/ship, and not driven again.
+Each is driven bare and in a shield through test worlds of every kind, in the kinematic model and in contact physics;
+with two policies that takes some ten minutes on 2 quiet cores. What is driven is kept in runs/ship, and not driven
+again.
 """
 
 import argparse
@@ -23,7 +24,7 @@ FOLDER = Path(assets.__file__).parent / "_data" / "policies"
 WORK = Path("runs/ship")
 KINDS = ["--cover", "5,10,15,20", "--world", "traps,aisles,moving", "--split", "test", "--shield"]
 SETTINGS = {
-    "the ideal twin, 100 test worlds of each kind": ["--sim", "twin", "--worlds", "100"],
+    "the kinematic model, 100 test worlds of each kind": ["--sim", "kinematic", "--worlds", "100"],
     "contact physics (PyBullet, `fast`), 25 test worlds of each kind": ["--physics", "fast", "--worlds", "25"],
 }
 WHAT = {

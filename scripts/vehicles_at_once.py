@@ -1,6 +1,6 @@
-"""Trains with more and more vehicles in lockstep, in the twin, and prints what that does to what is learned.
+"""Trains with more and more vehicles in lockstep, in the kinematic model, and prints what that does to what is learned.
 
-Every policy then drives the same validation worlds, in the twin too.
+Every policy then drives the same validation worlds, in the kinematic model too.
 
     python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the README
     python scripts/vehicles_at_once.py                                  # more of it
@@ -36,7 +36,7 @@ class Trial:
 
 def successes(trial: Trial) -> list[float]:
     """Share of worlds in which the trained policy reaches the target, by cover."""
-    config = RunConfig(simulator="twin", vehicles=trial.vehicles, seed=trial.seed)
+    config = RunConfig(simulator="kinematic", vehicles=trial.vehicles, seed=trial.seed)
     experiment = Experiment(config)
     navigation = FleetNavigation(experiment.fleet(1), config.task)
     training = experiment.trainer(navigation)

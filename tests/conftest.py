@@ -10,9 +10,9 @@ import pytest
 
 from nnql_bullet.cli import main
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.twin import TwinFleet
+from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -78,9 +78,9 @@ def physics(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="session")
-def compiled_twin(vehicle: VehicleSpec) -> None:
-    """For tests of what is printed: the wait while the twin is compiled, which is announced, is over."""
-    TwinFleet(vehicle, DriveOptions(), 1).close()
+def compiled_kernels(vehicle: VehicleSpec) -> None:
+    """For tests of what is printed: the wait while the kinematic model is compiled, which is announced, is over."""
+    KinematicFleet(vehicle, DriveOptions(), 1).close()
 
 
 @pytest.fixture(scope="session")

@@ -11,16 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Taught, make_agent
-from nnql_bullet.agents.base import Corrected
+from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable, make_agent
+from nnql_bullet.agents.base import Overridable
 from nnql_bullet.env import ACTIONS, FleetNavigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig, load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.runs import open_policy
-from nnql_bullet.sim.base import DriveOptions
-from nnql_bullet.sim.twin import TwinFleet
-from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -54,16 +54,18 @@ def make(vehicle: VehicleSpec) -> Make:
 @pytest.fixture(scope="module")
 def drive(vehicle: VehicleSpec) -> Drive:
     """Vehicle i in world i, where there is much to see, turning about; those that touch something stand there."""
-    experiment = Experiment(RunConfig(world="cover_15", simulator="twin"))
+    experiment = Experiment(RunConfig(world="cover_15", simulator="kinematic"))
     turns = np.random.default_rng(0).integers(ACTIONS, size=(DECISIONS, VEHICLES))
-    with closing(TwinFleet(vehicle, DriveOptions(), VEHICLES)) as fleet:
+    with closing(KinematicFleet(vehicle, DriveOptions(), VEHICLES)) as fleet:
         navigation = FleetNavigation(fleet, TaskOptions())
         navigation.reset({seed: experiment.world(seed) for seed in range(VEHICLES)})
         seen = [navigation.observations]
         for actions in turns[1:]:
-            navigation.step(actions, navigation.observations.property <= Property.NON_SAFE)
+            navigation.step(actions, navigation.observations.state_property <= StateProperty.NON_SAFE)
             seen.append(navigation.observations)
-    assert {Property.SAFE, Property.NON_SAFE} <= set(np.concatenate([one.property for one in seen]).tolist())
+    assert {StateProperty.SAFE, StateProperty.NON_SAFE} <= set(
+        np.concatenate([one.state_property for one in seen]).tolist()
+    )
     return seen
 
 
@@ -75,8 +77,8 @@ def rows(observations: Observations, vehicles: list[int]) -> Observations:
 def decided(agent: Agent, drive: Drive, vehicles: list[int], order: list[int] | None = None) -> NDArray[np.int64]:
     """What an agent does with some of the drive's vehicles (decisions, vehicles), begun in an `order`."""
     for place in order or range(len(vehicles)):
-        agent.begin(place, vehicles[place])  # the vehicle's number is its world's seed
-    return np.array([agent.exploit(rows(observations, vehicles)) for observations in drive])
+        agent.reset(place, vehicles[place])  # the vehicle's number is its world's seed
+    return np.array([agent.act(rows(observations, vehicles)) for observations in drive])
 
 
 @kinds
@@ -88,8 +90,8 @@ class TestEveryAgent:
     def test_actions_are_actions(self, kind: str, make: Make, drive: Drive) -> None:
         agent = make(kind)
         for vehicle in range(VEHICLES):
-            agent.begin(vehicle, vehicle)
-        actions = agent.exploit(drive[-1])
+            agent.reset(vehicle, vehicle)
+        actions = agent.act(drive[-1])
         assert (actions.shape, actions.dtype) == ((VEHICLES,), np.int64)
         assert set(actions.tolist()) <= set(range(ACTIONS))
 
@@ -106,8 +108,8 @@ class TestEveryAgent:
     def test_beginning_forgets_that_vehicle_and_no_other(self, kind: str, make: Make, drive: Drive) -> None:
         agent, half = make(kind), DECISIONS // 2
         first = decided(agent, drive[:half], [0, 1])
-        agent.begin(1, 2)  # vehicle 1 goes into another world in the midst of the drive of vehicle 0
-        second = [agent.exploit(mixed(drive[half + k], drive[k])) for k in range(half)]
+        agent.reset(1, 2)  # vehicle 1 goes into another world in the midst of the drive of vehicle 0
+        second = [agent.act(mixed(drive[half + k], drive[k])) for k in range(half)]
         alone, fresh = decided(make(kind), drive, [0]), decided(make(kind), drive[:half], [2])
         assert np.array_equal(np.concatenate([first, second])[:, 0], alone[:, 0])
         assert np.array_equal(np.array(second)[:, 1], fresh[:, 0])
@@ -115,8 +117,8 @@ class TestEveryAgent:
     def test_observations_stay_as_they_were(self, kind: str, make: Make, drive: Drive) -> None:
         agent, (seen, kept) = make(kind), (rows(drive[-1], list(range(VEHICLES))) for _ in range(2))
         for vehicle in range(VEHICLES):
-            agent.begin(vehicle, vehicle)
-        agent.exploit(seen)
+            agent.reset(vehicle, vehicle)
+        agent.act(seen)
         agent.action_values(seen)
         assert all(np.array_equal(getattr(seen, field.name), getattr(kept, field.name)) for field in fields(seen))
 
@@ -127,11 +129,11 @@ class TestEveryAgent:
 
     def test_asking_for_values_changes_no_drive(self, kind: str, make: Make, drive: Drive) -> None:
         agent = make(kind)
-        agent.begin(0, 0)
+        agent.reset(0, 0)
         asked = []
         for observations in drive:
             agent.action_values(observations)
-            asked.append(agent.exploit(rows(observations, [0])))
+            asked.append(agent.act(rows(observations, [0])))
         assert np.array_equal(np.array(asked), decided(make(kind), drive, [0]))
 
     def test_one_that_remembers_what_it_did_can_be_told_what_was_done(
@@ -145,24 +147,24 @@ class TestEveryAgent:
             decided(agent, past + drive[half:], everybody)[half:]
             for agent, past in zip(agents, (drive[:half], shuffled), strict=True)
         ]
-        assert isinstance(agents[0], Corrected) == (not np.array_equal(*later))
+        assert isinstance(agents[0], Overridable) == (not np.array_equal(*later))
 
     def test_told_of_its_own_choice_it_goes_on_as_untold(self, kind: str, make: Make, drive: Drive) -> None:
         agent, everybody = opinionated(make(kind)), list(range(VEHICLES))
         for vehicle in everybody:
-            agent.begin(vehicle, vehicle)
+            agent.reset(vehicle, vehicle)
         told = []
         for observations in drive:
-            told.append(agent.exploit(observations))
-            if isinstance(agent, Corrected):
-                agent.correct(told[-1])
+            told.append(agent.act(observations))
+            if isinstance(agent, Overridable):
+                agent.override(told[-1])
         assert np.array_equal(told, decided(opinionated(make(kind)), drive, everybody))
 
     def test_there_may_be_more_vehicles_than_worlds(
         self, kind: str, make: Make, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
     ) -> None:
         world = world_of(target=(104.0, 100.0))
-        with closing(TwinFleet(vehicle, DriveOptions(), 3)) as fleet:
+        with closing(KinematicFleet(vehicle, DriveOptions(), 3)) as fleet:
             (summary,) = run_episodes(FleetNavigation(fleet, TaskOptions()), [world], make(kind))
         assert summary.ending == "goal"
 
@@ -173,10 +175,10 @@ class TestEveryAgent:
 
 def opinionated(agent: Agent) -> Agent:
     """The agent with some chance in its weights: untrained, some do the same whatever they see."""
-    if isinstance(agent, Taught):
+    if isinstance(agent, Trainable):
         chance = np.random.default_rng(1)
-        arrays = agent.arrays().items()
-        agent.load({name: (a + chance.normal(size=a.shape)).astype(a.dtype) for name, a in arrays})
+        arrays = agent.state_dict().items()
+        agent.load_state_dict({name: (a + chance.normal(size=a.shape)).astype(a.dtype) for name, a in arrays})
     return agent
 
 
@@ -189,16 +191,16 @@ def mixed(one: Observations, other: Observations) -> Observations:
 @rules
 class TestEveryRule:
     def test_it_has_nothing_to_learn(self, kind: str, make: Make) -> None:
-        assert not isinstance(make(kind), Taught)
+        assert not isinstance(make(kind), Trainable)
 
     def test_its_name_opens_it(self, kind: str) -> None:
-        experiment, episodes = open_policy(Path(kind), {"world": "cover_10", "simulator": "twin"})
+        experiment, episodes = open_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"})
         assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_10", 0)
 
     def test_a_toml_file_configures_it(self, kind: str, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text(f'preset = "{kind}"\nworld = "cover_15"\n')
-        experiment, episodes = open_policy(path, {"simulator": "twin"})
+        experiment, episodes = open_policy(path, {"simulator": "kinematic"})
         assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_15", 0)
 
     def test_what_it_does_is_no_function_of_the_runs_seed(self, kind: str, vehicle: VehicleSpec, drive: Drive) -> None:
@@ -220,9 +222,9 @@ SUCCESS = {
 
 @rules
 def test_it_drives_as_well_as_it_was_chosen_to(kind: str, vehicle: VehicleSpec) -> None:
-    experiment, _ = open_policy(Path(kind), {"world": "cover_10", "simulator": "twin"})
+    experiment, _ = open_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"})
     worlds = [experiment.world(seed) for seed in range(60)]
-    with closing(TwinFleet(vehicle, DriveOptions(), len(worlds))) as fleet:
+    with closing(KinematicFleet(vehicle, DriveOptions(), len(worlds))) as fleet:
         summaries = run_episodes(FleetNavigation(fleet, TaskOptions()), worlds, experiment.agent)
     least, largest = SUCCESS[kind]
     assert least <= np.mean([summary.ending == "goal" for summary in summaries]) <= largest

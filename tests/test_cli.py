@@ -59,7 +59,7 @@ class TestTrain:
         assert code == 0
         assert (folder / "policy.safetensors").is_file()
         assert "runs/paper-4/policy.safetensors" in out
-        assert "nnql-bullet navigate runs/paper-4" in out
+        assert "nnql-bullet drive runs/paper-4" in out
         assert "training 2/2" in err
 
     def test_a_config_file_names_the_run(self, run_cli: Cli, here: Path, small_world: Path) -> None:
@@ -77,13 +77,15 @@ class TestTrain:
         assert run_cli("train", "--config", "mine.toml", "--episodes", 1, "--out", "run")[0] == 0
         assert "episodes = 1\n" in (here / "run" / "config.toml").read_text()
 
-    @pytest.mark.usefixtures("compiled_twin")
-    def test_it_trains_the_ideal_twin_when_asked(self, run_cli: Cli, here: Path, small_config: Path) -> None:
-        code, out, err = run_cli("train", "--sim", "twin", "--episodes", 3, "--config", small_config, "--out", "run")
+    @pytest.mark.usefixtures("compiled_kernels")
+    def test_it_trains_the_kinematic_model_when_asked(self, run_cli: Cli, here: Path, small_config: Path) -> None:
+        code, out, err = run_cli(
+            "train", "--sim", "kinematic", "--episodes", 3, "--config", small_config, "--out", "run"
+        )
         assert code == 0
-        assert "the ideal twin" in out
+        assert "the kinematic model" in out
         assert (err.count("\n"), "training 3/3" in err) == (1, True)
-        assert 'simulator = "twin"' in (here / "run" / "config.toml").read_text()
+        assert 'simulator = "kinematic"' in (here / "run" / "config.toml").read_text()
 
     def test_as_a_program(self, spawn_cli: Spawn, here: Path, small_world: Path) -> None:
         done = spawn_cli("train", "--episodes", 2, "--world", small_world, "--out", "run", cwd=here)
@@ -94,7 +96,7 @@ class TestTrain:
 
 class TestNavigate:
     def test_it_drives_and_leaves_recording_and_picture(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
-        code, out, err = run_cli("navigate", tiny_run, "--seed", 3, "--out", "drive")
+        code, out, err = run_cli("drive", tiny_run, "--seed", 3, "--out", "drive")
         assert (code, err) == (0, "")
         assert re.search(r"^(goal|collision|timeout) in world 'small', seed 3: \d+ steps", out)
         assert {path.name for path in (here / "drive").iterdir()} == {"trajectory.npz", "trajectory.png"}
@@ -103,7 +105,7 @@ class TestNavigate:
     def test_json_is_exactly_one_object_that_agrees_with_the_recording(
         self, run_cli: Cli, tiny_run: Path, here: Path
     ) -> None:
-        code, out, err = run_cli("navigate", tiny_run, "--json", "--out", "drive")
+        code, out, err = run_cli("drive", tiny_run, "--json", "--out", "drive")
         assert (code, err) == (0, "")
         assert out.count("\n") == 1
         result = json.loads(out)
@@ -117,7 +119,7 @@ class TestNavigate:
         assert (result["seed"], result["world"]) == (0, "small")
 
     def test_it_is_reproducible(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
-        answers = [json.loads(run_cli("navigate", tiny_run, "--json", "--out", name)[1]) for name in ("a", "b")]
+        answers = [json.loads(run_cli("drive", tiny_run, "--json", "--out", name)[1]) for name in ("a", "b")]
         for answer in answers:
             del answer["recording"], answer["picture"]
         assert answers[0] == answers[1]
@@ -125,70 +127,77 @@ class TestNavigate:
 
     def test_it_takes_another_world_seed_and_physics(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         arguments = ("--world", "cover_10", "--seed", 7, "--physics", "fast", "--json", "--out", "drive")
-        code, out, _ = run_cli("navigate", tiny_run, *arguments)
+        code, out, _ = run_cli("drive", tiny_run, *arguments)
         assert code == 0
         assert (json.loads(out)["world"], json.loads(out)["seed"]) == ("cover_10", 7)
         assert load_recording(here / "drive" / "trajectory.npz").about["physics"] == "fast"
 
-    @pytest.mark.usefixtures("compiled_twin")
+    @pytest.mark.usefixtures("compiled_kernels")
     def test_drives_under_other_conditions_do_not_replace_each_other(
         self, run_cli: Cli, tiny_run: Path, tmp_path: Path
     ) -> None:
         run = shutil.copytree(tiny_run, tmp_path / "run")
-        flags = ([], ["--sim", "twin"], ["--friction", 0.5], ["--payload", 40, "--dead-sector", 2], ["--noise", 0.05])
+        flags = (
+            [],
+            ["--sim", "kinematic"],
+            ["--friction", 0.5],
+            ["--payload", 40, "--dead-sector", 2],
+            ["--noise", 0.05],
+        )
         for extra in flags:
-            assert run_cli("navigate", run, "--physics", "fast", *extra)[0] == 0
-        folders = {path.name: path / "trajectory.npz" for path in (run / "navigate").iterdir()}
+            assert run_cli("drive", run, "--physics", "fast", *extra)[0] == 0
+        folders = {path.name: path / "trajectory.npz" for path in (run / "drives").iterdir()}
         assert folders.keys() == {
-            "small-0", "small-0-twin", "small-0-friction-0.5", "small-0-payload-40-dead-sector-2", "small-0-noise-0.05"
+            "small-0", "small-0-kinematic", "small-0-friction-0.5", "small-0-payload-40-dead-sector-2",
+            "small-0-noise-0.05"
         }  # fmt: skip
         conditions = load_recording(folders["small-0-payload-40-dead-sector-2"]).about["conditions"]
         assert (conditions["payload"], conditions["sensors"]["dead_sector"]) == (40.0, 2)
         ends = {name: load_recording(path).state_pose[-1].tolist() for name, path in folders.items()}
         assert len({tuple(end) for end in ends.values()}) >= 4  # they do differ
 
-    @pytest.mark.usefixtures("compiled_twin")
-    def test_it_drives_the_ideal_twin_when_asked(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
-        code, _, err = run_cli("navigate", tiny_run, "--sim", "twin", "--out", "drive")
+    @pytest.mark.usefixtures("compiled_kernels")
+    def test_it_drives_the_kinematic_model_when_asked(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
+        code, _, err = run_cli("drive", tiny_run, "--sim", "kinematic", "--out", "drive")
         assert (code, err) == (0, "")
-        assert load_recording(here / "drive" / "trajectory.npz").about["simulator"] == "twin"
+        assert load_recording(here / "drive" / "trajectory.npz").about["simulator"] == "kinematic"
 
     def test_it_takes_a_policy_file(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         (here / "policy.safetensors").write_bytes((tiny_run / "policy.safetensors").read_bytes())
-        code, out, _ = run_cli("navigate", "policy.safetensors")
+        code, out, _ = run_cli("drive", "policy.safetensors")
         assert code == 0
-        assert "navigate/small-0/trajectory.png" in out
-        assert (here / "navigate" / "small-0" / "trajectory.png").is_file()
+        assert "drives/small-0/trajectory.png" in out
+        assert (here / "drives" / "small-0" / "trajectory.png").is_file()
 
-    @pytest.mark.usefixtures("compiled_twin")
+    @pytest.mark.usefixtures("compiled_kernels")
     def test_a_rule_leaves_its_drives_under_its_name(self, run_cli: Cli, here: Path, small_world: Path) -> None:
-        code, out, err = run_cli("navigate", "straight", "--world", small_world, "--sim", "twin")
+        code, out, err = run_cli("drive", "straight", "--world", small_world, "--sim", "kinematic")
         assert (code, err) == (0, "")
-        folder = Path("runs", "straight", "navigate", "small-0-twin")
+        folder = Path("runs", "straight", "drives", "small-0-kinematic")
         assert f"picture: {folder}/trajectory.png" in out
         recording = load_recording(here / folder / "trajectory.npz")
         assert recording.about["policy"] == "straight"
         assert set(recording.action.tolist()) == {5}
 
-    @pytest.mark.usefixtures("compiled_twin")
+    @pytest.mark.usefixtures("compiled_kernels")
     def test_it_takes_a_file_that_configures_a_rule(self, run_cli: Cli, here: Path, small_world: Path) -> None:
         (here / "mine.toml").write_text(
             f'preset = "hand_rule"\nworld = "{small_world}"\n[agent]\nkind = "hand_rule"\nturn_degrees = 60\n'
         )
-        code, out, _ = run_cli("navigate", "mine.toml", "--sim", "twin", "--json")
+        code, out, _ = run_cli("drive", "mine.toml", "--sim", "kinematic", "--json")
         assert code == 0
-        assert json.loads(out)["recording"] == "runs/mine/navigate/small-0-twin/trajectory.npz"
+        assert json.loads(out)["recording"] == "runs/mine/drives/small-0-kinematic/trajectory.npz"
         assert load_recording(here / json.loads(out)["recording"]).about["policy"] == "hand_rule"
 
     def test_a_rule_drives_in_contact_physics(self, run_cli: Cli, here: Path, small_world: Path) -> None:
-        code, out, err = run_cli("navigate", "vfh", "--world", small_world, "--physics", "fast", "--json")
+        code, out, err = run_cli("drive", "vfh", "--world", small_world, "--physics", "fast", "--json")
         assert (code, err) == (0, "")
         assert json.loads(out)["ending"] == "goal"
 
     def test_as_a_program_only_the_object_is_on_standard_output(
         self, spawn_cli: Spawn, tiny_run: Path, here: Path
     ) -> None:
-        done = spawn_cli("navigate", tiny_run, "--json", "--out", "drive", cwd=here)
+        done = spawn_cli("drive", tiny_run, "--json", "--out", "drive", cwd=here)
         assert (done.returncode, done.stderr) == (0, "")
         assert json.loads(done.stdout).keys() == KEYS
 
@@ -198,7 +207,7 @@ class TestHelp:
     def test_the_overview_names_every_verb(self, run_cli: Cli, arguments: list[str]) -> None:
         code, out, err = run_cli(*arguments)
         assert (code, err) == (0, "")
-        for verb in ("train", "navigate", "gap", "report", "fidelity", "envelope", "doctor"):
+        for verb in ("train", "drive", "gap", "report", "fidelity", "envelope", "doctor"):
             assert re.search(rf"^  {verb} +\S", out, re.MULTILINE)
 
     @pytest.mark.parametrize(
@@ -206,9 +215,9 @@ class TestHelp:
         [
             ("train", ["--config", "--episodes", "--seed", "--world", "--physics", "--out", "--resume", "--overwrite"]),
             ("train", ["--sim", "--vehicles", "--workers"]),
-            ("navigate", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
-            ("navigate", ["--friction", "--payload", "--noise", "--dead-sector"]),
-            ("navigate", ["RULE", *RULES]),
+            ("drive", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
+            ("drive", ["--friction", "--payload", "--noise", "--dead-sector"]),
+            ("drive", ["RULE", *RULES]),
             ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
             ("report", ["RUN", "--evaluation", "--gap", "--out"]),
             ("fidelity", ["--robot", "--sim", "--physics", "--out"]),
@@ -247,7 +256,7 @@ class TestHelp:
 
 
 BAD_ARGUMENTS = [
-    (["fly"], ["fly", "train", "navigate", "gap", "fidelity", "envelope", "doctor"]),
+    (["fly"], ["fly", "train", "drive", "gap", "fidelity", "envelope", "doctor"]),
     (["train", "--bogus"], ["--bogus", "train --help"]),
     (["train", "--episodes"], ["--episodes"]),
     (["train", "--episodes", "many"], ["--episodes", "many"]),
@@ -262,10 +271,10 @@ BAD_ARGUMENTS = [
     (["train", "extra"], ["extra"]),
     (["gap"], ["give a run"]),
     (["evaluate"], ["give a policy", "double_dqn", *RULES]),
-    (["navigate", "no/such/run"], ["no/such/run"]),
-    (["navigate", "."], ["policy.safetensors", "train first"]),
-    (["navigate", "vhf"], ["vhf", "rules: ", *RULES]),
-    (["train", "--config", "vfh"], ["'vfh' has nothing to learn", "nnql-bullet navigate vfh"]),
+    (["drive", "no/such/run"], ["no/such/run"]),
+    (["drive", "."], ["policy.safetensors", "train first"]),
+    (["drive", "vhf"], ["vhf", "rules: ", *RULES]),
+    (["train", "--config", "vfh"], ["'vfh' has nothing to learn", "nnql-bullet drive vfh"]),
     (["doctor", "--fast"], ["--fast"]),
 ]
 
@@ -281,8 +290,8 @@ class TestBadArguments:
 
     def test_bad_seed_or_world_of_navigate(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
         before = snapshot(tiny_run)
-        assert "-3" in refused(run_cli("navigate", tiny_run, "--seed", "-3"))
-        assert "nowhere" in refused(run_cli("navigate", tiny_run, "--world", "nowhere"))
+        assert "-3" in refused(run_cli("drive", tiny_run, "--seed", "-3"))
+        assert "nowhere" in refused(run_cli("drive", tiny_run, "--world", "nowhere"))
         assert snapshot(tiny_run) == before
         assert list(here.iterdir()) == []
 
@@ -354,13 +363,13 @@ BAD_WORLDS = {
 
 class TestBadWorld:
     @pytest.mark.parametrize("name", BAD_WORLDS)
-    def test_train_and_navigate_refuse_it_in_one_line(
+    def test_train_and_drive_refuse_it_in_one_line(
         self, run_cli: Cli, tiny_run: Path, here: Path, name: str, snapshot: Snapshot
     ) -> None:
         text, words = BAD_WORLDS[name]
         (here / "bad.toml").write_text(text)
         before = snapshot(tiny_run)
-        for arguments in (["train"], ["navigate", tiny_run]):
+        for arguments in (["train"], ["drive", tiny_run]):
             line = refused(run_cli(*arguments, "--world", "bad.toml"))
             assert [word for word in words if word not in line] == []
         assert snapshot(tiny_run) == before
@@ -373,7 +382,7 @@ class TestBadWorld:
                 "[layout]", "start_yaw_degrees = 0.0\n[layout]"
             )
         )
-        code, _, err = run_cli("navigate", tiny_run, "--world", "tight.toml", "--out", "drive")
+        code, _, err = run_cli("drive", tiny_run, "--world", "tight.toml", "--out", "drive")
         assert code == 0 or (code == 2 and err.count("\n") == 1)
 
 
@@ -454,9 +463,9 @@ class TestReadOnly:
     def test_train(self, run_cli: Cli, here: Path) -> None:
         assert "/proc/" in refused(run_cli("train", "--episodes", 1, "--out", "/proc/nnql-bullet"))
 
-    def test_navigate(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
+    def test_drive(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
         before = snapshot(tiny_run)
-        assert "/proc/" in refused(run_cli("navigate", tiny_run, "--out", "/proc/nnql-bullet"))
+        assert "/proc/" in refused(run_cli("drive", tiny_run, "--out", "/proc/nnql-bullet"))
         assert snapshot(tiny_run) == before
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -465,7 +474,7 @@ class TestReadOnly:
         assert "--out" in refused(run_cli("train", "--episodes", 1, "--out", "locked/run"))
 
 
-def test_navigate_into_a_file_is_refused(run_cli: Cli, tiny_run: Path, here: Path) -> None:
+def test_drive_into_a_file_is_refused(run_cli: Cli, tiny_run: Path, here: Path) -> None:
     (here / "notes").write_text("precious")
-    refused(run_cli("navigate", tiny_run, "--out", "notes"))
+    refused(run_cli("drive", tiny_run, "--out", "notes"))
     assert (here / "notes").read_text() == "precious"

@@ -10,8 +10,8 @@ from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.config import merged, options, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import PRESETS, RunConfig, changed, load_config
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 
 numbers = st.floats(0.001, 1000, allow_subnormal=False)
 

@@ -14,11 +14,10 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents import seen_map
-from nnql_bullet.agents.base import Learner
-from nnql_bullet.agents.double_dqn import DoubleDqn, DoubleDqnOptions, DuelingNetwork, double_q_targets, follow
-from nnql_bullet.agents.frames import MIRRORED_ACTIONS, FrameMaker, as_bytes
-from nnql_bullet.agents.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
+from nnql_bullet.agents.base import LearningAgent
+from nnql_bullet.agents.learning.double_dqn import DoubleDqn, DoubleDqnOptions, DuelingNetwork, double_q_targets, follow
+from nnql_bullet.agents.learning.frames import MIRRORED_ACTIONS, FrameMaker, as_bytes
+from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
 from nnql_bullet.config import parse
 from nnql_bullet.env import (
     MANOEUVRES,
@@ -32,10 +31,12 @@ from nnql_bullet.env import (
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import wrap_angles
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import DriveOptions, Fleet, WorkerDied
-from nnql_bullet.sim.twin import TwinFleet
-from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -187,8 +188,8 @@ class TestReplay:
     @pytest.mark.parametrize("decisions", [0, 7, 20, 33])
     def test_it_is_the_same_after_saving_and_loading(self, decisions: int) -> None:
         story, again = Story(decisions, 20, 3), Replay(20, 2, 4, 3)
-        again.load(story.replay.arrays())
-        assert same(again.arrays(), story.replay.arrays())
+        again.load_state_dict(story.replay.state_dict())
+        assert same(again.state_dict(), story.replay.state_dict())
         assert again.choices(3) == story.replay.choices(3)
 
     def test_there_is_nothing_to_draw_at_first(self) -> None:
@@ -196,23 +197,23 @@ class TestReplay:
         assert len(Story(3, 20, 3).replay.choices(3)) == 0
 
 
-def dijkstra(cells: seen_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.float64]:
+def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.float64]:
     """`ways_left` by another algorithm."""
-    size = seen_map.SIZE
+    size = grid_map.SIZE
     occupied = np.argwhere(cells > 0)
     cost = np.ones((size, size))
     for a, b in occupied.tolist():
-        cost[max(a - 2, 0) : a + 3, max(b - 2, 0) : b + 3] = seen_map.COSTS[2]
+        cost[max(a - 2, 0) : a + 3, max(b - 2, 0) : b + 3] = grid_map.COSTS[2]
     for a, b in occupied.tolist():
-        cost[max(a - 1, 0) : a + 2, max(b - 1, 0) : b + 2] = seen_map.COSTS[1]
-    cost[cells > 0] = seen_map.COSTS[0]
+        cost[max(a - 1, 0) : a + 2, max(b - 1, 0) : b + 2] = grid_map.COSTS[1]
+    cost[cells > 0] = grid_map.COSTS[0]
     left = np.full((size, size), np.inf)
     heap: list[tuple[float, int, int]] = []
     for a in range(size):
         for b in range(size):
             at_target = corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)
             if a in (0, size - 1) or b in (0, size - 1) or at_target:
-                heappush(heap, (seen_map.CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
+                heappush(heap, (grid_map.CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
     while heap:
         way, a, b = heappop(heap)
         if way >= left[a, b]:
@@ -222,7 +223,7 @@ def dijkstra(cells: seen_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
             if 0 <= c < size and 0 <= d < size:
                 beside = min(cost[a, d], cost[c, b]) if a != c and b != d else 0.0
                 through = max(cost[a, b], beside) + max(cost[c, d], beside)
-                longer = 0.5 * seen_map.CELL * hypot(a - c, b - d) * through
+                longer = 0.5 * grid_map.CELL * hypot(a - c, b - d) * through
                 heappush(heap, (way + longer, c, d))
     return left
 
@@ -233,39 +234,41 @@ class TestMap:
     )
     def test_ways_are_the_shortest_ones(self, share: float, corner: tuple[int, int]) -> None:
         generator = np.random.default_rng(int(100 * share))
-        cells = (generator.random((seen_map.SIZE, seen_map.SIZE)) < share).astype(np.int8)
+        cells = (generator.random((grid_map.SIZE, grid_map.SIZE)) < share).astype(np.int8)
         at = np.array(corner)
-        assert seen_map.ways_left(cells, at) == pytest.approx(dijkstra(cells, at), abs=1e-6)
+        assert grid_map.ways_left(cells, at) == pytest.approx(dijkstra(cells, at), abs=1e-6)
 
     def test_without_anything_seen_the_way_is_the_straight_one(self) -> None:
         """But for the eight directions of steps between cells, which make it up to 8 % longer."""
         corner = np.array([-70, -60])
-        left = seen_map.ways_left(np.zeros((seen_map.SIZE, seen_map.SIZE), np.int8), corner)
+        left = grid_map.ways_left(np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), corner)
         for place in ((-30.0, -20.0), (-40.5, -12.5), (-27.3, -33.1)):
-            assert hypot(*place) - 0.1 <= seen_map.left_at(left, corner, *place) <= 1.09 * hypot(*place)
+            assert hypot(*place) - 0.1 <= grid_map.left_at(left, corner, *place) <= 1.09 * hypot(*place)
 
     def test_a_wall_is_gone_round(self) -> None:
         """A U around the vehicle, open away from the target: it is told to turn round."""
-        middle, cell = seen_map.SIZE // 2, seen_map.CELL
-        cells, corner = np.zeros((seen_map.SIZE, seen_map.SIZE), np.int8), np.array([-100, -middle])
+        middle, cell = grid_map.SIZE // 2, grid_map.CELL
+        cells, corner = np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), np.array([-100, -middle])
         cells[middle + 6, middle - 9 : middle + 10] = 1
         cells[middle - 6 : middle + 7, middle - 9] = cells[middle - 6 : middle + 7, middle + 9] = 1
         pose = np.array([[cell * (middle - 99.5), cell / 2, 0.0]])
-        around, ways, progress = seen_map.sensed(cells[None], corner[None], pose, pose[:, :2] - [[1.0, 0.0]])
-        far = around[0, seen_map.BEARINGS :]
-        assert far[0] == seen_map.BARRED  # ahead
+        around, ways, progress = grid_map.sensed(cells[None], corner[None], pose, pose[:, :2] - [[1.0, 0.0]])
+        far = around[0, grid_map.BEARINGS :]
+        assert far[0] == grid_map.BARRED  # ahead
         assert around[0, 0] > 1.0
-        assert far[seen_map.BEARINGS // 2] < -2.0  # behind
+        assert far[grid_map.BEARINGS // 2] < -2.0  # behind
         assert ways[0] > -pose[0, 0] + 5.0
         assert progress[0] < -0.3  # it came from nearer to the way out
 
-    def test_poses_are_those_driven(self, vehicle: VehicleSpec, twin_drive: list[tuple[Any, Any, Any]]) -> None:
+    def test_poses_are_those_driven(self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Any, Any]]) -> None:
         """Place and heading in the target's frame, against the simulator's own, over a whole drive with many turns."""
         maker = FrameMaker(24, 3, True, vehicle, DriveOptions())
         memory = maker.nothing(4)
-        (first, _, target) = twin_drive[0]
+        (first, _, target) = kinematic_drive[0]
         yaw = np.arctan2(*(target - first[:, :2]).T[::-1])
-        for (poses, observations, _), actions in zip(twin_drive, random_manoeuvres(len(twin_drive)), strict=True):
+        for (poses, observations, _), actions in zip(
+            kinematic_drive, random_manoeuvres(len(kinematic_drive)), strict=True
+        ):
             look = maker.look(memory, observations)
             memory = maker.after(look, observations, actions)
             relative = poses[:, :2] - target
@@ -276,10 +279,10 @@ class TestMap:
 
     def test_what_is_seen_is_entered_where_it_is(self, vehicle: VehicleSpec) -> None:
         """Against places all along the lines between what neighbouring rays met, where no vehicle fits through."""
-        cells, corners = np.zeros((1, seen_map.SIZE, seen_map.SIZE), np.int8), np.zeros((1, 2), np.int64)
+        cells, corners = np.zeros((1, grid_map.SIZE, grid_map.SIZE), np.int8), np.zeros((1, 2), np.int64)
         pose, sensor, angles = np.array([[-30.2, 4.7, 0.6]]), np.array([0.35, 0.1]), ray_angles()
         distances = np.repeat(np.random.default_rng(0).uniform(2.0, 12.0, (1, RAYS // 4)), 4, axis=1).clip(max=10.0)
-        seen_map.add_scans(cells, corners, pose, distances, sensor, angles)
+        grid_map.add_scans(cells, corners, pose, distances, sensor, angles)
         start = np.array([-30.2 + 0.35 * cos(0.6) - 0.1 * sin(0.6), 4.7 + 0.35 * sin(0.6) + 0.1 * cos(0.6)])
         directions = np.stack([np.cos(angles + 0.6), np.sin(angles + 0.6)], axis=1)
         hits = start + (distances[0, :, None] + 0.15) * directions
@@ -289,29 +292,29 @@ class TestMap:
             for i in range(RAYS)
             for k in range(5)
             for share in np.linspace(0, 1, 40)
-            if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < (seen_map.NEIGHBOURS if k == 1 else seen_map.PASSAGE)
+            if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < (grid_map.NEIGHBOURS if k == 1 else grid_map.PASSAGE)
         ]
-        along = {tuple(cell) for cell in np.floor(np.array(places) / seen_map.CELL).astype(int).tolist()}
+        along = {tuple(cell) for cell in np.floor(np.array(places) / grid_map.CELL).astype(int).tolist()}
         entered = {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()}
-        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / seen_map.CELL).astype(int).tolist()
+        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / grid_map.CELL).astype(int).tolist()
         assert {tuple(cell) for cell in at_hits} <= entered <= along
         assert all(any(max(abs(a - c), abs(b - d)) <= 1 for c, d in entered) for a, b in along)
-        middle = np.floor(pose[0, :2] / seen_map.CELL).astype(int) - seen_map.SIZE // 2
+        middle = np.floor(pose[0, :2] / grid_map.CELL).astype(int) - grid_map.SIZE // 2
         assert corners[0].tolist() == middle.tolist()
-        for _ in range(seen_map.SEEN):
+        for _ in range(grid_map.SEEN):
             assert cells.any()
-            seen_map.add_scans(cells, corners, pose, np.full((1, RAYS), 10.0), sensor, angles)
-        assert cells.sum() < 0.2 * seen_map.SEEN * len(entered)  # looked through often enough, but for odd corners
+            grid_map.add_scans(cells, corners, pose, np.full((1, RAYS), 10.0), sensor, angles)
+        assert cells.sum() < 0.2 * grid_map.SEEN * len(entered)  # looked through often enough, but for odd corners
 
     def test_it_moves_along(self) -> None:
         generator = np.random.default_rng(0)
-        cells = (generator.random((1, seen_map.SIZE, seen_map.SIZE)) < 0.3).astype(np.int8)
+        cells = (generator.random((1, grid_map.SIZE, grid_map.SIZE)) < 0.3).astype(np.int8)
         before, corners = {tuple(c) for c in np.argwhere(cells[0]).tolist()}, np.zeros((1, 2), np.int64)
-        middle = seen_map.SIZE // 2 + 0.5
-        pose = np.array([[seen_map.CELL * (middle + 3), seen_map.CELL * (middle - 3), 0.0]])
-        seen_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
+        middle = grid_map.SIZE // 2 + 0.5
+        pose = np.array([[grid_map.CELL * (middle + 3), grid_map.CELL * (middle - 3), 0.0]])
+        grid_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
         assert corners[0].tolist() == [3, -3]
-        inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < seen_map.SIZE and 0 <= b + 3 < seen_map.SIZE}
+        inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < grid_map.SIZE and 0 <= b + 3 < grid_map.SIZE}
         assert {tuple(cell) for cell in np.argwhere(cells[0]).tolist()} == inside
 
 
@@ -321,10 +324,10 @@ def random_manoeuvres(decisions: int) -> NDArray[np.int64]:
 
 
 @pytest.fixture(scope="module")
-def twin_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
+def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     """Poses, observations and the target, at every decision of four vehicles that turn about and stop by chance."""
-    experiment = Experiment(RunConfig(world="empty", simulator="twin"))
-    fleet = TwinFleet(vehicle, DriveOptions(), 4)
+    experiment = Experiment(RunConfig(world="empty", simulator="kinematic"))
+    fleet = KinematicFleet(vehicle, DriveOptions(), 4)
     navigation = FleetNavigation(fleet, TaskOptions())
     world = replace(experiment.world(0), start=replace(experiment.world(0).start, x=50.0, y=50.0))
     navigation.reset({i: world for i in range(4)})
@@ -361,7 +364,7 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, Property.SAFE, seen)
+            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen)
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
@@ -384,21 +387,21 @@ class TestFrames:
         assert as_bytes(np.array([-1.0, 1.0])).tolist() == [0, 255]
 
     def test_looking_leaves_the_memory_as_it_was(
-        self, vehicle: VehicleSpec, twin_drive: list[tuple[Any, Observations, Any]]
+        self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
     ) -> None:
         maker = FrameMaker(24, 3, True, vehicle, DriveOptions())
         memory = maker.nothing(4)
-        for _, seen, _ in twin_drive[:6]:
+        for _, seen, _ in kinematic_drive[:6]:
             memory = maker.after(maker.look(memory, seen), seen, np.zeros(4, np.int64))
-        before = memory.arrays()
-        looks = [maker.look(memory, twin_drive[6][1]) for _ in range(2)]
-        assert same(before, memory.arrays())
-        assert same(looks[0].memory.arrays(), looks[1].memory.arrays())
+        before = memory.state_dict()
+        looks = [maker.look(memory, kinematic_drive[6][1]) for _ in range(2)]
+        assert same(before, memory.state_dict())
+        assert same(looks[0].memory.state_dict(), looks[1].memory.state_dict())
 
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, Property.SAFE, np.full(RAYS, 10.0))])
+            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))])
             for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
@@ -407,13 +410,13 @@ class TestFrames:
 
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
-    """Makes trainings in the small world, on the twin."""
+    """Makes trainings in the small world, on the kinematic model."""
     fleets: list[Fleet] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any]:
         task = TaskOptions(max_steps=40)
         config = RunConfig(
-            seed=seed, vehicles=vehicles, simulator="twin", world=str(small_world), task=task, agent=SMALL
+            seed=seed, vehicles=vehicles, simulator="kinematic", world=str(small_world), task=task, agent=SMALL
         )
         experiment = Experiment(config)
         fleets.append(experiment.training_fleet(1))
@@ -425,28 +428,31 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
 
 
 def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
-    vehicle: VehicleSpec, twin_drive: list[tuple[Any, Observations, Any]]
+    vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
 ) -> None:
     """One of another mind does as it likes; another is told to do that, and then the first one comes to its senses."""
     one, other, untold = (DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3))
     minds = [
-        {name: values + chance.normal(size=values.shape).astype(values.dtype) for name, values in one.arrays().items()}
+        {
+            name: values + chance.normal(size=values.shape).astype(values.dtype)
+            for name, values in one.state_dict().items()
+        }
         for chance in map(np.random.default_rng, range(2))
     ]
     for agent, mind in ((one, 0), (other, 1), (untold, 1)):
-        agent.load(minds[mind])
-    half = len(twin_drive) // 2
-    for _, seen, _ in twin_drive[:half]:
-        done = one.exploit(seen)
-        assert not np.array_equal(other.exploit(seen), done)
-        other.correct(done)
-        untold.exploit(seen)
-    one.load(minds[1])
-    mine, told, its_own = (agent.action_values(twin_drive[half][1]) for agent in (one, other, untold))
+        agent.load_state_dict(minds[mind])
+    half = len(kinematic_drive) // 2
+    for _, seen, _ in kinematic_drive[:half]:
+        done = one.act(seen)
+        assert not np.array_equal(other.act(seen), done)
+        other.override(done)
+        untold.act(seen)
+    one.load_state_dict(minds[1])
+    mine, told, its_own = (agent.action_values(kinematic_drive[half][1]) for agent in (one, other, untold))
     assert np.array_equal(mine, told)
     assert not np.array_equal(mine, its_own)
-    for _, seen, _ in twin_drive[half:]:
-        assert np.array_equal(one.exploit(seen), other.exploit(seen))
+    for _, seen, _ in kinematic_drive[half:]:
+        assert np.array_equal(one.act(seen), other.act(seen))
 
 
 class TestLearning:
@@ -456,7 +462,7 @@ class TestLearning:
             experiment, training = parts(seed=seed)
             torch.manual_seed(len(found))  # nobody else's chance matters
             episodes = list(islice(training.episodes(), 12))
-            found.append((episodes, experiment.agent.arrays()))
+            found.append((episodes, experiment.agent.state_dict()))
         assert found[0][0] == found[1][0] != found[2][0]
         assert same(found[0][1], found[1][1])
         assert not same(found[0][1], found[2][1])
@@ -470,19 +476,22 @@ class TestLearning:
 
     def test_it_goes_on_as_if_it_had_never_stopped(self, parts: Callable[..., Any]) -> None:
         experiment, training = parts()
-        stops = [(episode, experiment.agent.arrays(), training.arrays()) for episode in islice(training.episodes(), 24)]
+        stops = [
+            (episode, experiment.agent.state_dict(), training.state_dict())
+            for episode in islice(training.episodes(), 24)
+        ]
         for stopped in (1, 14):
             experiment, training = parts()
-            experiment.agent.load(stops[stopped - 1][1])
-            training.load(stops[stopped - 1][2])
+            experiment.agent.load_state_dict(stops[stopped - 1][1])
+            training.load_state_dict(stops[stopped - 1][2])
             rest = list(islice(training.episodes(), 24 - stopped))
             assert rest == [episode for episode, _, _ in stops[stopped:]]
-            assert same(experiment.agent.arrays(), stops[-1][1])
-            assert same(training.arrays(), stops[-1][2])
+            assert same(experiment.agent.state_dict(), stops[-1][1])
+            assert same(training.state_dict(), stops[-1][2])
 
     def test_a_worker_that_dies_in_the_midst_of_a_step_costs_nothing(self, parts: Callable[..., Any]) -> None:
         experiment, training = parts()
-        whole = list(islice(training.episodes(), 20)), experiment.agent.arrays()
+        whole = list(islice(training.episodes(), 20)), experiment.agent.state_dict()
         experiment, training = parts()
         left, step = [55], training._navigation.step
 
@@ -498,25 +507,25 @@ class TestLearning:
             for episode in training.episodes():
                 done.append(episode)
         again, resumed = parts()
-        again.agent.load(experiment.agent.arrays())
-        resumed.load(training.arrays())
+        again.agent.load_state_dict(experiment.agent.state_dict())
+        resumed.load_state_dict(training.state_dict())
         assert done + list(islice(resumed.episodes(), 20 - len(done))) == whole[0]
-        assert same(again.agent.arrays(), whole[1])
+        assert same(again.agent.state_dict(), whole[1])
 
     def test_another_state_is_refused(self, parts: Callable[..., Any]) -> None:
         _, training = parts()
         list(islice(training.episodes(), 6))
-        state = training.arrays()
+        state = training.state_dict()
         for name in ("agent/memory/poses", "agent/replay/seen"):
             with pytest.raises(UserError, match="not the state"):
-                parts()[1].load({key: values for key, values in state.items() if key != name})
+                parts()[1].load_state_dict({key: values for key, values in state.items() if key != name})
 
     def test_other_weights_are_refused(self, parts: Callable[..., Any]) -> None:
         agent = parts()[0].agent
-        weights = agent.arrays()
+        weights = agent.state_dict()
         for change in ({"value.bias": np.zeros(2)}, {"value.bias": np.full(1, np.nan)}, {"more": np.zeros(1)}):
             with pytest.raises(UserError, match="dueling network"):
-                agent.load(weights | change)
+                agent.load_state_dict(weights | change)
 
     @pytest.mark.parametrize(
         "values", [{"rays": 9}, {"frames": 0}, {"exploration": []}, {"exploration": [1.1]}, {"discount": 2.0}]
@@ -526,7 +535,7 @@ class TestLearning:
             parse(RunConfig, {"agent": {"kind": "double_dqn", **values}}, "x")
 
     def test_it_is_a_learner(self, parts: Callable[..., Any]) -> None:
-        assert isinstance(parts()[0].agent, Learner)
+        assert isinstance(parts()[0].agent, LearningAgent)
 
     def test_exploration_falls_to_shares_taken_by_turns(self, vehicle: VehicleSpec) -> None:
         options = DoubleDqnOptions(exploration=(0.0, 0.2), exploration_episodes=100)
@@ -579,7 +588,7 @@ class TestCommandLine:
         )
         mix = f"\n[training]\nworlds = ['{small_config.parent / 'none.toml'}']\n"
         config.write_text(small_config.read_text() + agent)
-        more = ("--config", config, "--sim", "twin", "--vehicles", 3)
+        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
         assert run_cli("train", *more, "--episodes", 8, "--workers", 1, "--out", tmp_path / "one")[0] == 0
         assert run_cli("train", *more, "--episodes", 4, "--out", tmp_path / "two")[0] == 0
         assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 8)[0] == 0
@@ -587,10 +596,10 @@ class TestCommandLine:
             assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
         for name in ("checkpoint.safetensors", "policy.safetensors"):
             assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
-        code, out, _ = run_cli("navigate", tmp_path / "one", "--sim", "twin", "--json")
+        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
         assert code == 0
         assert '"ending"' in out
         config.write_text(small_config.read_text() + mix)
-        code, _, err = run_cli("train", "--config", config, "--sim", "twin", "--out", tmp_path / "three")
+        code, _, err = run_cli("train", "--config", config, "--sim", "kinematic", "--out", tmp_path / "three")
         assert code == 2
         assert "none" in err

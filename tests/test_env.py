@@ -29,11 +29,12 @@ from nnql_bullet.env import (
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sensing import RAYS, Scan, sector_readings
-from nnql_bullet.sim.base import DriveOptions, Motion, Sample, Simulator
+from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
-from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -42,7 +43,7 @@ SIMULATORS: dict[str, Callable[[VehicleSpec, DriveOptions], Simulator]] = {
     "bullet, fast": lambda vehicle, drive: BulletSimulator(vehicle, drive, PHYSICS["fast"]),
     "mujoco, reference": lambda vehicle, drive: contact_simulator("mujoco", "reference", vehicle, drive),
     "mujoco, fast": lambda vehicle, drive: contact_simulator("mujoco", "fast", vehicle, drive),
-    "twin": TwinSimulator,
+    "kinematic": KinematicSimulator,
 }
 """Every simulator; a new one is added here and has to pass the contract below."""
 NEEDS_MUJOCO = pytest.mark.skipif(
@@ -220,7 +221,7 @@ class Puppet:
         self._start = world.start
         self.asked.clear()
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
         self.asked.append(heading_change)
         return self.motions[len(self.asked) - 1]
 
@@ -252,9 +253,9 @@ TOWARD = [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), 
 
 class TestObservations:
     SEEN = (
-        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, Property.SAFE, np.full(RAYS, 9.0)),
-        Observation(np.array(NEAR), 20.0, -0.5, 0.2, Property.NON_SAFE, np.full(RAYS, 5.0)),
-        Observation(np.array(NEARER), 1.0, 0.0, 0.0, Property.WINNING, np.full(RAYS, 1.0)),
+        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, StateProperty.SAFE, np.full(RAYS, 9.0)),
+        Observation(np.array(NEAR), 20.0, -0.5, 0.2, StateProperty.NON_SAFE, np.full(RAYS, 5.0)),
+        Observation(np.array(NEARER), 1.0, 0.0, 0.0, StateProperty.WINNING, np.full(RAYS, 1.0)),
     )
 
     def test_stacked_has_a_row_for_each_vehicle(self) -> None:
@@ -264,7 +265,7 @@ class TestObservations:
         assert many.target_bearing.tolist() == [0.5, -0.5, 0.0]
         assert many.yaw_rate.tolist() == [-0.1, 0.2, 0.0]
         assert many.ray_distances.tolist() == [[9.0] * RAYS, [5.0] * RAYS, [1.0] * RAYS]
-        assert many.property.tolist() == [Property.SAFE, Property.NON_SAFE, Property.WINNING]
+        assert many.state_property.tolist() == [StateProperty.SAFE, StateProperty.NON_SAFE, StateProperty.WINNING]
 
 
 class TestTransition:
@@ -274,9 +275,9 @@ class TestTransition:
         """Python's atan2 and NumPy's differ in the last bit for one input in twelve."""
         places = np.random.default_rng(0).uniform((5, 5, -3), (195, 195, 3), (300, 3)).tolist()
         worlds = [world_of(start=Pose(*place), target=(190.0, 150.0)) for place in places]
-        navigation = Navigation(TwinSimulator(vehicle, DriveOptions()), TaskOptions())
+        navigation = Navigation(KinematicSimulator(vehicle, DriveOptions()), TaskOptions())
         alone = [navigation.reset(world) for world in worlds]
-        fleet = FleetNavigation(TwinFleet(vehicle, DriveOptions(), len(worlds)), TaskOptions())
+        fleet = FleetNavigation(KinematicFleet(vehicle, DriveOptions(), len(worlds)), TaskOptions())
         fleet.reset(dict(enumerate(worlds)))
         assert fleet.observations.target_bearing.tolist() == [one.target_bearing for one in alone]
         assert fleet.observations.target_distance.tolist() == [one.target_distance for one in alone]
@@ -289,7 +290,7 @@ class TestTransition:
         assert observation.target_distance == pytest.approx(50.0)
         assert observation.target_bearing == pytest.approx(atan2(40.0, 30.0) - 0.5)
         assert observation.yaw_rate == 0.0
-        assert observation.property is Property.NON_SAFE
+        assert observation.state_property is StateProperty.NON_SAFE
 
     def test_states_are_chained(self, navigation_of: Callable[..., Navigation]) -> None:
         navigation = navigation_of(CLEAR, NEAR, NEARER)
@@ -385,7 +386,7 @@ class TestNavigationInContactPhysics:
         while not steps[-1].ending:
             steps.append(navigation.step(TOWARD_TARGET))
         assert steps[-1].ending == "goal"
-        assert steps[-1].s_t.property is Property.WINNING
+        assert steps[-1].s_t.state_property is StateProperty.WINNING
         assert steps[-1].s_t.target_distance <= 2.0
         assert (steps[-1].discount_t, steps[-1].r_t) == (0.0, 1.0)
         assert all(step.discount_t == 1.0 and step.r_t == 0.0 for step in steps[:-1])
@@ -397,10 +398,10 @@ class TestNavigationInContactPhysics:
         while not steps[-1].ending:
             steps.append(navigation.step(0))
         assert steps[-1].ending == "collision"
-        assert steps[-1].s_t.property is Property.FAILURE
+        assert steps[-1].s_t.state_property is StateProperty.FAILURE
         assert (steps[-1].discount_t, steps[-1].r_t) == (0.0, -0.6)
         assert len(steps) == 7  # the face is 6.1 m from the nose, 1 m a step
-        assert steps[-2].s_t.property is Property.NON_SAFE
+        assert steps[-2].s_t.state_property is StateProperty.NON_SAFE
         assert sum(step.r_t for step in steps) == pytest.approx(sum(sum(step.terms.values()) for step in steps))
 
 
@@ -461,8 +462,8 @@ class TestGymnasium:
         terms = {name: value for name, value in info.items() if name.startswith("reward/")}
         assert len(terms) == 6
         assert sum(terms.values()) == reward
-        assert info.keys() - terms.keys() == {"ending", "property", "heading_error"}
-        assert info["property"] in ("SS", "NS")
+        assert info.keys() - terms.keys() == {"ending", "state_property", "heading_error"}
+        assert info["state_property"] in ("SS", "NS")
 
     def test_the_same_seed_gives_the_same_episode(self, env: gymnasium.Env[Any, Any]) -> None:
         first = episode(env, seed=1)
@@ -527,7 +528,7 @@ class TestGymnasium:
             _, reward, over, truncated, info = env.step(5)
             assert not truncated
         env.close()
-        assert (info["ending"], info["property"], reward) == ("goal", "WS", 1.0)
+        assert (info["ending"], info["state_property"], reward) == ("goal", "WS", 1.0)
 
     def test_unknown_options_are_refused_in_one_line(self) -> None:
         with pytest.raises(UserError, match=r"unknown key 'gravity'; valid keys: .*world"):

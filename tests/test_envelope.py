@@ -52,7 +52,7 @@ from nnql_bullet.reports.tables import NOT_A_CERTIFICATE
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import BulletSimulator
 from nnql_bullet.sim.contact import ContactForce
-from nnql_bullet.vehicle.demand import TurnDemand
+from nnql_bullet.vehicle.limits import TurnDemand
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 G, MASS, RADIUS = 9.81, 120.0, 0.125

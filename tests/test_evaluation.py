@@ -26,7 +26,7 @@ from nnql_bullet.worlds.paths import Difficulty
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
 
-TWIN = Setting("validation", "twin", "reference")
+KINEMATIC = Setting("validation", "kinematic", "reference")
 
 
 def policy(name: str, method: str, seed: int = 0) -> Policy:
@@ -46,7 +46,7 @@ def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) 
     names = {"g": "goal", "c": "collision", "t": "timeout"}
     tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
     return Evaluation(
-        setting=TWIN,
+        setting=KINEMATIC,
         policies=[policy(name, method) for name, method in methods.items()],
         tiers=list(tiers.values()),
         difficulties={name: [Difficulty(0.05, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for name, its in tiers.items()},
@@ -141,10 +141,10 @@ class TestPolicies:
     ) -> None:
         for seed in range(2):
             out = tmp_path / f"mine-{seed}"
-            arguments = ("--config", small_config, "--sim", "twin", "--episodes", 2, "--seed", seed, "--out", out)
+            arguments = ("--config", small_config, "--sim", "kinematic", "--episodes", 2, "--seed", seed, "--out", out)
             assert run_cli("train", *arguments)[0] == 0
         other = tmp_path / "other-0"
-        assert run_cli("train", "--config", small_config, "--sim", "twin", "--episodes", 3, "--out", other)[0] == 0
+        assert run_cli("train", "--config", small_config, "--sim", "kinematic", "--episodes", 3, "--out", other)[0] == 0
         found = open_policies([tmp_path / "mine-0", other, tmp_path / "mine-1"])
         assert [(p.name, p.method, p.seed) for p in found] == [
             ("mine-0", "mine", 0),
@@ -183,36 +183,36 @@ class TestParts:
     def test_names_change_with_whatever_the_result_depends_on(self) -> None:
         one, other = tier("t", 30), replace(tier("t", 30), digests=tuple(f"e{k}" for k in range(30)))
         tasks = [
-            DriveTask(policy("a", "a"), one, TWIN, 0),
-            DriveTask(policy("b", "b"), one, TWIN, 0),
-            DriveTask(policy("a", "a"), other, TWIN, 0),
-            DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet"), 0),
-            DriveTask(policy("a", "a"), one, replace(TWIN, simulator="bullet", physics="fast"), 0),
-            DriveTask(policy("a", "a"), one, TWIN, 25),
-            DriveTask(policy("a", "a"), one, replace(TWIN, departures=Departures(friction=0.5)), 0),
-            DriveTask(policy("a", "a"), one, replace(TWIN, departures=Departures(payload=0.5)), 0),
+            DriveTask(policy("a", "a"), one, KINEMATIC, 0),
+            DriveTask(policy("b", "b"), one, KINEMATIC, 0),
+            DriveTask(policy("a", "a"), other, KINEMATIC, 0),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, simulator="bullet"), 0),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, simulator="bullet", physics="fast"), 0),
+            DriveTask(policy("a", "a"), one, KINEMATIC, 25),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, departures=Departures(friction=0.5)), 0),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, departures=Departures(payload=0.5)), 0),
         ]
         assert len({task.part for task in tasks}) == len(tasks)
-        assert DriveTask(policy("a", "z"), one, TWIN, 0).part == tasks[0].part
+        assert DriveTask(policy("a", "z"), one, KINEMATIC, 0).part == tasks[0].part
         assert part_name("a", 1) == part_name("a", 1) != part_name("a", 2)
 
 
 def test_pieces_are_all_worlds_once() -> None:
     tiers = [tier("one", 60), tier("two", 25)]
-    tasks = drive_tasks([policy("a", "a"), policy("b", "b")], tiers, TWIN)
+    tasks = drive_tasks([policy("a", "a"), policy("b", "b")], tiers, KINEMATIC)
     driven = [(task.policy.name, task.tier.name, seed) for task in tasks for seed in task.tier.block(task.first)]
     assert sorted(driven) == sorted((name, t.name, seed) for name in "ab" for t in tiers for seed in t.seeds)
     assert sum(task.size for task in tasks) == len(driven)
 
 
-def test_the_twin_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
+def test_the_kinematic_model_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
     (its,) = open_policies([tiny_run])
-    (small,) = draw_tiers([str(small_world)], TWIN, 3, its)
-    together = drive(DriveTask(its, small, TWIN, 0))
+    (small,) = draw_tiers([str(small_world)], KINEMATIC, 3, its)
+    together = drive(DriveTask(its, small, KINEMATIC, 0))
     assert [s.world_seed for s in together] == [0, 1, 2]
     for k in range(3):
         alone = replace(small, seeds=small.seeds[k : k + 1], digests=small.digests[k : k + 1])
-        assert drive(DriveTask(its, alone, TWIN, 0)) == together[k : k + 1]
+        assert drive(DriveTask(its, alone, KINEMATIC, 0)) == together[k : k + 1]
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +223,7 @@ def evaluated(
     from nnql_bullet.cli import main
 
     out = tmp_path_factory.mktemp("evaluation") / "report"
-    where = ("--world", f"{small_world},cover_10", "--cover", "5", "--sim", "twin", "--worlds", "4")
+    where = ("--world", f"{small_world},cover_10", "--cover", "5", "--sim", "kinematic", "--worlds", "4")
     arguments = ("evaluate", tiny_run, "straight", *where)
     assert main([str(part) for part in (*arguments, "--executor", "inline", "--out", out)]) == 0
     return out, arguments
@@ -302,7 +302,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("where", "departures"),
         [
-            (("--sim", "twin"), ("--noise", "0.3", "--dead-sector", "0")),
+            (("--sim", "kinematic"), ("--noise", "0.3", "--dead-sector", "0")),
             (("--sim", "bullet", "--physics", "fast"), ("--friction", "0.2", "--payload", "80")),
         ],
     )
@@ -322,7 +322,7 @@ class TestCommand:
             assert run_cli("evaluate", tiny_run, *flags, "--worlds", 2, "--executor", "inline", "--out", out)[0] == 0
             with (out / "episodes.csv").open(newline="") as file:
                 lengths.append([float(e["path_length"]) for e in csv.DictReader(file)])
-            printed = run_cli("navigate", tiny_run, *flags, "--seed", 1, "--json", "--out", tmp_path / "drive")[1]
+            printed = run_cli("drive", tiny_run, *flags, "--seed", 1, "--json", "--out", tmp_path / "drive")[1]
             assert json.loads(printed)["path_length"] == lengths[-1][1]
         assert lengths[0] != lengths[1]
         values = json.loads((out / "results.json").read_text())
@@ -357,7 +357,7 @@ class TestCommand:
         self, arguments: tuple[str, ...], message: str, tmp_path: Path, run_cli: RunCli
     ) -> None:
         out = tmp_path / "out"
-        code, printed, complaint = run_cli("evaluate", *arguments, "--sim", "twin", "--out", out)
+        code, printed, complaint = run_cli("evaluate", *arguments, "--sim", "kinematic", "--out", out)
         assert (code, printed) == (2, "")
         assert message in complaint
         assert len(complaint.splitlines()) == 1

@@ -69,7 +69,7 @@ def recording(
         ray_distances=np.full((n + 1, 72), 10.0),
         state_property=np.full(n + 1, "SS"),
         q_values=np.full((n, 5), np.nan),
-        overruled=np.zeros(n, np.bool_),
+        overridden=np.zeros(n, np.bool_),
         action=np.zeros(n, np.int64),
         heading_command=commands,
         heading_error=np.zeros(n),
@@ -296,7 +296,7 @@ def test_what_a_player_is_told_can_stand_in_html_and_names_boxes_that_move() -> 
 
 def failed(*drives: tuple[str, str, int]) -> list[FailedDrive]:
     """From policy, world and seed; a policy's method is the first letter of its name."""
-    setting = Setting("validation", "twin", "reference")
+    setting = Setting("validation", "kinematic", "reference")
     return [
         FailedDrive(
             FilmTask(
@@ -353,7 +353,7 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory, tiny_run: Path) -> Path:
     """A run of 12 episodes and a rule, evaluated where they fail. Read only."""
     work = tmp_path_factory.mktemp("failures")
     shutil.copytree(tiny_run, work / "tiny")
-    where = ("--world", "moving", "--cover", "20", "--sim", "twin", "--worlds", "4", "--executor", "inline")
+    where = ("--world", "moving", "--cover", "20", "--sim", "kinematic", "--worlds", "4", "--executor", "inline")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(work)
         assert main(["evaluate", "tiny", "straight", *where, "--out", "evaluate"]) == 0
@@ -452,7 +452,7 @@ class TestCommand:
         assert report == "report: sorted/failures/failures.md"
 
     def test_evaluating_anew_leaves_nothing_stale(self, here: Path, run_cli: RunCli, snapshot: Snapshot) -> None:
-        where = ("--world", "moving", "--cover", "20", "--sim", "twin", "--worlds", "4", "--executor", "inline")
+        where = ("--world", "moving", "--cover", "20", "--sim", "kinematic", "--worlds", "4", "--executor", "inline")
         assert run_cli("evaluate", "tiny", "straight", *where, "--out", "sorted")[0] == 0
         assert snapshot(here / "sorted") == snapshot(here / "evaluate")
 

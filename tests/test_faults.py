@@ -14,10 +14,10 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Conditions, Experiment, RunConfig, changed
 from nnql_bullet.geometry import Pose
 from nnql_bullet.rollout import run_episode, run_episodes
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults, degraded
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded, urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -60,7 +60,9 @@ class TestDegraded:
 @pytest.mark.parametrize("faults", [SensorFaults(noise=0.05), SensorFaults(dead_sector=0)], ids=["noise", "dead"])
 class TestSimulatorsSeenThroughFaults:
     def test_one_and_a_fleet_see_the_same(self, vehicle: VehicleSpec, small_world: Path, faults: SensorFaults) -> None:
-        config = RunConfig(world=str(small_world), simulator="twin", conditions=Conditions(sensors=faults), vehicles=3)
+        config = RunConfig(
+            world=str(small_world), simulator="kinematic", conditions=Conditions(sensors=faults), vehicles=3
+        )
         experiment = Experiment(config)
         worlds = [experiment.world(seed) for seed in range(4)]
         many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent)
@@ -70,7 +72,7 @@ class TestSimulatorsSeenThroughFaults:
     def test_what_is_seen_is_the_same_until_the_vehicle_moves(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
     ) -> None:
-        simulator = FaultySimulator(TwinSimulator(vehicle, DriveOptions()), faults)
+        simulator = FaultySimulator(KinematicSimulator(vehicle, DriveOptions()), faults)
         simulator.reset(world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0)))
         first = simulator.scan()
         assert (simulator.scan().distances == first.distances).all()
@@ -80,8 +82,8 @@ class TestSimulatorsSeenThroughFaults:
     def test_the_vehicle_itself_moves_as_before(
         self, vehicle: VehicleSpec, empty_world: WorldSpec, faults: SensorFaults
     ) -> None:
-        sound = TwinSimulator(vehicle, DriveOptions())
-        faulty = FaultySimulator(TwinSimulator(vehicle, DriveOptions()), faults)
+        sound = KinematicSimulator(vehicle, DriveOptions())
+        faulty = FaultySimulator(KinematicSimulator(vehicle, DriveOptions()), faults)
         for simulator in (sound, faulty):
             simulator.reset(empty_world)
         assert sound.advance(0.4) == faulty.advance(0.4)
@@ -90,7 +92,7 @@ class TestSimulatorsSeenThroughFaults:
     def test_what_a_fleet_hands_out_is_its_own(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
     ) -> None:
-        inner = TwinFleet(vehicle, DriveOptions(), 2)
+        inner = KinematicFleet(vehicle, DriveOptions(), 2)
         fleet = FaultyFleet(inner, faults)
         world = world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0))
         _, seen = fleet.reset({0: world, 1: replace(world, seed=1)})

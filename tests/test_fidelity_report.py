@@ -94,7 +94,7 @@ def test_physics_that_is_wrong_exits_1_and_says_where(
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(("--robot", "nothing"), "nothing"), (("--physics", "slow"), "slow"), (("--sim", "twin"), "twin")],
+    [(("--robot", "nothing"), "nothing"), (("--physics", "slow"), "slow"), (("--sim", "kinematic"), "kinematic")],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
     run_cli: RunCli, tmp_path: Path, arguments: tuple[str, ...], message: str

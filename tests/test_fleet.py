@@ -17,12 +17,13 @@ from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
-from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Fleet, Motions, Simulator
+from nnql_bullet.sim.base import Fleet, Motions, Simulator
 from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator, _announced
 from nnql_bullet.sim.local import local_fleet
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator, _announced
 from nnql_bullet.sim.workers import WorkerFleet
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -32,22 +33,22 @@ SIZE = 6
 NEEDS_MUJOCO = pytest.mark.skipif(
     find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
 )
-KINDS = ("twin", "local bullet", pytest.param("local mujoco", marks=NEEDS_MUJOCO), "local twin", "workers")
+KINDS = ("kinematic", "local bullet", pytest.param("local mujoco", marks=NEEDS_MUJOCO), "local kinematic", "workers")
 LIMIT = 60.0
 """Seconds after which a wait is given up."""
 
 
 def maker(kind: str, vehicle: VehicleSpec) -> Callable[[], Simulator]:
     """What makes a single simulator of the fleet's kind."""
-    if "twin" in kind:
-        return partial(TwinSimulator, vehicle, DRIVE)
+    if "kinematic" in kind:
+        return partial(KinematicSimulator, vehicle, DRIVE)
     return partial(contact_simulator, "mujoco" if "mujoco" in kind else "bullet", "fast", vehicle, DRIVE)
 
 
 def make_fleet(kind: str, vehicle: VehicleSpec, size: int) -> Fleet:
     make = maker(kind, vehicle)
-    if kind == "twin":
-        return TwinFleet(vehicle, DRIVE, size)
+    if kind == "kinematic":
+        return KinematicFleet(vehicle, DRIVE, size)
     if kind == "workers":
         return WorkerFleet(partial(local_fleet, make), size, min(size, 2))
     return local_fleet(make, size)
@@ -220,7 +221,7 @@ class TestEveryFleet:
             assert values.dtype == (np.bool_ if field.name in ("touching", "at_target") else np.float64), field.name
 
 
-class TestTwinFleet:
+class TestKinematicFleet:
     def test_the_number_of_threads_makes_no_difference(self, vehicle: VehicleSpec) -> None:
         size = 100
         sources = [load_world(name) for name in ("paper", "cover_20")]
@@ -228,7 +229,7 @@ class TestTwinFleet:
         calls = restless(worlds, size, seed=3)
         found = []
         for threads in (1, 2, 3):
-            with closing(TwinFleet(vehicle, DRIVE, size, threads)) as fleet:
+            with closing(KinematicFleet(vehicle, DRIVE, size, threads)) as fleet:
                 found.append(driven(fleet, calls))
         assert found[0] == found[1] == found[2]
 
@@ -242,14 +243,14 @@ class TestTwinFleet:
         few = replace(full, patrols=busy.patrols[:2])
         calls = [{0: sparse, 1: world_of()}, drive, {1: few}, drive, {0: full, 1: sparse}, drive, drive]
         calls += [{0: busy}, drive, {1: few}, drive, {0: sparse}, drive, drive, {0: few, 1: busy}, drive]
-        with closing(TwinFleet(vehicle, DRIVE, 2)) as fleet, closing(TwinSimulator(vehicle, DRIVE)) as alone:
+        with closing(KinematicFleet(vehicle, DRIVE, 2)) as fleet, closing(KinematicSimulator(vehicle, DRIVE)) as alone:
             for diary in driven(fleet, calls):
                 assert diary.answers == answers_alone(alone, diary.calls)
 
     def test_its_path_leads_from_the_start_of_the_period_to_where_the_vehicle_is(
         self, vehicle: VehicleSpec, worlds: list[WorldSpec]
     ) -> None:
-        with closing(TwinFleet(vehicle, DRIVE, 2)) as fleet:
+        with closing(KinematicFleet(vehicle, DRIVE, 2)) as fleet:
             begin, _ = fleet.reset({0: worlds[3], 1: worlds[1]})
             for _ in range(3):
                 motions, _ = fleet.advance(np.array([0.0, 0.5]), np.ones(2, np.bool_))
@@ -380,7 +381,7 @@ def check(scene: Scene) -> list[str]:
         for patrol in scene.patrols
     )
     world = WorldSpec("scene", 0, 200.0, 200.0, boxes, Pose(MIDDLE, MIDDLE, 0.0), target, scene.radius, 1.5, patrols)
-    with closing(TwinFleet(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
+    with closing(KinematicFleet(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
         fleet.reset({0: world})
         for change, expected in zip(scene.turns, follows(scene, world), strict=False):
             path, last, touching, at_target, smallest, error = expected
@@ -398,7 +399,7 @@ def check(scene: Scene) -> list[str]:
 
 
 class TestAgainstBruteForce:
-    """The twin looks at few poses and few boxes; brute force looks at all of them."""
+    """The kinematic model looks at few poses and few boxes; brute force looks at all of them."""
 
     @given(scene=scenes)
     @settings(deadline=None, max_examples=150)
@@ -472,7 +473,7 @@ class TestAnnouncement:
             while not caplog.messages and time.monotonic() < deadline:
                 time.sleep(0.01)
         assert caplog.messages == ["grinding coffee"]
-        assert caplog.records[0].name == "nnql_bullet.sim.twin"
+        assert caplog.records[0].name == "nnql_bullet.sim.kinematic"
 
     def test_nothing_is_said_when_it_is_quick(self, caplog: pytest.LogCaptureFixture) -> None:
         before = set(threading.enumerate())

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.env import TOWARD_TARGET, Navigation, Observations
 from nnql_bullet.evaluation.causes import apart, departures, explain, parting
@@ -21,10 +21,11 @@ from nnql_bullet.evaluation.statistics import mcnemar, share
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.sim.base import DriveOptions, Simulator
+from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -74,7 +75,7 @@ class TestStatistics:
 
 class TestDepartures:
     def test_the_ideal_vehicle_neither_lags_nor_slips(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = departures(recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, SWERVES), vehicle, 2.0)
+        parts = departures(recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES), vehicle, 2.0)
         assert parts.lag.max() < 1e-3
         assert parts.slip.max() < 1e-3
         assert parts.way == pytest.approx(1.0)
@@ -112,7 +113,7 @@ class TestDepartures:
 class TestCauses:
     @pytest.fixture
     def ideal(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> Recording:
-        return recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, SWERVES)
+        return recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES)
 
     def test_slip(self, vehicle: VehicleSpec, empty_world: WorldSpec, ideal: Recording) -> None:
         icy = slippery(vehicle, 0.25)
@@ -126,7 +127,7 @@ class TestCauses:
         self, vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
         icy = slippery(vehicle, 0.25)
-        straight = recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, [STRAIGHT] * 10)
+        straight = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [STRAIGHT] * 10)
         swerving = recorded(contact(icy), empty_world, [STRAIGHT, STRAIGHT, *SWERVES])
         found = explain(straight, swerving, icy, 2.0)
         assert found.slip < 0.03
@@ -158,7 +159,7 @@ class TestCauses:
         half_width = vehicle.footprint.half_width
         hit, missed = (
             recorded(
-                TwinSimulator(vehicle, DriveOptions()),
+                KinematicSimulator(vehicle, DriveOptions()),
                 world_of(OrientedBox(104.0, 100.0 + half_width + 0.1 + off, 0.1, 0.1)),
                 [STRAIGHT] * 8,
             )
@@ -171,8 +172,8 @@ class TestCauses:
             assert found.miss == pytest.approx(0.01, abs=2e-3)
 
     def test_a_close_call_of_the_network_is_measured(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        first = recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 1])
-        second = recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 3])
+        first = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 1])
+        second = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 3])
         q = np.zeros((3, 5))
         q[2] = [0.0, 0.5, 0.0, 0.2, 0.0]
         first, second = replace(first, q_values=q), replace(second, q_values=q[:, ::-1])
@@ -184,7 +185,7 @@ class TestCauses:
 
     def test_how_far_apart_two_arcs_get(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         straight, turning = (
-            recorded(TwinSimulator(vehicle, DriveOptions()), empty_world, [action] * 6)
+            recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [action] * 6)
             for action in (STRAIGHT, LEFT_60)
         )
         times, distances = apart(straight, turning)
@@ -255,26 +256,28 @@ class TestCommand:
         with (report / "episodes.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         sound = {side: {r["world_seed"]: r["ending"] for r in rows if r["simulator"] == side and not r["fault"]}
-                 for side in ("twin", "bullet, fast")}  # fmt: skip
+                 for side in ("kinematic", "bullet, fast")}  # fmt: skip
         for i, first in enumerate(values["endings"]):
             for j, second in enumerate(values["endings"]):
-                both = sum(sound["twin"][s] == first and sound["bullet, fast"][s] == second for s in map(str, range(7)))
+                both = sum(
+                    sound["kinematic"][s] == first and sound["bullet, fast"][s] == second for s in map(str, range(7))
+                )
                 assert values["outcomes"][i][j] == both
         assert len(values["faults"]) == 13
         for row in values["faults"]:
             name = "" if row["fault"] == "none" else row["fault"]
-            endings = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] != "twin"]
-            in_twin = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] == "twin"]
+            endings = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] != "kinematic"]
+            in_kinematic = [r["ending"] for r in rows if r["fault"] == name and r["simulator"] == "kinematic"]
             assert len(endings) == 7
             assert row["goal"][0] == pytest.approx(endings.count("goal") / 7)
-            assert bool(in_twin) is not name.startswith(("friction", "payload"))
-            assert row["goal_first"] is None or row["goal_first"][0] == pytest.approx(in_twin.count("goal") / 7)
-            assert bool(row["goal_first"]) is bool(in_twin)
+            assert bool(in_kinematic) is not name.startswith(("friction", "payload"))
+            assert row["goal_first"] is None or row["goal_first"][0] == pytest.approx(in_kinematic.count("goal") / 7)
+            assert bool(row["goal_first"]) is bool(in_kinematic)
         text = (report / "gap.md").read_text()
         assert all(f"| {row['fault']} |" in text for row in values["faults"])
 
     @pytest.mark.parametrize(("fault", "flags"), [("", ()), ("payload 40 kg", ("--payload", 40))])
-    def test_navigate_drives_the_same_again(
+    def test_drive_drives_the_same_again(
         self, report: Path, tiny_run: Path, run_cli: RunCli, tmp_path: Path, fault: str, flags: tuple[object, ...]
     ) -> None:
         with (report / "episodes.csv").open(newline="") as file:
@@ -282,7 +285,7 @@ class TestCommand:
         for row in rows[:2]:
             seed = row["world_seed"]
             arguments = (tiny_run, "--seed", seed, "--physics", "fast", *flags, "--out", tmp_path, "--json")
-            code, out, _ = run_cli("navigate", *arguments)
+            code, out, _ = run_cli("drive", *arguments)
             again = json.loads(out)
             assert code == 0
             assert (again["ending"], again["time"]) == (row["ending"], float(row["duration"]))
@@ -320,4 +323,4 @@ class TestCommand:
         files = list((report / "flips").glob("*.npz"))
         assert len(files) == 2 * len(values["flips"])
         for file in files:
-            assert load_recording(file).about["simulator"] in ("twin", "bullet")
+            assert load_recording(file).about["simulator"] in ("kinematic", "bullet")

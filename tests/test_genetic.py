@@ -14,9 +14,16 @@ import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import Learner, Taught
-from nnql_bullet.agents.genetic import GENES, Genetic, GeneticOptions, first_generation, layers, network_outputs
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.base import LearningAgent, Trainable
+from nnql_bullet.agents.learning.genetic import (
+    GENES,
+    Genetic,
+    GeneticOptions,
+    first_generation,
+    layers,
+    network_outputs,
+)
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, stacked
 from nnql_bullet.errors import UserError
@@ -25,8 +32,8 @@ from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Fleet, WorkerDied
-from nnql_bullet.sim.twin import TwinSimulator
-from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.training.base import TrainingEpisode
 
 evolution = pytest.importorskip("nnql_bullet.training.evolution", reason="needs the extra [baselines]")
@@ -43,7 +50,7 @@ def same(one: Arrays, other: Arrays) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
-def observed(readings: NDArray[np.float64], state: Property = Property.NON_SAFE) -> Observations:
+def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observations:
     return stacked([Observation(row, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for row in readings])
 
 
@@ -73,14 +80,14 @@ class Parts:
 
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
-    """Makes searches in the small world, on the twin."""
+    """Makes searches in the small world, on the kinematic model."""
     fleets: list[Fleet] = []
 
     def make(vehicles: int = 4, seed: int = 5, options: GeneticOptions = SMALL) -> Parts:
         config = RunConfig(
             seed=seed,
             vehicles=vehicles,
-            simulator="twin",
+            simulator="kinematic",
             world=str(small_world),
             task=TaskOptions(max_steps=60),
             agent=options,
@@ -105,45 +112,45 @@ class TestNetworks:
 
     def test_the_weights_are_those_of_the_papers_network(self) -> None:
         agent, nnql = Genetic(GeneticOptions(), 3), Nnql(NnqlOptions(), 0)
-        assert GENES == sum(weights.size for weights in nnql.arrays().values()) == 89
-        nnql.load(agent.arrays())
+        assert GENES == sum(weights.size for weights in nnql.state_dict().values()) == 89
+        nnql.load_state_dict(agent.state_dict())
         seen = observed(np.random.default_rng(0).uniform(0, 10, (50, 8)))
         assert agent.action_values(seen) == pytest.approx(nnql.action_values(seen), abs=1e-12)
-        assert agent.exploit(seen).tolist() == nnql.exploit(seen).tolist()
+        assert agent.act(seen).tolist() == nnql.act(seen).tolist()
 
     def test_in_safe_states_it_turns_toward_the_target(self) -> None:
         agent = Genetic(GeneticOptions(), 3)
-        seen = observed(np.full((2, 8), 9.0), Property.SAFE)
-        assert agent.exploit(seen).tolist() == [5, 5]
+        seen = observed(np.full((2, 8), 9.0), StateProperty.SAFE)
+        assert agent.act(seen).tolist() == [5, 5]
         assert np.isnan(agent.action_values(seen)).all()
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:
         agent = Genetic(GeneticOptions(), 3)
-        assert isinstance(agent, Taught)
-        assert not isinstance(agent, Learner)
+        assert isinstance(agent, Trainable)
+        assert not isinstance(agent, LearningAgent)
 
     def test_weights_are_taken_back(self) -> None:
         agent, other = Genetic(GeneticOptions(), 3), Genetic(GeneticOptions(), 4)
-        assert not same(agent.arrays(), other.arrays())
-        other.load(agent.arrays())
-        assert same(agent.arrays(), other.arrays())
+        assert not same(agent.state_dict(), other.state_dict())
+        other.load_state_dict(agent.state_dict())
+        assert same(agent.state_dict(), other.state_dict())
 
     @pytest.mark.parametrize("change", [{"2.bias": np.zeros(6)}, {"2.bias": np.full(5, np.nan)}, {"more": np.zeros(1)}])
     def test_what_are_no_such_weights_is_refused(self, change: Arrays) -> None:
         agent = Genetic(GeneticOptions(), 3)
         with pytest.raises(UserError, match="8-6-5"):
-            agent.load(agent.arrays() | change)
+            agent.load_state_dict(agent.state_dict() | change)
 
 
 def driven_alone(
-    experiment: Experiment, simulator: TwinSimulator, genome: NDArray[np.float64], world: int
+    experiment: Experiment, simulator: KinematicSimulator, genome: NDArray[np.float64], world: int
 ) -> tuple[EpisodeSummary, float]:
     """An episode by one genome alone, and the share of the way that it was nearer when it last decided."""
     seen = []
 
     def policy(observations: Observations) -> NDArray[np.int64]:
         seen.append(float(observations.target_distance[0]))
-        if observations.property[0] == Property.SAFE:
+        if observations.state_property[0] == StateProperty.SAFE:
             return np.array([5])
         return np.array([by_hand(genome, observations.readings[0]).argmax()])
 
@@ -167,9 +174,9 @@ class TestSearch:
         made = parts(seed=7)
         record = np.zeros((5, 2))  # summed fitness and tries of each genome, in all generations that it lived through
         ever = set()
-        with closing(TwinSimulator(made.experiment.vehicle, made.experiment.config.drive)) as simulator:
+        with closing(KinematicSimulator(made.experiment.vehicle, made.experiment.config.drive)) as simulator:
             for generation in range(3):
-                genomes = made.training.arrays()["genomes"]
+                genomes = made.training.state_dict()["genomes"]
                 episodes = sorted(islice(made.training.episodes(), SIZE), key=lambda episode: episode.episode)
                 first = generation * SIZE
                 assert [episode.episode for episode in episodes] == list(range(first, first + SIZE))
@@ -185,9 +192,9 @@ class TestSearch:
                 fitness = [(total + 8.0 * np.mean(fits)) / (tries + 8.0) for total, tries in record]
                 order = sorted(range(5), key=lambda genome: -fitness[genome])
                 best = Genetic(SMALL, 0)
-                best.load({name: weights[0] for name, weights in layers(genomes[order[:1]]).items()})
-                assert same(made.agent.arrays(), best.arrays())
-                assert np.array_equal(made.training.arrays()["genomes"][:2], genomes[order[:2]])
+                best.load_state_dict({name: weights[0] for name, weights in layers(genomes[order[:1]]).items()})
+                assert same(made.agent.state_dict(), best.state_dict())
+                assert np.array_equal(made.training.state_dict()["genomes"][:2], genomes[order[:2]])
                 record = np.concatenate([record[order[:2]], np.zeros((3, 2))])
         assert ever == {False, True}
 
@@ -196,7 +203,9 @@ class TestSearch:
         for vehicles in (1, 4, 20):
             made = parts(vehicles)
             episodes = list(islice(made.training.episodes(), 2 * SIZE))
-            found.append((sorted(episodes, key=lambda e: e.episode), made.agent.arrays(), made.training.arrays()))
+            found.append(
+                (sorted(episodes, key=lambda e: e.episode), made.agent.state_dict(), made.training.state_dict())
+            )
         for episodes, learned, under_way in found[1:]:
             assert episodes == found[0][0]
             assert same(learned, found[0][1])
@@ -309,15 +318,15 @@ def stops(made: Parts, episodes: int) -> list[Stop]:
     found = []
     for episode in islice(made.training.episodes(), episodes):
         done.append(episode)
-        found.append(Stop(list(done), made.agent.arrays(), made.training.arrays()))
+        found.append(Stop(list(done), made.agent.state_dict(), made.training.state_dict()))
     return found
 
 
 def going_on(made: Parts, stop: Stop, episodes: int) -> Stop:
-    made.agent.load(stop.learned)
-    made.training.load(stop.under_way)
+    made.agent.load_state_dict(stop.learned)
+    made.training.load_state_dict(stop.under_way)
     more = list(islice(made.training.episodes(), episodes - len(stop.done)))
-    return Stop(stop.done + more, made.agent.arrays(), made.training.arrays())
+    return Stop(stop.done + more, made.agent.state_dict(), made.training.state_dict())
 
 
 class TestGoingOn:
@@ -347,7 +356,7 @@ class TestGoingOn:
                 for episode in made.training.episodes():
                     done.append(episode)
         assert 0 < len(done) < 20
-        other = going_on(parts(), Stop(done, made.agent.arrays(), made.training.arrays()), 20)
+        other = going_on(parts(), Stop(done, made.agent.state_dict(), made.training.state_dict()), 20)
         assert other.done == whole[-1].done
         assert same(other.learned, whole[-1].learned)
 
@@ -355,19 +364,19 @@ class TestGoingOn:
         made = parts()
         episodes = made.training.episodes()
         next(episodes)
-        given = made.training.arrays()
+        given = made.training.state_dict()
         kept = {name: values.copy() for name, values in given.items()}
         list(islice(episodes, SIZE))
         assert same(given, kept)
 
     def test_another_state_is_refused(self, parts: Callable[..., Parts]) -> None:
         made = parts()
-        arrays = made.training.arrays()
+        arrays = made.training.state_dict()
         for name in arrays:
             with pytest.raises(UserError, match="not the state of a search with 5 genomes"):
-                made.training.load({other: values for other, values in arrays.items() if other != name})
+                made.training.load_state_dict({other: values for other, values in arrays.items() if other != name})
         with pytest.raises(UserError, match="not the state of a search with 5 genomes"):
-            made.training.load(arrays | {"genomes": np.zeros((6, GENES))})
+            made.training.load_state_dict(arrays | {"genomes": np.zeros((6, GENES))})
 
 
 @pytest.fixture
@@ -380,7 +389,7 @@ def config(small_config: Path, tmp_path: Path) -> Path:
 
 class TestCommandLine:
     def test_in_two_parts_and_with_other_workers_is_as_in_one(self, run_cli: Cli, config: Path, tmp_path: Path) -> None:
-        more = ("--config", config, "--sim", "twin", "--vehicles", 3)
+        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
         assert run_cli("train", *more, "--episodes", 19, "--workers", 1, "--out", tmp_path / "one")[0] == 0
         assert run_cli("train", *more, "--episodes", 11, "--workers", 2, "--out", tmp_path / "two")[0] == 0
         assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 19)[0] == 0
@@ -390,7 +399,7 @@ class TestCommandLine:
             assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
         header = (tmp_path / "one" / "episodes.csv").read_text().splitlines()[0]
         assert header.endswith("generation,genome")
-        code, out, _ = run_cli("navigate", tmp_path / "one", "--sim", "twin", "--json")
+        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
         assert code == 0
         assert '"ending"' in out
 
@@ -398,7 +407,7 @@ class TestCommandLine:
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setitem(sys.modules, "nnql_bullet.training.evolution", None)
-        code, _, err = run_cli("train", "--config", "genetic", "--sim", "twin", "--out", tmp_path / "run")
+        code, _, err = run_cli("train", "--config", "genetic", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[baselines]'" in err
         assert not (tmp_path / "run").exists()

@@ -11,15 +11,16 @@ import pytest
 import shapely
 from shapely import LineString, Point, Polygon
 
-from nnql_bullet.agents.straight import Straight
+from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, wrap_angle
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.sim.base import DriveOptions, Simulator
-from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.layouts import Arena
 from nnql_bullet.worlds.layouts.aisles import Aisles
@@ -33,8 +34,8 @@ MILLIMETRE = 1e-3
 
 
 @pytest.fixture(scope="module")
-def twin(vehicle: VehicleSpec) -> Iterator[TwinSimulator]:
-    with closing(TwinSimulator(vehicle, DriveOptions())) as simulator:
+def kinematic(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
+    with closing(KinematicSimulator(vehicle, DriveOptions())) as simulator:
         yield simulator
 
 
@@ -142,9 +143,9 @@ class TestTraps:
         assert abs(across) < width / 4 + 0.02
 
     def test_whoever_drives_straight_on_does_not_get_through(
-        self, trapped: tuple[Traps, WorldSpec], twin: TwinSimulator
+        self, trapped: tuple[Traps, WorldSpec], kinematic: KinematicSimulator
     ) -> None:
-        assert ends_straight_on(twin, trapped[1]) == "collision"
+        assert ends_straight_on(kinematic, trapped[1]) == "collision"
 
     def test_they_face_every_way(self) -> None:
         yaws = [back.yaw for seed in range(10) for back, _, _ in traps_of(load_world("traps").draw(seed, ROOM))[1:]]
@@ -153,7 +154,9 @@ class TestTraps:
         assert abs(np.mean(np.exp(1j * np.array(yaws)))) < 0.3
 
     @pytest.mark.parametrize("offset", [-3.2, 0.0, 3.2])
-    def test_the_smallest_has_room_to_turn_round_and_drive_out_again(self, twin: TwinSimulator, offset: float) -> None:
+    def test_the_smallest_has_room_to_turn_round_and_drive_out_again(
+        self, kinematic: KinematicSimulator, offset: float
+    ) -> None:
         """It comes in anywhere, sees the back wall, turns away from the nearer side wall, and is out."""
         layout = Traps(kind="traps", count=1)
         width, depth = layout.min_width, layout.min_depth
@@ -161,11 +164,11 @@ class TestTraps:
         sides = (OrientedBox(100 - depth / 2, 50 + side * (width / 2 + 0.5), depth / 2, 0.5) for side in (1, -1))
         start = Pose(100 - depth - 2.0, 50.0 + offset, 0.0)
         world = WorldSpec("t", 0, 200.0, 100.0, (back, *sides), start, (150.0, 50.0), 1.0, 1.5)
-        twin.reset(world)
+        kinematic.reset(world)
         deepest, turn = 0.0, radians(-60) if offset > 0 else radians(60)
         for decision in range(16):
-            yaw = twin.pose().yaw
-            motion = twin.advance(0.0 if decision < 5 else turn if cos(yaw) > -0.9 else wrap_angle(pi - yaw))
+            yaw = kinematic.pose().yaw
+            motion = kinematic.advance(0.0 if decision < 5 else turn if cos(yaw) > -0.9 else wrap_angle(pi - yaw))
             assert not motion.touching
             deepest = max(deepest, motion.pose.x - (100 - depth))
         assert deepest > 3.0
@@ -208,10 +211,12 @@ class TestAisles:
         for end in straight_way(world).boundary.geoms:
             assert end.distance(shapely.union_all(polygons(world.obstacles))) >= layout.clear_radius - 1e-9
 
-    def test_racks_stand_across_the_straight_way(self, hall: tuple[Aisles, WorldSpec], twin: TwinSimulator) -> None:
+    def test_racks_stand_across_the_straight_way(
+        self, hall: tuple[Aisles, WorldSpec], kinematic: KinematicSimulator
+    ) -> None:
         _, world = hall
         assert any(straight_way(world).crosses(polygon) for polygon in polygons(world.obstacles))
-        assert ends_straight_on(twin, world) == "collision"
+        assert ends_straight_on(kinematic, world) == "collision"
 
     @pytest.mark.parametrize(("seed", "rack_depth"), [(0, 2.4), (1, 2.4), (2, 2.4), (3, 1.25), (4, 0.8)])
     def test_a_regular_hall_has_rows_from_wall_to_wall(self, seed: int, rack_depth: float) -> None:

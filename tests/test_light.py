@@ -23,7 +23,7 @@ from nnql_bullet.render.light import (
     with_movers,
 )
 from nnql_bullet.render.shading import LEAN
-from nnql_bullet.vehicle.looks import Kind, Shape, upright
+from nnql_bullet.vehicle.visuals import Kind, Shape, upright
 from nnql_bullet.worlds.spec import WorldSpec
 
 WorldOf = Callable[..., WorldSpec]

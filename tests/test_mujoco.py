@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, ray_distances
-from nnql_bullet.sim.base import DriveOptions, Sample
+from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import PHYSICS as BULLET_PHYSICS
 from nnql_bullet.sim.bullet import BulletSimulator
 from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec, load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec

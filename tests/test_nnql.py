@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions
-from nnql_bullet.agents.nnql import Nnql, encode
-from nnql_bullet.agents.q_learning import boltzmann
+from nnql_bullet.agents.learning.nnql import Nnql, encode
+from nnql_bullet.agents.learning.q_learning import boltzmann
 from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, Property
+from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty
 
 NAMES = ("0.weight", "0.bias", "2.weight", "2.bias")
 TOWARD = 5
@@ -25,7 +25,7 @@ AFTER = np.array([4.5, 2.0, 10.0, 6.0, 9.0, 10.0, 5.0, 2.5])
 all_readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 
 
-def observed(readings=BEFORE, state=Property.NON_SAFE, target_bearing=0.3):
+def observed(readings=BEFORE, state=StateProperty.NON_SAFE, target_bearing=0.3):
     """What one vehicle sees."""
     return stacked([Observation(np.array(readings), 50.0, target_bearing, 0.0, state, np.full(RAYS, 10.0))])
 
@@ -69,12 +69,12 @@ def explored(agent, observations, uniforms, episode=0):
     """The actions of one vehicle for each of several uniforms."""
     rows = (np.repeat(getattr(observations, field.name), len(uniforms), axis=0) for field in fields(Observations))
     many = Observations(*rows)
-    return agent.explore(many, np.full(len(uniforms), episode), np.array(uniforms)).tolist()
+    return agent.act_exploring(many, np.full(len(uniforms), episode), np.array(uniforms)).tolist()
 
 
 def exploited(agent, observations=None):
     """Of one vehicle."""
-    (action,) = agent.exploit(observations or observed()).tolist()
+    (action,) = agent.act(observations or observed()).tolist()
     return action
 
 
@@ -125,23 +125,23 @@ def random_agent(seed=1, **options):
     """An agent with biases that are not zero, as after some training."""
     agent = Nnql(NnqlOptions(**options), seed)
     generator = np.random.default_rng(seed)
-    agent.load({name: generator.normal(size=value.shape) for name, value in agent.arrays().items()})
+    agent.load_state_dict({name: generator.normal(size=value.shape) for name, value in agent.state_dict().items()})
     return agent
 
 
 def test_network_is_8_6_5_with_sigmoid_hidden_units_and_linear_outputs():
     agent = Nnql(NnqlOptions(), 0)
-    shapes = {name: value.shape for name, value in agent.arrays().items()}
+    shapes = {name: value.shape for name, value in agent.state_dict().items()}
     assert shapes == {"0.weight": (6, 8), "0.bias": (6,), "2.weight": (5, 6), "2.bias": (5,)}
     assert [type(layer).__name__ for layer in agent.network] == ["Linear", "Sigmoid", "Linear"]
-    assert all(value.dtype == np.float64 for value in agent.arrays().values())
+    assert all(value.dtype == np.float64 for value in agent.state_dict().values())
 
 
 @given(all_readings, st.integers(0, 100))
 @settings(max_examples=50, deadline=None)
 def test_action_values_are_the_networks_outputs(readings, seed):
     agent = random_agent(seed)
-    _, expected = forward(agent.arrays(), inputs(readings))
+    _, expected = forward(agent.state_dict(), inputs(readings))
     assert q_values(agent, observed(readings)) == pytest.approx(expected, abs=1e-12)
 
 
@@ -149,16 +149,16 @@ def test_action_values_are_the_networks_outputs(readings, seed):
 @settings(max_examples=50, deadline=None)
 def test_action_values_of_many_vehicles_are_those_of_each(rows):
     agent = random_agent()
-    seen = [observed(readings, Property.SAFE if safe else Property.NON_SAFE) for readings, safe in rows]
+    seen = [observed(readings, StateProperty.SAFE if safe else StateProperty.NON_SAFE) for readings, safe in rows]
     values = agent.action_values(together(*seen))
     assert values.shape == (len(rows), 5)
     for (readings, safe), got in zip(rows, values, strict=True):
-        expected = np.full(5, np.nan) if safe else forward(agent.arrays(), inputs(readings))[1]
+        expected = np.full(5, np.nan) if safe else forward(agent.state_dict(), inputs(readings))[1]
         assert got == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
 def test_initial_weights_are_uniform_within_their_ranges_and_biases_are_zero():
-    agents = [Nnql(NnqlOptions(hidden_weights=0.7, output_weights=0.05), seed).arrays() for seed in range(40)]
+    agents = [Nnql(NnqlOptions(hidden_weights=0.7, output_weights=0.05), seed).state_dict() for seed in range(40)]
     for name, limit in (("0.weight", 0.7), ("2.weight", 0.05)):
         drawn = np.concatenate([arrays[name].ravel() for arrays in agents])
         assert np.abs(drawn).max() <= limit
@@ -173,7 +173,7 @@ def test_initial_q_values_are_near_zero():
 
 
 def test_weights_are_a_function_of_the_seed():
-    one, again, other = (Nnql(NnqlOptions(), seed).arrays() for seed in (4, 4, 5))
+    one, again, other = (Nnql(NnqlOptions(), seed).state_dict() for seed in (4, 4, 5))
     assert same(one, again)
     assert not np.allclose(one["0.weight"], other["0.weight"])
 
@@ -186,31 +186,31 @@ def test_making_an_agent_leaves_the_global_generators_alone():
 
 
 def test_weights_do_not_depend_on_the_global_generators():
-    expected = Nnql(NnqlOptions(), 4).arrays()
+    expected = Nnql(NnqlOptions(), 4).state_dict()
     torch.rand(3)
-    assert same(Nnql(NnqlOptions(), 4).arrays(), expected)
+    assert same(Nnql(NnqlOptions(), 4).state_dict(), expected)
 
 
 @pytest.mark.parametrize("encoding", ["proximity", "distance"])
 @pytest.mark.parametrize("action", range(5))
 def test_one_step_of_learning_is_gradient_descent_toward_eq_2(action, encoding):
     agent = random_agent(gradient_step=0.7, learning_rate=0.1, discount=0.15, encoding=encoding)
-    before = agent.arrays()
+    before = agent.state_dict()
     x_tm1, x_t = inputs(BEFORE, encoding), inputs(AFTER, encoding)
     q = forward(before, x_tm1)[1][action]
     td_error = -0.4 + 0.15 * forward(before, x_t)[1].max() - q
     expected = stepped(before, x_tm1, action, q + 0.1 * td_error, 0.7)
     assert learned(agent, transition(action, reward=-0.4)) == pytest.approx(td_error, abs=1e-12)
-    assert close(agent.arrays(), expected)
+    assert close(agent.state_dict(), expected)
 
 
 def test_learning_matches_numerical_gradients():
     agent = random_agent(gradient_step=0.3)
-    before, x = agent.arrays(), inputs(BEFORE)
+    before, x = agent.state_dict(), inputs(BEFORE)
     q = forward(before, x)[1][2]
     target = q + 0.1 * (1.0 + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
     agent.learn(transition(2, reward=1.0))
-    for name, value in agent.arrays().items():
+    for name, value in agent.state_dict().items():
         for index in np.ndindex(value.shape):
             errors = []
             for nudge in (1e-6, -1e-6):
@@ -224,11 +224,11 @@ def test_learning_matches_numerical_gradients():
 def test_steps_do_not_add_up_old_gradients():
     agent = random_agent(gradient_step=0.5)
     for action, reward in ((0, 0.4), (3, -0.6), (0, -0.2)):
-        before = agent.arrays()
+        before = agent.state_dict()
         q = forward(before, inputs(BEFORE))[1][action]
         target = q + 0.1 * (reward + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
         agent.learn(transition(action, reward))
-        assert close(agent.arrays(), stepped(before, inputs(BEFORE), action, target, 0.5))
+        assert close(agent.state_dict(), stepped(before, inputs(BEFORE), action, target, 0.5))
 
 
 def wanted(weights, readings, action, reward, discount, readings_after):
@@ -258,10 +258,10 @@ def as_transitions(steps):
 @settings(max_examples=100, deadline=None)
 def test_steps_at_once_are_gradient_descent_on_the_sum_of_their_errors(steps):
     agent = random_agent(gradient_step=0.3)
-    before = agent.arrays()
+    before = agent.state_dict()
     wants, td_errors = zip(*(wanted(before, *step) for step in steps), strict=True)
     assert agent.learn(as_transitions(steps)) == pytest.approx(np.array(td_errors), abs=1e-12)
-    assert close(agent.arrays(), summed(before, wants, 0.3))
+    assert close(agent.state_dict(), summed(before, wants, 0.3))
 
 
 @pytest.mark.parametrize(("action", "mirror_image"), [(0, 0), (1, 3), (2, 4), (3, 1), (4, 2)])
@@ -276,7 +276,7 @@ def test_a_mirrored_step_teaches_as_the_step_and_its_mirror_image_at_once(action
     (td_error,) = mirrored.learn(step)
     td_errors = both.learn(together(step, image))
     for name in NAMES:
-        assert np.allclose(mirrored.arrays()[name], both.arrays()[name], rtol=0, atol=1e-14)
+        assert np.allclose(mirrored.state_dict()[name], both.state_dict()[name], rtol=0, atol=1e-14)
     assert td_error == pytest.approx(td_errors[0], abs=1e-14)
 
 
@@ -285,37 +285,39 @@ def test_one_step_at_once_is_not_several_one_after_another():
     at_once, one_by_one = random_agent(gradient_step=0.3), random_agent(gradient_step=0.3)
     at_once.learn(as_transitions(steps))
     for step in steps:
-        weights = one_by_one.arrays()
+        weights = one_by_one.state_dict()
         want, td_error = wanted(weights, *step)
         assert learned(one_by_one, as_transitions([step])) == pytest.approx(td_error, abs=1e-12)
-        assert close(one_by_one.arrays(), stepped(weights, *want, 0.3))  # with one vehicle: the paper's online update
-    assert not close(at_once.arrays(), one_by_one.arrays())
+        assert close(
+            one_by_one.state_dict(), stepped(weights, *want, 0.3)
+        )  # with one vehicle: the paper's online update
+    assert not close(at_once.state_dict(), one_by_one.state_dict())
 
 
 def test_vehicles_that_stood_by_teach_nothing():
     nobody = observed(np.full(8, np.nan))
     idle = replace(transition(2, np.nan, np.nan, nobody, nobody), active=np.zeros(1, np.bool_))
     one, other = random_agent(), random_agent()
-    before = one.arrays()
+    before = one.state_dict()
     errors = one.learn(together(idle, transition(1), idle, transition(4, -0.6, 0.0), idle))
     assert np.isnan(errors).tolist() == [True, False, True, False, True]
     assert other.learn(together(transition(1), transition(4, -0.6, 0.0))).tolist() == errors[[1, 3]].tolist()
-    assert same(one.arrays(), other.arrays())
-    assert not same(one.arrays(), before)
-    after = one.arrays()
+    assert same(one.state_dict(), other.state_dict())
+    assert not same(one.state_dict(), before)
+    after = one.state_dict()
     assert np.isnan(one.learn(together(idle, idle))).all()
-    assert same(one.arrays(), after)
+    assert same(one.state_dict(), after)
 
 
 def test_of_many_vehicles_only_those_in_non_safe_states_teach():
-    safe = transition(TOWARD, reward=-0.2, before=observed(state=Property.SAFE))
+    safe = transition(TOWARD, reward=-0.2, before=observed(state=StateProperty.SAFE))
     one, other = random_agent(), random_agent()
-    before = one.arrays()
+    before = one.state_dict()
     errors = one.learn(together(transition(3), safe, safe))
     assert np.isnan(errors).tolist() == [False, True, True]
     assert errors[0] == learned(other, transition(3))
-    assert same(one.arrays(), other.arrays())
-    assert not same(one.arrays(), before)
+    assert same(one.state_dict(), other.state_dict())
+    assert not same(one.state_dict(), before)
 
 
 def test_repeated_learning_of_an_ending_converges_to_its_reward():
@@ -339,16 +341,16 @@ def test_timeout_still_expects_what_would_come():
 
 def test_next_states_value_is_used_though_it_is_safe():
     agent = random_agent()
-    safe = observed(AFTER, Property.SAFE)
+    safe = observed(AFTER, StateProperty.SAFE)
     q, best = q_values(agent)[1], q_values(agent, observed(AFTER)).max()
     assert learned(agent, transition(1, after=safe)) == pytest.approx(0.4 + 0.15 * best - q, abs=1e-12)
 
 
 def test_safe_steps_teach_nothing_by_default():
     agent = random_agent()
-    before = agent.arrays()
-    assert np.isnan(learned(agent, transition(TOWARD, reward=-0.2, before=observed(state=Property.SAFE))))
-    assert same(agent.arrays(), before)
+    before = agent.state_dict()
+    assert np.isnan(learned(agent, transition(TOWARD, reward=-0.2, before=observed(state=StateProperty.SAFE))))
+    assert same(agent.state_dict(), before)
 
 
 @pytest.mark.parametrize(
@@ -357,18 +359,18 @@ def test_safe_steps_teach_nothing_by_default():
 )
 def test_safe_steps_teach_the_nearest_turn_when_asked_to(degrees, action):
     agent = random_agent(learn_in_safe_states=True, gradient_step=0.4)
-    before = agent.arrays()
-    safe = observed(state=Property.SAFE, target_bearing=radians(degrees))
+    before = agent.state_dict()
+    safe = observed(state=StateProperty.SAFE, target_bearing=radians(degrees))
     q = forward(before, inputs(BEFORE))[1][action]
     td_error = -0.2 + 0.15 * forward(before, inputs(AFTER))[1].max() - q
     assert learned(agent, transition(TOWARD, reward=-0.2, before=safe)) == pytest.approx(td_error, abs=1e-12)
-    assert close(agent.arrays(), stepped(before, inputs(BEFORE), action, q + 0.1 * td_error, 0.4))
+    assert close(agent.state_dict(), stepped(before, inputs(BEFORE), action, q + 0.1 * td_error, 0.4))
 
 
 def test_non_safe_steps_train_alike_with_safe_steps_on_or_off():
     one, other = random_agent(), random_agent(learn_in_safe_states=True)
     assert learned(one, transition()) == learned(other, transition())
-    assert same(one.arrays(), other.arrays())
+    assert same(one.state_dict(), other.state_dict())
 
 
 five_values = st.lists(st.floats(-5, 5), min_size=5, max_size=5)
@@ -391,7 +393,7 @@ def test_boltzmann_neither_overflows_nor_gives_nothing_at_the_lowest_temperature
 
 def test_exploration_follows_the_boltzmann_frequencies():
     agent = random_agent(3)
-    _, q = forward(agent.arrays(), inputs(BEFORE))
+    _, q = forward(agent.state_dict(), inputs(BEFORE))
     expected = np.exp(q / 0.8) / np.exp(q / 0.8).sum()  # 0.8 in the first episode
     draws = 20_000
     actions = explored(agent, observed(), np.random.default_rng(0).random(draws))
@@ -405,7 +407,7 @@ def test_exploration_follows_the_boltzmann_frequencies():
 def test_exploration_is_the_inverse_of_the_cumulated_probabilities(readings, seed, episode, uniform):
     agent = random_agent(seed)
     temperature = np.linspace(0.8, 0.01, 1000)[min(episode, 999)]
-    edges = np.cumsum([0.0, *softmax(forward(agent.arrays(), inputs(readings))[1] / temperature)])
+    edges = np.cumsum([0.0, *softmax(forward(agent.state_dict(), inputs(readings))[1] / temperature)])
     (action,) = explored(agent, observed(readings), [uniform], episode)
     assert edges[action] - 1e-9 <= uniform <= edges[action + 1] + 1e-9
 
@@ -424,7 +426,7 @@ IMPOSSIBLE = -1e5  # exp(-1e5 / 0.8) is nothing, so the others' probabilities ar
 )
 def test_exploration_is_exact_at_the_edges(outputs, edges):
     agent = random_agent()
-    agent.load({**agent.arrays(), "2.weight": np.zeros((5, 6)), "2.bias": np.array(outputs)})
+    agent.load_state_dict({**agent.state_dict(), "2.weight": np.zeros((5, 6)), "2.bias": np.array(outputs)})
     below = 0.0
     for action, edge in edges.items():  # an action has the numbers from its lower edge to just below its upper one
         assert explored(agent, observed(), [below, nextafter(edge, 0.0)]) == [action, action]
@@ -440,9 +442,9 @@ def test_the_largest_number_below_1_still_draws_one_of_the_turns():
 
 def test_exploration_of_many_vehicles_is_that_of_each():
     agent, generator = random_agent(1), np.random.default_rng(5)
-    seen = [observed(generator.uniform(0, 10, 8), Property(int(generator.integers(2)))) for _ in range(60)]
+    seen = [observed(generator.uniform(0, 10, 8), StateProperty(int(generator.integers(2)))) for _ in range(60)]
     episodes, uniforms = generator.integers(0, 1200, 60), generator.random(60)
-    actions = agent.explore(together(*seen), episodes, uniforms).tolist()
+    actions = agent.act_exploring(together(*seen), episodes, uniforms).tolist()
     assert actions == [
         explored(agent, one, [uniform], episode)[0]
         for one, episode, uniform in zip(seen, episodes, uniforms, strict=True)
@@ -460,24 +462,24 @@ def test_cold_exploration_is_greedy():
 @settings(max_examples=50, deadline=None)
 def test_exploitation_takes_the_largest_q_value(readings, seed):
     agent = random_agent(seed)
-    _, q = forward(agent.arrays(), inputs(readings))
+    _, q = forward(agent.state_dict(), inputs(readings))
     assert q[exploited(agent, observed(readings))] == pytest.approx(q.max(), abs=1e-12)
 
 
 def test_exploitation_of_many_vehicles_is_that_of_each():
     agent, generator = random_agent(), np.random.default_rng(6)
-    seen = [observed(generator.uniform(0, 10, 8), Property(int(generator.integers(2)))) for _ in range(40)]
-    actions = agent.exploit(together(*seen)).tolist()
+    seen = [observed(generator.uniform(0, 10, 8), StateProperty(int(generator.integers(2)))) for _ in range(40)]
+    actions = agent.act(together(*seen)).tolist()
     for one, action in zip(seen, actions, strict=True):
-        best = int(forward(agent.arrays(), inputs(one.readings[0]))[1].argmax())
-        assert action == (TOWARD if one.property[0] == Property.SAFE else best)
+        best = int(forward(agent.state_dict(), inputs(one.readings[0]))[1].argmax())
+        assert action == (TOWARD if one.state_property[0] == StateProperty.SAFE else best)
     assert TOWARD in actions
     assert len(set(actions)) > 2
 
 
 def test_safe_state_asks_no_network_and_turns_toward_the_target():
     agent = random_agent()
-    safe = observed(np.full(8, 10.0), Property.SAFE)
+    safe = observed(np.full(8, 10.0), StateProperty.SAFE)
 
     def refuse(x):
         if len(x):
@@ -513,9 +515,9 @@ def test_temperature_may_fall_by_the_same_factor_every_episode():
 
 def test_the_network_may_have_other_hidden_units():
     agent = Nnql(NnqlOptions(hidden_units=3), 0)
-    assert sum(values.size for values in agent.arrays().values()) == 8 * 3 + 3 + 3 * 5 + 5
+    assert sum(values.size for values in agent.state_dict().values()) == 8 * 3 + 3 + 3 * 5 + 5
     with pytest.raises(UserError, match="not the weights of an NNQL network of 8-3-5 units"):
-        agent.load(Nnql(NnqlOptions(), 0).arrays())
+        agent.load_state_dict(Nnql(NnqlOptions(), 0).state_dict())
 
 
 @pytest.mark.parametrize(
@@ -553,39 +555,39 @@ def test_diagnostics_are_the_temperature_of_the_episode():
 def test_arrays_and_load_are_a_round_trip():
     trained, fresh = random_agent(1), Nnql(NnqlOptions(), 2)
     trained.learn(transition())
-    fresh.load(trained.arrays())
-    assert same(fresh.arrays(), trained.arrays())
+    fresh.load_state_dict(trained.state_dict())
+    assert same(fresh.state_dict(), trained.state_dict())
     assert q_values(fresh).tolist() == q_values(trained).tolist()
     assert learned(fresh, transition(2)) == learned(trained, transition(2))
-    assert same(fresh.arrays(), trained.arrays())
+    assert same(fresh.state_dict(), trained.state_dict())
 
 
 def test_arrays_are_copies_that_learning_does_not_change():
     agent = random_agent()
-    arrays = agent.arrays()
+    arrays = agent.state_dict()
     kept = {name: value.copy() for name, value in arrays.items()}
     agent.learn(transition())
     assert same(arrays, kept)
-    assert not same(agent.arrays(), kept)
+    assert not same(agent.state_dict(), kept)
 
 
 def test_changing_what_arrays_gave_does_not_change_the_agent():
     agent = random_agent()
     values = q_values(agent)
-    for array in agent.arrays().values():
+    for array in agent.state_dict().values():
         array[:] = 9.0
     assert q_values(agent).tolist() == values.tolist()
 
 
 def test_loaded_arrays_stay_the_callers():
-    agent, arrays = Nnql(NnqlOptions(), 0), random_agent().arrays()
+    agent, arrays = Nnql(NnqlOptions(), 0), random_agent().state_dict()
     kept = {name: value.copy() for name, value in arrays.items()}
-    agent.load(arrays)
+    agent.load_state_dict(arrays)
     agent.learn(transition())
     assert same(arrays, kept)
     for array in arrays.values():
         array[:] = 9.0
-    assert not any(np.any(value == 9.0) for value in agent.arrays().values())
+    assert not any(np.any(value == 9.0) for value in agent.state_dict().values())
 
 
 @pytest.mark.parametrize(
@@ -604,18 +606,18 @@ def test_loaded_arrays_stay_the_callers():
 )
 def test_arrays_of_another_network_are_refused_and_change_nothing(change):
     agent = random_agent()
-    before = agent.arrays()
-    bad = {name: value for name, value in {**agent.arrays(), **change}.items() if value is not None}
+    before = agent.state_dict()
+    bad = {name: value for name, value in {**agent.state_dict(), **change}.items() if value is not None}
     with pytest.raises(UserError, match="these are not the weights of an NNQL network of 8-6-5 units"):
-        agent.load(bad)
-    assert same(agent.arrays(), before)
+        agent.load_state_dict(bad)
+    assert same(agent.state_dict(), before)
 
 
 def test_observations_are_not_changed():
     agent, step = random_agent(learn_in_safe_states=True), transition()
     agent.learn(step)
-    agent.explore(step.s_tm1, np.zeros(1, np.int64), np.full(1, 0.5))
-    agent.exploit(step.s_t)
+    agent.act_exploring(step.s_tm1, np.zeros(1, np.int64), np.full(1, 0.5))
+    agent.act(step.s_t)
     agent.action_values(step.s_t)
     assert np.array_equal(step.s_tm1.readings, [BEFORE])
     assert np.array_equal(step.s_t.readings, [AFTER])
@@ -627,7 +629,7 @@ def test_learning_is_reproducible():
     for agent in agents:
         for action in (0, 4, 2, 2, 1):
             agent.learn(transition(action, reward=0.1 * action))
-    assert same(agents[0].arrays(), agents[1].arrays())
+    assert same(agents[0].state_dict(), agents[1].state_dict())
 
 
 def test_defaults_are_the_papers_numbers():

@@ -20,11 +20,12 @@ from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, ray_distances
-from nnql_bullet.sim.base import DriveOptions, Motion, Sample, Simulator
+from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
 from nnql_bullet.worlds.source import WorldFile, WorldSource, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec, follow_tracks, track_velocities
@@ -49,11 +50,11 @@ ANGLES = np.radians(np.arange(72) * 5.0 - 20.0)
 WorldOf = Callable[..., WorldSpec]
 
 
-@pytest.fixture(scope="module", params=["twin", *ENGINES], ids=str)
+@pytest.fixture(scope="module", params=["kinematic", *ENGINES], ids=str)
 def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
     made: Simulator
-    if request.param == "twin":
-        made = TwinSimulator(vehicle, DriveOptions())
+    if request.param == "kinematic":
+        made = KinematicSimulator(vehicle, DriveOptions())
     else:
         made = contact_simulator(*request.param, vehicle, DriveOptions())
     with closing(made):
@@ -402,7 +403,7 @@ class TestRays:
             assert contact.scan().readings[0] == pytest.approx(5.0 - contact.time(), abs=2e-3)
 
 
-class TestTwinAndPhysics:
+class TestKinematicModelAndPhysics:
     @pytest.mark.parametrize(("seed", "by_patrol"), [(1, False), (3, False), (4, True), (5, True), (6, True)])
     def test_straight_drives_read_the_same_and_end_alike(
         self, vehicle: VehicleSpec, seed: int, by_patrol: bool
@@ -410,10 +411,10 @@ class TestTwinAndPhysics:
         world = load_world("moving").draw(seed, ROOM)
         drives = []
         with (
-            closing(TwinSimulator(vehicle, DriveOptions())) as twin,
+            closing(KinematicSimulator(vehicle, DriveOptions())) as kinematic,
             closing(BulletSimulator(vehicle, DriveOptions(), PHYSICS["reference"])) as bullet,
         ):
-            for simulator in (twin, bullet):
+            for simulator in (kinematic, bullet):
                 simulator.reset(world)
                 seen = []
                 for _ in range(95):
@@ -436,10 +437,10 @@ class TestTwinAndPhysics:
         world = with_patrols(world_of(), *traffic(np.random.default_rng(8)))
         motions = []
         with (
-            closing(TwinSimulator(vehicle, DriveOptions(decision_period=1.0))) as twin,
+            closing(KinematicSimulator(vehicle, DriveOptions(decision_period=1.0))) as kinematic,
             closing(BulletSimulator(vehicle, DriveOptions(decision_period=1.0), PHYSICS["reference"])) as bullet,
         ):
-            for simulator in (twin, bullet):
+            for simulator in (kinematic, bullet):
                 motions.append(drive(simulator, world, np.radians([60.0, -60.0, 30.0]).tolist()))
         assert len(motions[0]) == len(motions[1]) > 1
         for ideal, real in zip(*motions, strict=True):

@@ -27,7 +27,7 @@ def test_a_card_says_what_the_policy_is(name: str) -> None:
     assert text.startswith(f"# {name}: ")
     assert f"{episodes} episodes, seed {experiment.config.seed}" in text.splitlines()[0]
     assert f"```toml\n{write_toml(to_values(experiment.config)).strip()}\n```" in text
-    for part in ("## How good", "twin", "contact physics", "## Limits"):
+    for part in ("## How good", "kinematic", "contact physics", "## Limits"):
         assert part in text
 
 
@@ -35,7 +35,7 @@ def test_drives_of_shipped_policies_are_kept_where_one_may_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert drives_folder(Path("double_dqn")) == Path("runs/double_dqn/navigate")
+    assert drives_folder(Path("double_dqn")) == Path("runs/double_dqn/drives")
 
 
 def test_a_file_of_that_name_goes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,12 +59,12 @@ def test_what_is_not_shipped_is_refused_with_what_is(run_cli: Run) -> None:
         "",
         f"nnql-bullet: there is no shipped policy 'nobody'; there are: {names}\n",
     )
-    code, _, err = run_cli("navigate", "nobody")
+    code, _, err = run_cli("drive", "nobody")
     assert code == 2
     assert f"policies: {names}; rules: " in err
 
 
 def test_without_a_policy_the_best_one_drives(run_cli: Run, tmp_path: Path, small_world: Path) -> None:
     """A new user sees a good drive."""
-    code, out, _ = run_cli("navigate", "--world", small_world, "--seed", 2, "--json", "--out", tmp_path)
+    code, out, _ = run_cli("drive", "--world", small_world, "--seed", 2, "--json", "--out", tmp_path)
     assert (code, json.loads(out)["ending"]) == (0, "goal")

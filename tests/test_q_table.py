@@ -17,15 +17,15 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import Learner, Memoryless, Stateless
-from nnql_bullet.agents.q_table import QTable
+from nnql_bullet.agents.base import LearningAgent, NoMemory, NoTrainingState
+from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, Property, TaskOptions
+from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.training.loop import Training
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -40,7 +40,7 @@ def agent_of(**options: Any) -> QTable:
     return QTable(QTableOptions(**{"edges": EDGES, "sectors": SECTORS, **options}))
 
 
-def seen(*readings: list[float], state: Property = Property.NON_SAFE) -> Observations:
+def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observations:
     """What vehicles see that read so much."""
     return stacked([Observation(np.array(r), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings])
 
@@ -71,7 +71,7 @@ def q(agent: QTable, readings: list[float]) -> list[float]:
     return [float(value) for value in agent.action_values(seen(readings))[0]]
 
 
-class Dictionary(Memoryless, Stateless):
+class Dictionary(NoMemory, NoTrainingState):
     """The same learner written anew: a dictionary for the table, one vehicle after the other, Python's floats."""
 
     def __init__(self, options: QTableOptions) -> None:
@@ -84,12 +84,12 @@ class Dictionary(Memoryless, Stateless):
     def row(self, readings: NDArray[np.float64]) -> list[float]:
         return self.table.get(self.state(readings), [0.0] * 5)
 
-    def explore(
+    def act_exploring(
         self, observations: Observations, episodes: NDArray[np.int64], uniforms: NDArray[np.float64]
     ) -> NDArray[np.int64]:
         actions = []
         for i, uniform in enumerate(uniforms):
-            if observations.property[i] == Property.SAFE:
+            if observations.state_property[i] == StateProperty.SAFE:
                 actions.append(TOWARD)
                 continue
             temperature = 0.8 - 0.79 * min(int(episodes[i]) / 29, 1.0)
@@ -107,7 +107,7 @@ class Dictionary(Memoryless, Stateless):
         t = transitions
         errors, updates = [], []
         for i in range(len(t.r_t)):
-            if t.s_tm1.property[i] == Property.SAFE or not t.active[i]:
+            if t.s_tm1.state_property[i] == StateProperty.SAFE or not t.active[i]:
                 errors.append(np.nan)
                 continue
             target = t.r_t[i] + t.discount_t[i] * 0.15 * max(self.row(t.s_t.readings[i]))
@@ -132,14 +132,14 @@ def test_training_is_that_of_a_dictionary(vehicles: int, small_world: Path) -> N
     options = QTableOptions(edges=EDGES, sectors=SECTORS, schedule_episodes=30)
     config = RunConfig(
         seed=3,
-        simulator="twin",
+        simulator="kinematic",
         vehicles=vehicles,
         world=str(small_world),
         task=TaskOptions(max_steps=60),
         agent=options,
     )
     experiment = Experiment(config)
-    agent, oracle = experiment.learner, Dictionary(options)
+    agent, oracle = experiment.learning_agent, Dictionary(options)
     found = []
     for learner in (agent, oracle):
         with closing(experiment.fleet(1)) as fleet:
@@ -150,7 +150,7 @@ def test_training_is_that_of_a_dictionary(vehicles: int, small_world: Path) -> N
     for one, other in zip(*found, strict=True):
         assert one.summary == other.summary
         assert one.diagnostics == pytest.approx(other.diagnostics, abs=1e-12)
-    arrays = agent.arrays()
+    arrays = agent.state_dict()
     assert len(arrays["states"]) == len(oracle.table) > 10
     for state, row in oracle.table.items():
         readings = np.full(8, 10.0)
@@ -210,18 +210,18 @@ class TestLearning:
 
     def test_safe_states_teach_nothing(self) -> None:
         agent = agent_of()
-        before = seen(near(6.0), state=Property.SAFE)
+        before = seen(near(6.0), state=StateProperty.SAFE)
         assert np.isnan(agent.learn(steps(before, [TOWARD], [-0.2], seen(near(3.0))))).all()
-        assert len(agent.arrays()["states"]) == 0
+        assert len(agent.state_dict()["states"]) == 0
         assert np.isnan(agent.action_values(before)).all()
-        assert agent.exploit(before).tolist() == [TOWARD]
+        assert agent.act(before).tolist() == [TOWARD]
 
     def test_those_that_stand_by_teach_nothing(self) -> None:
         agent = agent_of()
         t = steps(seen(near(3.0), near(1.0)), [1, 1], [1.0, 1.0], seen(near(9.0), near(9.0)))
         t.active[0] = False
         assert np.isnan(agent.learn(t)).tolist() == [True, False]
-        assert agent.arrays()["states"].tolist() == agent.state(np.array([near(1.0)])).tolist()
+        assert agent.state_dict()["states"].tolist() == agent.state(np.array([near(1.0)])).tolist()
 
     def test_it_ends_where_value_iteration_ends(self) -> None:
         """Four states in a ring, five turns that step on by as many, rewards drawn; discount 0.6."""
@@ -242,7 +242,7 @@ class TestLearning:
         for _ in range(200):
             agent.learn(everything)
         assert np.array([q(agent, place) for place in places]) == pytest.approx(expected, abs=1e-9)
-        assert agent.exploit(seen(*places)).tolist() == expected.argmax(axis=1).tolist()
+        assert agent.act(seen(*places)).tolist() == expected.argmax(axis=1).tolist()
 
 
 @pytest.fixture
@@ -258,21 +258,21 @@ def taught() -> QTable:
 
 class TestArrays:
     def test_only_what_was_learned_is_kept(self, taught: QTable) -> None:
-        arrays = taught.arrays()
+        arrays = taught.state_dict()
         assert 10 < len(arrays["states"]) <= 60 < taught.options.states
         other = agent_of()
-        other.load(arrays)
+        other.load_state_dict(arrays)
         rows = np.random.default_rng(2).uniform(0, 10, (200, 8)).tolist()
         assert np.array_equal(other.action_values(seen(*rows)), taught.action_values(seen(*rows)))
         assert other.diagnostics(7) == taught.diagnostics(7)
-        assert {name: values.tolist() for name, values in other.arrays().items()} == {
+        assert {name: values.tolist() for name, values in other.state_dict().items()} == {
             name: values.tolist() for name, values in arrays.items()
         }
 
     def test_loading_forgets_what_was_there(self, taught: QTable) -> None:
-        taught.load(agent_of().arrays())
+        taught.load_state_dict(agent_of().state_dict())
         assert taught.diagnostics(0)["states"] == 0
-        assert taught.arrays()["values"].shape == (0, 5)
+        assert taught.state_dict()["values"].shape == (0, 5)
         assert not taught.action_values(seen(*np.random.default_rng(2).uniform(0, 10, (50, 8)).tolist())).any()
 
     @pytest.mark.parametrize(
@@ -293,10 +293,10 @@ class TestArrays:
     def test_what_is_no_such_table_is_refused_and_changes_nothing(
         self, taught: QTable, arrays: dict[str, NDArray[Any]]
     ) -> None:
-        before = taught.arrays()
+        before = taught.state_dict()
         with pytest.raises(UserError, match="not a table of Q-values of 256 states"):
-            taught.load(arrays)
-        assert all(np.array_equal(values, before[name]) for name, values in taught.arrays().items())
+            taught.load_state_dict(arrays)
+        assert all(np.array_equal(values, before[name]) for name, values in taught.state_dict().items())
 
 
 class TestOptions:
@@ -323,7 +323,7 @@ class TestOptions:
         assert (options.temperature_max, options.temperature_min) == (paper.TEMPERATURE_MAX, paper.TEMPERATURE_MIN)
 
     def test_it_learns_step_by_step(self) -> None:
-        assert isinstance(agent_of(), Learner)
+        assert isinstance(agent_of(), LearningAgent)
 
 
 def table_config(small_config: Path, folder: Path) -> Path:
@@ -334,7 +334,7 @@ def table_config(small_config: Path, folder: Path) -> Path:
 
 class TestCommandLine:
     def test_in_two_parts_is_as_in_one(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
-        more = ("--config", table_config(small_config, tmp_path), "--sim", "twin", "--vehicles", 3)
+        more = ("--config", table_config(small_config, tmp_path), "--sim", "kinematic", "--vehicles", 3)
         assert run_cli("train", *more, "--episodes", 12, "--out", tmp_path / "one")[0] == 0
         assert run_cli("train", *more, "--episodes", 5, "--out", tmp_path / "two")[0] == 0
         assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 12)[0] == 0
@@ -349,7 +349,10 @@ class TestCommandLine:
 
     def test_its_policy_drives(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
         config = table_config(small_config, tmp_path)
-        assert run_cli("train", "--config", config, "--sim", "twin", "--episodes", 3, "--out", tmp_path / "run")[0] == 0
-        code, out, _ = run_cli("navigate", tmp_path / "run", "--sim", "twin", "--json")
+        assert (
+            run_cli("train", "--config", config, "--sim", "kinematic", "--episodes", 3, "--out", tmp_path / "run")[0]
+            == 0
+        )
+        code, out, _ = run_cli("drive", tmp_path / "run", "--sim", "kinematic", "--json")
         assert code == 0
         assert '"ending"' in out

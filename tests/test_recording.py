@@ -14,17 +14,17 @@ import pytest
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.env import Navigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_learning_curve, draw_trajectory
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import TrainingEpisode
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nnql_bullet import colours
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.env import STOP, Navigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
@@ -33,11 +33,11 @@ from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import write_pictures, write_video
 from nnql_bullet.rollout import Reflex, run_episode
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import bullet
 from nnql_bullet.sim.bullet_scene import BulletScene, _one_look_a_link, works
-from nnql_bullet.sim.twin import TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -50,15 +50,15 @@ Run = Callable[..., tuple[int, str, str]]
 
 def record(vehicle: VehicleSpec, world: WorldSpec, action: int, max_steps: int = 500, **about: object) -> Recording:
     """A drive of one action over and over, by an ideal vehicle."""
-    simulator = TwinSimulator(vehicle, DriveOptions())
+    simulator = KinematicSimulator(vehicle, DriveOptions())
     recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
 
     def policy(observations: Observations) -> NDArray[np.int64]:
-        return np.full(len(observations.property), action)
+        return np.full(len(observations.state_property), action)
 
     run_episode(Navigation(simulator, TaskOptions(max_steps=max_steps)), world, Reflex(policy), watcher=recorder)
     simulator.close()
-    return recorder.recording(policy="script", simulator="twin", **about)
+    return recorder.recording(policy="script", simulator="kinematic", **about)
 
 
 @pytest.fixture(scope="module")
@@ -393,11 +393,11 @@ def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) 
 
 def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
     """Where the choice was the agent's own, the pictures are the same."""
-    alone, overruled = tmp_path / "alone.npz", tmp_path / "overruled.npz"
+    alone, overridden = tmp_path / "alone.npz", tmp_path / "overridden.npz"
     drive.save(alone)
     decided = np.arange(len(drive.action)) >= 4
-    replace(drive, overruled=decided, action=np.where(decided, drive.action + STOP, drive.action)).save(overruled)
-    one, other = (Studio(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overruled))
+    replace(drive, overridden=decided, action=np.where(decided, drive.action + STOP, drive.action)).save(overridden)
+    one, other = (Studio(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overridden))
     assert (one.frame(1.9) == other.frame(1.9)).all()
     rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
     assert rows.min() > 200
@@ -537,7 +537,7 @@ def test_a_policy_is_driven_first(
     monkeypatch.chdir(tmp_path)
     options = "--size", "64x64", "--fps", "1", "--speed", "10", "--renderer", "tiny", "--workers", "1"
     code, out, _ = run_cli("render", "hand_rule", "--world", small_world, "--seed", 3, *options)
-    folder = Path("runs/hand_rule/navigate/small-3")
+    folder = Path("runs/hand_rule/drives/small-3")
     assert (code, out) == (0, f"video: {folder / 'trajectory.mp4'}\n")
     driven = load_recording(folder / "trajectory.npz")
     assert (driven.world.seed, driven.about["policy"]) == (3, "hand_rule")
@@ -577,14 +577,14 @@ def test_a_truncated_recording_is_refused_in_one_line(run_cli: Run, drive_file: 
     assert not (tmp_path / "a.mp4").exists()
 
 
-def test_navigate_leaves_a_video_when_asked(
+def test_drive_leaves_a_video_when_asked(
     run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shot = []
-    monkeypatch.setattr("nnql_bullet.cli.navigate.shoot", lambda *arguments: shot.append(arguments))
+    monkeypatch.setattr("nnql_bullet.cli.drive.shoot", lambda *arguments: shot.append(arguments))
     monkeypatch.setattr("nnql_bullet.cli.filming.best_renderer", lambda width, height: "tiny")
-    options = "--world", small_world, "--sim", "twin", "--video", "--json", "--out", tmp_path
-    code, out, _ = run_cli("navigate", "hand_rule", *options)
+    options = "--world", small_world, "--sim", "kinematic", "--video", "--json", "--out", tmp_path
+    code, out, _ = run_cli("drive", "hand_rule", *options)
     ((film, times, video),) = shot
     assert (code, json.loads(out)["video"], video) == (0, str(tmp_path / "trajectory.mp4"), tmp_path / "trajectory.mp4")
     assert film == Film(tmp_path / "trajectory.npz", "chase", 1280, 720, "tiny")
@@ -608,7 +608,7 @@ boxes = [{ x = 15.0, y = 6.0, length = 2.0, width = 1.0 }]
 def test_without_a_display_no_window_is_promised(run_cli: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     (tmp_path / "short.toml").write_text(SHORT_WORLD)
-    code, out, err = run_cli("navigate", "straight", "--world", tmp_path / "short.toml", "--gui", "--out", tmp_path)
+    code, out, err = run_cli("drive", "straight", "--world", tmp_path / "short.toml", "--gui", "--out", tmp_path)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "no window can be opened here" in err
 
@@ -618,7 +618,7 @@ def test_without_a_display_no_window_is_promised(run_cli: Run, tmp_path: Path, m
 def test_the_window_opens_where_there_is_a_display(tmp_path: Path) -> None:
     """Under a display that nobody sees."""
     (tmp_path / "short.toml").write_text(SHORT_WORLD)
-    navigate = ["navigate", "straight", "--world", "short.toml", "--gui", "--out", "out", "--json"]
+    navigate = ["drive", "straight", "--world", "short.toml", "--gui", "--out", "out", "--json"]
     command = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24", sys.executable, "-m", "nnql_bullet", *navigate]
     path = os.pathsep.join(sys.path)
     answer = subprocess.run(

@@ -107,9 +107,9 @@ def work(tmp_path_factory: pytest.TempPathFactory, small_config: Path) -> Iterat
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for seed in (0, 1):
-            training = ("--sim", "twin", "--episodes", 8, "--config", small_config, "--seed", seed)
+            training = ("--sim", "kinematic", "--episodes", 8, "--config", small_config, "--seed", seed)
             call("train", *training, "--out", f"runs/tiny-{seed}")
-        driving = ("--worlds", 2, "--sim", "twin", "--executor", "inline")
+        driving = ("--worlds", 2, "--sim", "kinematic", "--executor", "inline")
         call("evaluate", "runs/tiny-0", "runs/tiny-1", "straight", "--cover", "5,10", *driving)
         call("gap", "runs/tiny-0", "--worlds", 2, "--physics", "fast", "--no-faults", "--workers", 1)
         call("report", "runs/tiny-0", "runs/tiny-1", "--out", "runs/unsorted.html")
@@ -188,7 +188,7 @@ class TestPage:
         rows = [row for row in page.all("tr") if re.match(r"[a-z_]+(\.[a-z_]+)*\b", row.text)]
         assert rows
         marked = {e.text for e in page.all("td") if e.attributes.get("class") == "value departs"}
-        assert marked == {"≠ 0, 1", "≠ 8", f"≠ {small_world}", "≠ twin", "≠ 60"}
+        assert marked == {"≠ 0, 1", "≠ 8", f"≠ {small_world}", "≠ kinematic", "≠ 60"}
 
     def test_every_key_of_the_configuration_is_there(self, page: Page, work: Path) -> None:
         values = read_toml(work / "runs/tiny-0/config.toml")
@@ -199,7 +199,7 @@ class TestPage:
 
     def test_failures_of_the_runs_alone_are_shown_by_group(self, page: Page, work: Path) -> None:
         groups = json.loads((work / "runs/evaluate/failures/failures.json").read_text())["groups"]
-        commands = [command for command in page.commands if command.startswith("nnql-bullet navigate")]
+        commands = [command for command in page.commands if command.startswith("nnql-bullet drive")]
         shown = []
         for group in groups:
             theirs = [one["replay"] for one in group["failures"] if one["policy"] != "straight"]
@@ -282,10 +282,10 @@ class TestCommands:
             assert Path("runs", name).read_bytes() == (work / "runs" / name).read_bytes()
 
     def test_a_preset_is_named_where_it_says_it_all(self, here: Path, run_cli: RunCli) -> None:
-        training = ("--config", "literal", "--episodes", 2, "--sim", "twin", "--seed", 3)
+        training = ("--config", "literal", "--episodes", 2, "--sim", "kinematic", "--seed", 3)
         assert run_cli("train", *training, "--out", "runs/l 3")[0] == 0
         assert run_cli("report", "runs/l 3")[0] == 0
-        expected = "nnql-bullet train --config literal --seed 3 --episodes 2 --sim twin --out 'runs/l 3'"
+        expected = "nnql-bullet train --config literal --seed 3 --episodes 2 --sim kinematic --out 'runs/l 3'"
         assert expected in Page(Path("runs/l 3/report.html").read_text()).commands
 
 

@@ -80,7 +80,7 @@ def drive() -> Recording:
         ray_distances=rays,
         state_property=np.array(["SS", "NS", "NS", "SS", "NS", "SS", "FS"]),
         q_values=np.where(asked[:, None], rng.normal(size=(STEPS, 5)), np.nan),
-        overruled=np.array([False, True, False, False, True, True]),
+        overridden=np.array([False, True, False, False, True, True]),
         action=np.array([5, 1, 0, 5, 8, 11]),
         heading_command=rng.normal(size=STEPS),
         heading_error=rng.normal(size=STEPS),

@@ -14,13 +14,10 @@ from scipy.stats import chisquare
 
 from nnql_bullet import paper
 from nnql_bullet.agents import Agent, make_agent
-from nnql_bullet.agents.base import Corrected
-from nnql_bullet.agents.foresight import scan_clearances
-from nnql_bullet.agents.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions
-from nnql_bullet.agents.potential_field import repulsion
-from nnql_bullet.agents.scan_points import scan_points
-from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns
-from nnql_bullet.agents.vfh import (
+from nnql_bullet.agents.base import Overridable
+from nnql_bullet.agents.rules.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions
+from nnql_bullet.agents.rules.potential_field import repulsion
+from nnql_bullet.agents.rules.vfh import (
     BINS,
     binary_histograms,
     candidate_directions,
@@ -28,15 +25,18 @@ from nnql_bullet.agents.vfh import (
     primary_histograms,
     turning_limits,
 )
+from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns
 from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, Observations, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import load_config
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, wrap_angle
+from nnql_bullet.mapping.point_cloud import point_cloud
+from nnql_bullet.mapping.prediction import scan_clearances
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import DriveOptions
-from nnql_bullet.sim.twin import TwinSimulator
-from nnql_bullet.task import Property
-from nnql_bullet.vehicle.drive import plan_turn, sample_turn
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.task import StateProperty
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -59,14 +59,14 @@ def make(vehicle: VehicleSpec) -> Make:
 
     def made(kind: str, **options: object) -> Agent:
         agent = make_agent(load_config("paper", {"agent": {"kind": kind, **options}}).agent, 0, vehicle, DRIVE)
-        agent.begin(0, 0)
+        agent.reset(0, 0)
         return agent
 
     return made
 
 
 def observed(
-    rays: Array = NOTHING, bearing: float = 0.0, yaw_rate: float = 0.0, state: Property = Property.NON_SAFE
+    rays: Array = NOTHING, bearing: float = 0.0, yaw_rate: float = 0.0, state: StateProperty = StateProperty.NON_SAFE
 ) -> Observations:
     """What one vehicle sees."""
     return stacked([Observation(sector_readings(rays), 50.0, bearing, yaw_rate, state, rays)])
@@ -74,7 +74,7 @@ def observed(
 
 def action(agent: Agent, observations: Observations) -> int:
     """Of one vehicle."""
-    (chosen,) = agent.exploit(observations).tolist()
+    (chosen,) = agent.act(observations).tolist()
     return int(chosen)
 
 
@@ -123,10 +123,10 @@ class TestTurns:
 
 def test_scan_points_are_on_what_the_rays_met(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
     box, start = OrientedBox(105.0, 102.0, 2.0, 1.0, 0.4), Pose(100.0, 100.0, 0.3)
-    simulator = TwinSimulator(vehicle, DRIVE)
+    simulator = KinematicSimulator(vehicle, DRIVE)
     simulator.reset(world_of(box, start=start))
     distances = simulator.scan().distances
-    points = scan_points(distances, vehicle.sensor)
+    points = point_cloud(distances, vehicle.sensor)
     assert points.shape == (RAYS, 2)
     assert np.array_equal(np.isnan(points).all(axis=1), distances == paper.SENSOR_RANGE)
     seen = points[distances < paper.SENSOR_RANGE]
@@ -140,7 +140,7 @@ def test_scan_points_are_on_what_the_rays_met(vehicle: VehicleSpec, world_of: Ca
 class TestRandom:
     def test_safe_states_lead_toward_the_target(self, make: Make) -> None:
         agent = make("random")
-        assert {action(agent, observed(state=Property.SAFE)) for _ in range(20)} == {TOWARD_TARGET}
+        assert {action(agent, observed(state=StateProperty.SAFE)) for _ in range(20)} == {TOWARD_TARGET}
 
     def test_every_turn_is_as_likely(self, make: Make) -> None:
         agent = make("random")
@@ -152,7 +152,7 @@ class TestRandom:
         drives = []
         for world_seed in (7, 7, 8):
             agent = make("random")
-            agent.begin(0, world_seed)
+            agent.reset(0, world_seed)
             drives.append([action(agent, observed()) for _ in range(30)])
         assert drives[0] == drives[1] != drives[2]
 
@@ -177,7 +177,7 @@ class TestHandRule:
         assert action(make("hand_rule", turn_degrees=60), seen) == {LEFT_30: LEFT_60, RIGHT_30: RIGHT_60}[turn]
 
     def test_in_safe_states_it_goes_toward_the_target(self, make: Make) -> None:
-        assert action(make("hand_rule"), observed(scan({(25, 65): 4.0}), state=Property.SAFE)) == TOWARD_TARGET
+        assert action(make("hand_rule"), observed(scan({(25, 65): 4.0}), state=StateProperty.SAFE)) == TOWARD_TARGET
 
     def test_what_is_beside_and_behind_does_not_count(self, make: Make) -> None:
         seen = observed(scan({(-65, 65): 3.0, (70, 270): 1.0}), 1.0)
@@ -194,7 +194,7 @@ class TestLookAhead:
     def test_clearances_are_those_of_polygons(
         self, vehicle: VehicleSpec, poses: list[tuple[float, float, float]], rays: Array
     ) -> None:
-        points = scan_points(rays, vehicle.sensor)
+        points = point_cloud(rays, vehicle.sensor)
         found = scan_clearances(np.array(poses)[None, None], points[None], as_rows((vehicle.footprint,))[0])
         cloud = shapely.MultiPoint(points[np.isfinite(points[:, 0])])
         expected = [polygon(moved(vehicle.footprint, Pose(*pose))).distance(cloud) for pose in poses]
@@ -210,9 +210,9 @@ class TestLookAhead:
         horizon = 2.5
         agent = LookAhead(LookAheadOptions(horizon=horizon), vehicle, DRIVE)
         turns = offered_turns(np.array([bearing]))
-        foreseen = agent.foreseen_poses(np.zeros(1), turns)
+        foreseen = agent.predicted_poses(np.zeros(1), turns)
         assert foreseen.shape == (1, ACTIONS, round(horizon / LOOK_EVERY), 3)
-        simulator = TwinSimulator(vehicle, DriveOptions(decision_period=horizon))
+        simulator = KinematicSimulator(vehicle, DriveOptions(decision_period=horizon))
         for turn, poses in zip(turns[0], foreseen[0], strict=True):
             simulator.reset(empty_world)
             reached = simulator.advance(float(turn)).pose
@@ -228,7 +228,7 @@ class TestLookAhead:
         horizon, slack = 1.5, 0.03  # what the sweep, ten times as fine, may see between two foreseen poses
         agent = LookAhead(LookAheadOptions(horizon=horizon, margin=margin), vehicle, DRIVE)
         chosen = action(agent, observed(rays, bearing, yaw_rate))
-        points = scan_points(rays, vehicle.sensor)
+        points = point_cloud(rays, vehicle.sensor)
         cloud = shapely.MultiPoint(points[np.isfinite(points[:, 0])])
         turns = [float(heading_change(a, bearing)) for a in range(ACTIONS)]
         sweeps = [swept(vehicle, yaw_rate, turn, horizon) for turn in turns]
@@ -295,7 +295,7 @@ class TestPotentialField:
     @given(distances)
     @settings(max_examples=50, deadline=None)
     def test_the_force_is_minus_the_gradient_of_the_potential(self, vehicle: VehicleSpec, rays: Array) -> None:
-        points = scan_points(rays, vehicle.sensor)
+        points = point_cloud(rays, vehicle.sensor)
         seen, footprint, h = points[np.isfinite(points[:, 0])], vehicle.footprint, 1e-6
         away = np.array([polygon(footprint).distance(shapely.Point(point)) for point in seen])
         assume(np.all(np.abs(away - self.INFLUENCE) > 1e-3) and np.all(away > 0.05))
@@ -440,11 +440,11 @@ class TestVfh:
     ) -> None:
         """In the open one chooses what leads to the target; another, whose target is elsewhere, is told to do that."""
         one, other = make("vfh"), make("vfh")
-        assert isinstance(other, Corrected)
+        assert isinstance(other, Overridable)
         for turn, elsewhere, rate in past:
             action(one, observed(bearing=paper.TURNS[turn], yaw_rate=rate))
             action(other, observed(bearing=elsewhere, yaw_rate=rate))
-            other.correct(np.array([turn]))
+            other.override(np.array([turn]))
         assert action(one, observed(rays, 0.2)) == action(other, observed(rays, 0.2))
 
     def test_a_blocked_direction_stays_blocked_until_its_density_is_low(self, make: Make) -> None:

@@ -160,7 +160,7 @@ class TestResume:
             ["--config", "literal"],
             ["--world", "paper"],
             ["--physics", "fast"],
-            ["--sim", "twin"],
+            ["--sim", "kinematic"],
             ["--vehicles", "2"],
             ["--out", "elsewhere"],
             ["--overwrite"],
@@ -306,7 +306,7 @@ class TestDamage:
         save_file({"layer": np.zeros((3, 3))}, copy / "policy.safetensors", metadata)
         before = snapshot(copy)
         refused(run_cli("train", "--resume", copy, "--episodes", 20))
-        refused(run_cli("navigate", copy))
+        refused(run_cli("drive", copy))
         assert snapshot(copy) == before
 
     def test_weights_of_another_shape_are_refused(self, run_cli: Cli, copy: Path, snapshot: Snapshot) -> None:
@@ -350,7 +350,7 @@ class TestDamage:
             lambda arrays: {name: np.full_like(value, np.nan) for name, value in arrays.items()},
         )
         before = snapshot(copy)
-        assert "8-6-5" in refused(run_cli("navigate", copy))
+        assert "8-6-5" in refused(run_cli("drive", copy))
         assert snapshot(copy) == before
 
     @pytest.mark.parametrize("damage", ["missing", "short", "words", "header"])

@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import Learner, Taught
-from nnql_bullet.agents.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
+from nnql_bullet.agents.base import LearningAgent, Trainable
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Observation, Observations, stacked
 from nnql_bullet.errors import UserError
@@ -24,7 +24,7 @@ from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Fleet, WorkerDied
-from nnql_bullet.task import Property, TaskOptions
+from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.training.base import TrainingEpisode
 
 sb3 = pytest.importorskip("nnql_bullet.training.sb3", reason="needs the extra [sb3]")
@@ -41,7 +41,7 @@ def same(one: Arrays, other: Arrays) -> bool:
 
 def observed(rows: NDArray[np.float64]) -> Observations:
     """Vehicles of which the environment tells these numbers (n, 11)."""
-    return stacked([Observation(r[:8], r[8], r[9], r[10], Property.NON_SAFE, np.full(RAYS, 10.0)) for r in rows])
+    return stacked([Observation(r[:8], r[8], r[9], r[10], StateProperty.NON_SAFE, np.full(RAYS, 10.0)) for r in rows])
 
 
 def numbers(count: int) -> NDArray[np.float64]:
@@ -51,14 +51,14 @@ def numbers(count: int) -> NDArray[np.float64]:
 
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any, FleetNavigation]]]:
-    """Makes trainings in the small world, on the twin."""
+    """Makes trainings in the small world, on the kinematic model."""
     fleets: list[Fleet] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any, FleetNavigation]:
         config = RunConfig(
             seed=seed,
             vehicles=vehicles,
-            simulator="twin",
+            simulator="kinematic",
             world=str(small_world),
             task=TaskOptions(max_steps=40),
             agent=SMALL,
@@ -83,42 +83,42 @@ class TestNetwork:
 
         agent = Sb3Dqn(SMALL, 0)
         dqn = DQN("MlpPolicy", Nowhere(), policy_kwargs={"net_arch": [16, 12]}, buffer_size=10, device="cpu")
-        agent.load({name: value.numpy() for name, value in dqn.q_net.q_net.state_dict().items()})
+        agent.load_state_dict({name: value.numpy() for name, value in dqn.q_net.q_net.state_dict().items()})
         rows = numbers(300)
         scaled = (rows / SCALE).astype(np.float32)
         actions, _ = dqn.predict(scaled, deterministic=True)
-        assert agent.exploit(observed(rows)).tolist() == actions.tolist()
+        assert agent.act(observed(rows)).tolist() == actions.tolist()
         with torch.no_grad():
             values = dqn.q_net(torch.from_numpy(scaled)).numpy()
         assert agent.action_values(observed(rows)) == pytest.approx(values[:, :5], abs=1e-5)
 
     def test_it_sees_the_environments_numbers(self, small_world: Path) -> None:
-        with closing(gymnasium.make("nnql_bullet/Tricycle-v0", simulator="twin", world=str(small_world))) as env:
+        with closing(gymnasium.make("nnql_bullet/Tricycle-v0", simulator="kinematic", world=str(small_world))) as env:
             observation, _ = env.reset(seed=3)
             seen = env.unwrapped._experiment.navigation._observation  # type: ignore[attr-defined]
             assert inputs(stacked([seen]))[0] == pytest.approx(observation / np.array(SCALE), abs=1e-6)
 
     def test_all_six_actions_are_open_in_any_state(self) -> None:
         agent = Sb3Dqn(SMALL, 0)
-        weights = agent.arrays()
+        weights = agent.state_dict()
         for action in range(6):
             bias = np.zeros(6, np.float32)
             bias[action] = 1e6
-            agent.load(weights | {"4.bias": bias})
-            for state in (Property.SAFE, Property.NON_SAFE):
+            agent.load_state_dict(weights | {"4.bias": bias})
+            for state in (StateProperty.SAFE, StateProperty.NON_SAFE):
                 seen = stacked([Observation(np.full(8, 9.0), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0))])
-                assert agent.exploit(seen).tolist() == [action]
+                assert agent.act(seen).tolist() == [action]
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:
         agent = Sb3Dqn(SMALL, 0)
-        assert isinstance(agent, Taught)
-        assert not isinstance(agent, Learner)
+        assert isinstance(agent, Trainable)
+        assert not isinstance(agent, LearningAgent)
 
     def test_making_one_touches_nobody_elses_chance(self) -> None:
         torch.manual_seed(3)
         expected = float(torch.rand(1))
         torch.manual_seed(3)
-        first, again, other = (Sb3Dqn(SMALL, seed).arrays() for seed in (0, 0, 1))
+        first, again, other = (Sb3Dqn(SMALL, seed).state_dict() for seed in (0, 0, 1))
         assert float(torch.rand(1)) == expected
         assert same(first, again)
         assert not same(first, other)
@@ -129,7 +129,7 @@ class TestNetwork:
     def test_what_are_no_such_weights_is_refused(self, change: Arrays) -> None:
         agent = Sb3Dqn(SMALL, 0)
         with pytest.raises(UserError, match="11-16-12-6"):
-            agent.load(agent.arrays() | change)
+            agent.load_state_dict(agent.state_dict() | change)
 
     @pytest.mark.parametrize(
         "values", [{"hidden": [0]}, {"discount": 1.1}, {"batch_size": 0}, {"temperature_max": 1.0}]
@@ -168,7 +168,7 @@ class TestVehicles:
                     done[i], rewards[i], seen[i] = [], [], [observations[i]]
         assert vehicles.finished == []
         assert len(stretches) > 5
-        config = RunConfig(simulator="twin", world=str(small_world), task=TaskOptions(max_steps=40))
+        config = RunConfig(simulator="kinematic", world=str(small_world), task=TaskOptions(max_steps=40))
         with closing(gymnasium.make("nnql_bullet/Tricycle-v0", config=config)) as env:
             for number, summary, actions, reward, observations, timeout in stretches:
                 assert summary.world_seed == training_world_seed(5, number)
@@ -190,10 +190,10 @@ class TestTraining:
             experiment, training, _ = parts(seed=seed)
             random.seed(len(found))  # nobody else's chance matters
             episodes = list(islice(training.episodes(), 12))
-            found.append((episodes, experiment.agent.arrays()))
+            found.append((episodes, experiment.agent.state_dict()))
         assert found[0][0] == found[1][0] != found[2][0]
         assert same(found[0][1], found[1][1])
-        assert not same(found[0][1], Sb3Dqn(SMALL, 5).arrays())
+        assert not same(found[0][1], Sb3Dqn(SMALL, 5).state_dict())
 
     def test_nobody_elses_chance_is_touched(self, parts: Callable[..., Any]) -> None:
         _, training, _ = parts()
@@ -229,7 +229,7 @@ def stops(parts: Callable[..., Any], count: int) -> list[tuple[list[TrainingEpis
     found = []
     for episode in islice(training.episodes(), count):
         done.append(episode)
-        found.append((list(done), experiment.agent.arrays(), training.arrays()))
+        found.append((list(done), experiment.agent.state_dict(), training.state_dict()))
     return found
 
 
@@ -238,20 +238,20 @@ class TestGoingOn:
         whole = stops(parts, 12)
         for done, learned, under_way in whole[0], whole[6]:
             experiment, training, _ = parts()
-            experiment.agent.load(learned)
-            training.load(under_way)
+            experiment.agent.load_state_dict(learned)
+            training.load_state_dict(under_way)
             more = list(islice(training.episodes(), 12 - len(done)))
             assert done + more == whole[-1][0]
-            assert same(experiment.agent.arrays(), whole[-1][1])
-            assert same(training.arrays(), whole[-1][2])
+            assert same(experiment.agent.state_dict(), whole[-1][1])
+            assert same(training.state_dict(), whole[-1][2])
 
     def test_what_dies_while_it_is_redone_loses_nothing(
         self, parts: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         _, learned, under_way = stops(parts, 6)[-1]
         experiment, training, navigation = parts()
-        experiment.agent.load(learned)
-        training.load(under_way)
+        experiment.agent.load_state_dict(learned)
+        training.load_state_dict(under_way)
 
         def step(*args: Any) -> Any:
             raise WorkerDied("worker 1 of 1 died")
@@ -259,14 +259,14 @@ class TestGoingOn:
         monkeypatch.setattr(navigation, "step", step)
         with pytest.raises(WorkerDied):
             next(training.episodes())
-        assert same(experiment.agent.arrays(), learned)
-        assert same(training.arrays(), under_way)
+        assert same(experiment.agent.state_dict(), learned)
+        assert same(training.state_dict(), under_way)
 
     def test_another_state_is_refused(self, parts: Callable[..., Any]) -> None:
         _, training, _ = parts()
         for arrays in ({}, {"given": np.array([1, 2])}):
             with pytest.raises(UserError, match="not the state"):
-                training.load(arrays)
+                training.load_state_dict(arrays)
 
 
 class TestCommandLine:
@@ -274,7 +274,7 @@ class TestCommandLine:
         config = tmp_path / "dqn.toml"
         agent = "\n[agent]\nkind = 'sb3_dqn'\nhidden = [8]\nbuffer_size = 1000\nlearning_starts = 20\n"
         config.write_text(small_config.read_text() + agent)
-        more = ("--config", config, "--sim", "twin", "--vehicles", 3)
+        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
         assert run_cli("train", *more, "--episodes", 8, "--workers", 1, "--out", tmp_path / "one")[0] == 0
         assert run_cli("train", *more, "--episodes", 4, "--out", tmp_path / "two")[0] == 0
         assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 8)[0] == 0
@@ -283,7 +283,7 @@ class TestCommandLine:
         for name in ("checkpoint.safetensors", "policy.safetensors"):
             assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
         assert (tmp_path / "one" / "episodes.csv").read_text().splitlines()[0].endswith("failure,exploration")
-        code, out, _ = run_cli("navigate", tmp_path / "one", "--sim", "twin", "--json")
+        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
         assert code == 0
         assert '"ending"' in out
 
@@ -291,7 +291,7 @@ class TestCommandLine:
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setitem(sys.modules, "nnql_bullet.training.sb3", None)
-        code, _, err = run_cli("train", "--config", "sb3_dqn", "--sim", "twin", "--out", tmp_path / "run")
+        code, _, err = run_cli("train", "--config", "sb3_dqn", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[sb3]'" in err
         assert not (tmp_path / "run").exists()

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation
-from nnql_bullet.evaluation.ledger import Counts, LedgerTask, train_and_test
+from nnql_bullet.evaluation.ablation import AblationTask, Counts, train_and_test
 from nnql_bullet.experiment import Experiment, changed, load_config
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.runs import open_policy
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals
 
@@ -42,7 +42,7 @@ class TestCandidates:
     def test_the_last_multiples_and_the_end_are_tried(self, total: int, expected: list[int]) -> None:
         agent, candidates = Nnql(NnqlOptions(), 0), Candidates()
         for episodes in range(1, total + 1):
-            agent.load({name: np.full_like(values, episodes) for name, values in agent.arrays().items()})
+            agent.load_state_dict({name: np.full_like(values, episodes) for name, values in agent.state_dict().items()})
             keep(candidates, episodes, agent, SelectionOptions(candidates=3, every=4))
         found = finalists(candidates, total, agent, SelectionOptions(candidates=3, every=4))
         assert list(found) == expected
@@ -82,15 +82,15 @@ def selecting_config(tmp_path_factory: pytest.TempPathFactory, small_config: Pat
     return path
 
 
-TWIN = ("--sim", "twin", "--vehicles", "3", "--workers", "1", "--seed", "7")
+KINEMATIC = ("--sim", "kinematic", "--vehicles", "3", "--workers", "1", "--seed", "7")
 
 
 @pytest.fixture
-def train(run_cli: Cli, selecting_config: Path, compiled_twin: None) -> Train:
+def train(run_cli: Cli, selecting_config: Path, compiled_kernels: None) -> Train:
     """Trains in the small world with a selection."""
 
     def run(folder: Path, count: int, config: Path = selecting_config) -> tuple[int, str, str]:
-        return run_cli("train", "--config", config, *TWIN, "--episodes", count, "--out", folder)
+        return run_cli("train", "--config", config, *KINEMATIC, "--episodes", count, "--out", folder)
 
     return run
 
@@ -99,7 +99,7 @@ def train(run_cli: Cli, selecting_config: Path, compiled_twin: None) -> Train:
 def whole(tmp_path_factory: pytest.TempPathFactory, selecting_config: Path) -> Path:
     """A run that was never stopped, to be read only."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    flags = [*TWIN, "--episodes", str(TOTAL), "--out", str(folder)]
+    flags = [*KINEMATIC, "--episodes", str(TOTAL), "--out", str(folder)]
     assert main(["train", "--config", str(selecting_config), *flags]) == 0
     return folder
 
@@ -124,9 +124,9 @@ def contents(folder: Path) -> dict[str, Any]:
 
 
 def driven(policy: Path, world: str | None, seeds: range) -> list[str]:
-    """How a policy's drives end in the twin, one vehicle after the other."""
+    """How a policy's drives end in the kinematic model, one vehicle after the other."""
     experiment, _ = open_policy(policy, {"world": world})
-    navigation = Navigation(TwinSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
+    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
     return [run_episode(navigation, experiment.world(seed), experiment.agent).ending for seed in seeds]
 
 
@@ -158,11 +158,11 @@ class TestRun:
         assert open_policy(tmp_path / "run", {})[1] == best["episodes"]
 
     def test_contact_physics_changes_nothing_about_where_it_is_tried(
-        self, run_cli: Cli, selecting_config: Path, compiled_twin: None, tmp_path: Path
+        self, run_cli: Cli, selecting_config: Path, compiled_kernels: None, tmp_path: Path
     ) -> None:
         code, out, _ = run_cli("train", "--config", selecting_config, "--episodes", 5, "--out", tmp_path / "run")
         assert code == 0
-        assert "in the ideal twin" in out
+        assert "in the kinematic model" in out
         best = next(row for row in rows(tmp_path / "run") if row["selected"])
         assert best["goals"] == driven(tmp_path / "run", None, range(99_988, 100_000)).count("goal")
 
@@ -191,9 +191,9 @@ class TestResume:
     def test_after_an_interrupt_too(
         self, whole: Path, train: Train, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        real, calls = TwinFleet.advance, []
+        real, calls = KinematicFleet.advance, []
 
-        def advance(self: TwinFleet, *args: Any) -> Any:
+        def advance(self: KinematicFleet, *args: Any) -> Any:
             calls.append(args)
             if len(calls) == 20:
                 os.kill(os.getpid(), signal.SIGINT)
@@ -201,7 +201,7 @@ class TestResume:
 
         folder = tmp_path / "stopped"
         with monkeypatch.context() as patch:
-            patch.setattr(TwinFleet, "advance", advance)
+            patch.setattr(KinematicFleet, "advance", advance)
             assert train(folder, TOTAL)[0] == 130
         assert not (folder / "selection.csv").exists()
         assert run_cli("train", "--resume", folder, "--workers", 1)[0] == 0
@@ -224,11 +224,11 @@ class TestResume:
         assert contents(folder) == contents(whole)
 
 
-def test_the_ledger_tests_what_a_run_would_have_selected(whole: Path, selecting_config: Path) -> None:
-    config = load_config(str(selecting_config), {"simulator": "twin", "vehicles": 3, "seed": 7, "episodes": TOTAL})
+def test_the_ablation_tests_what_a_run_would_have_selected(whole: Path, selecting_config: Path) -> None:
+    config = load_config(str(selecting_config), {"simulator": "kinematic", "vehicles": 3, "seed": 7, "episodes": TOTAL})
     expected = []
     tiers = ("paper", "cover_10")
     for world in tiers:
         endings = driven(whole, world, range(4))
         expected.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
-    assert train_and_test(LedgerTask(json.dumps(to_values(config)), 0, tiers, 4)) == expected
+    assert train_and_test(AblationTask(json.dumps(to_values(config)), 0, tiers, 4)) == expected

@@ -17,13 +17,8 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
-from nnql_bullet.agents.escape import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Escape
-from nnql_bullet.agents.reckoning import Sight, found_pose, seen_from
-from nnql_bullet.agents.scan_points import newcomers, scan_points
-from nnql_bullet.agents.sector_faults import ENOUGH, completed, contradictions
-from nnql_bullet.agents.shield import Shield, ShieldOptions
+from nnql_bullet.agents.rules.vfh import Vfh, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
-from nnql_bullet.agents.vfh import Vfh, VfhOptions
 from nnql_bullet.env import (
     ACTIONS,
     STOP,
@@ -39,15 +34,21 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.experiment import Experiment, RunConfig, load_config
 from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
+from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
+from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
+from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions
 from nnql_bullet.recording import Recorder, load_recording
-from nnql_bullet.rollout import EpisodeSummary, overruled, run_episode, run_episodes
+from nnql_bullet.rollout import EpisodeSummary, overridden, run_episode, run_episodes
 from nnql_bullet.sensing import RAYS, ray_angles
-from nnql_bullet.sim.base import DriveOptions, Simulator
+from nnql_bullet.shield.recovery import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Recovery
+from nnql_bullet.shield.shield import Shield, ShieldOptions
+from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
-from nnql_bullet.sim.twin import TwinFleet, TwinSimulator
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.vehicle.demand import turning_deceleration
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.limits import turning_deceleration
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.source import load_world
@@ -69,7 +70,7 @@ class Wilful(Rule):
     def __init__(self, choose: Callable[[Observations], NDArray[np.int64]], values: Array | None = None) -> None:
         self._choose, self._values = choose, values
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         return self._choose(observations)
 
     def action_values(self, observations: Observations) -> Array:
@@ -89,8 +90,8 @@ def suicidal(o: Observations) -> NDArray[np.int64]:
 
 
 @pytest.fixture(scope="module")
-def twin(vehicle: VehicleSpec) -> Iterator[TwinSimulator]:
-    with closing(TwinSimulator(vehicle, DRIVE)) as made:
+def kinematic(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
+    with closing(KinematicSimulator(vehicle, DRIVE)) as made:
         yield made
 
 
@@ -111,10 +112,10 @@ class Noting:
         self.done: list[int] = []
         self.poses: list[Pose] = []
 
-    def begin(self, world: WorldSpec, observation: Observation) -> None:
+    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
         self.poses.append(world.start)
 
-    def see(self, transition: Transition) -> None:
+    def on_step(self, transition: Transition) -> None:
         self.done.append(transition.a_tm1)
         self.poses.append(transition.motion.pose)
 
@@ -137,43 +138,43 @@ def rays_from(pose: Pose, *boxes: OrientedBox) -> Array:
 
 class TestWhatPasses:
     def test_in_the_open_the_agent_drives(
-        self, twin: TwinSimulator, around: Callable[..., Shield], empty_world: WorldSpec
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], empty_world: WorldSpec
     ) -> None:
         shield = around(Wilful(lambda o: nearest_turns(o.target_bearing)))
-        summary, done, _ = drive(twin, empty_world, shield)
+        summary, done, _ = drive(kinematic, empty_world, shield)
         assert summary.ending == "goal"
         assert all(action < len(paper.TURNS) for action in done)
 
     @pytest.mark.parametrize("seed", range(5))
     @pytest.mark.parametrize("name", ["cover_10", "cover_20", "aisles"])
     def test_no_agent_gets_it_to_touch_what_stands(
-        self, twin: TwinSimulator, around: Callable[..., Shield], name: str, seed: int
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], name: str, seed: int
     ) -> None:
         world = load_world(name).draw(seed, 0.8)
-        for leads in (True, False):
-            summary, _, _ = drive(twin, world, around(Wilful(suicidal), leads=leads), steps=120)
+        for recovers in (True, False):
+            summary, _, _ = drive(kinematic, world, around(Wilful(suicidal), recovers=recovers), steps=120)
             assert summary.ending == "timeout"
             assert summary.clearance > 0.02
-            assert summary.overruled_steps > 5
+            assert summary.overridden_steps > 5
 
     @pytest.mark.parametrize("offset", [0.0, 0.4])
     @pytest.mark.parametrize("gap", np.linspace(3.0, 5.0, 7).tolist())
     def test_it_stops_before_a_wall_that_has_no_end(
-        self, twin: TwinSimulator, around: Callable[..., Shield], world_of: WorldOf, gap: float, offset: float
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf, gap: float, offset: float
     ) -> None:
         wall = OrientedBox(MIDDLE.x + 0.9 + gap + 1.0, MIDDLE.y, 1.0, 80.0, offset)
         sides = [OrientedBox(MIDDLE.x, MIDDLE.y + side * 2.5, 40.0, 1.0) for side in (1, -1)]
-        summary, done, _ = drive(twin, world_of(wall, *sides), around(always(0), leads=False), steps=12)
+        summary, done, _ = drive(kinematic, world_of(wall, *sides), around(always(0), recovers=False), steps=12)
         assert summary.ending == "timeout"
         assert any(action >= STOP for action in done)
         assert summary.clearance > 0.25
 
     def test_the_next_best_by_value_is_taken(
-        self, twin: TwinSimulator, around: Callable[..., Shield], world_of: WorldOf
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         """A long wall close on the left: left turns lead into it, straight on and right turns do not."""
         wall = OrientedBox(MIDDLE.x + 10.0, MIDDLE.y + 1.6, 20.0, 0.5)
-        navigation = Navigation(twin, TaskOptions())
+        navigation = Navigation(kinematic, TaskOptions())
         observed = stacked([navigation.reset(world_of(wall))])
         for values, expected in (
             ([0.0, 5.0, 9.0, 3.0, 1.0], 3),
@@ -181,31 +182,31 @@ class TestWhatPasses:
             ([0.0, 5.0, 9.0, 3.0, 3.5], 4),
         ):
             shield = around(always(2, np.array(values)))
-            shield.begin(0, 0)
-            assert shield.exploit(observed).tolist() == [expected]
-            assert shield.overruled.tolist() == [True]
+            shield.reset(0, 0)
+            assert shield.act(observed).tolist() == [expected]
+            assert shield.overridden.tolist() == [True]
         shield = around(always(4))
-        shield.begin(0, 0)
-        assert shield.exploit(observed).tolist() == [4]
-        assert shield.overruled.tolist() == [False]
+        shield.reset(0, 0)
+        assert shield.act(observed).tolist() == [4]
+        assert shield.overridden.tolist() == [False]
 
     def test_without_values_the_nearest_turn_is_taken(
-        self, twin: TwinSimulator, around: Callable[..., Shield], world_of: WorldOf
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         wall = OrientedBox(MIDDLE.x + 10.0, MIDDLE.y + 1.6, 20.0, 0.5)
-        observed = stacked([Navigation(twin, TaskOptions()).reset(world_of(wall, target=(190.0, 100.0)))])
+        observed = stacked([Navigation(kinematic, TaskOptions()).reset(world_of(wall, target=(190.0, 100.0)))])
         shield = around(always(2))
-        shield.begin(0, 0)
-        assert shield.exploit(observed)[0] in (0, TOWARD_TARGET)
+        shield.reset(0, 0)
+        assert shield.act(observed)[0] in (0, TOWARD_TARGET)
 
     @pytest.mark.parametrize("seed", range(8))
     def test_what_it_admits_is_clear_by_another_reckoning(
-        self, twin: TwinSimulator, around: Callable[..., Shield], seed: int
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], seed: int
     ) -> None:
         """Every action is driven for 2 m: its turn, then straight on."""
         world = load_world("cover_20").draw(seed, 0.8)
         solids = shapely.union_all([shapely.Polygon(box.corners()) for box in world.obstacles + world.walls])
-        navigation, behind = Navigation(twin, TaskOptions()), [0] * (5 + 3 * seed)
+        navigation, behind = Navigation(kinematic, TaskOptions()), [0] * (5 + 3 * seed)
         admitted = refused = 0
         for wanted in range(len(paper.TURNS)):
             observed = navigation.reset(world)
@@ -215,12 +216,12 @@ class TestWhatPasses:
                     return
                 observed = transition.s_t
             shield = around(always(wanted))
-            shield.begin(0, 0)
-            passes = int(shield.exploit(stacked([observed]))[0]) == wanted
+            shield.reset(0, 0)
+            passes = int(shield.act(stacked([observed]))[0]) == wanted
             trace: list[object] = []
-            first = twin.advance(paper.TURNS[wanted], trace)  # type: ignore[arg-type]
+            first = kinematic.advance(paper.TURNS[wanted], trace)  # type: ignore[arg-type]
             if not first.touching:
-                twin.advance(first.heading_error, trace)  # type: ignore[arg-type]
+                kinematic.advance(first.heading_error, trace)  # type: ignore[arg-type]
             corners = [(0.9, 0.325), (-0.2, 0.325), (-0.2, -0.325), (0.9, -0.325)]
             nearest = inf
             for p in (sample.pose for sample in trace):  # type: ignore[attr-defined]
@@ -242,12 +243,14 @@ class TestStops:
         sides = [OrientedBox(MIDDLE.x + 2.0, MIDDLE.y + side * 2.0, 4.0, 0.5) for side in (1, -1)]
         return world_of(back, *sides, target=(120.0, 100.0))
 
-    @pytest.mark.parametrize("engine", ["twin", "bullet"])
+    @pytest.mark.parametrize("engine", ["kinematic", "bullet"])
     def test_it_turns_round_in_a_dead_end_to_one_side_and_finds_the_way(
         self, vehicle: VehicleSpec, around: Callable[..., Shield], world_of: WorldOf, engine: str
     ) -> None:
         made = (
-            TwinSimulator(vehicle, DRIVE) if engine == "twin" else contact_simulator("bullet", "fast", vehicle, DRIVE)
+            KinematicSimulator(vehicle, DRIVE)
+            if engine == "kinematic"
+            else contact_simulator("bullet", "fast", vehicle, DRIVE)
         )
         with closing(made) as simulator:
             summary, done, _ = drive(simulator, self.pocket(world_of), around(always(TOWARD_TARGET)), steps=200)
@@ -257,7 +260,7 @@ class TestStops:
         first = pivots[: max(1, len(pivots) // 2)]
         assert all(turn in (1, 2) for turn in first) or all(turn in (3, 4) for turn in first)
         assert summary.stop_steps == sum(action >= STOP for action in done)
-        assert summary.overruled_steps >= summary.stop_steps > 0
+        assert summary.overridden_steps >= summary.stop_steps > 0
         assert 0 < summary.standing_time < summary.duration / 2
 
     @pytest.mark.parametrize(("friction", "load"), [(0.4, 0.0), (0.4, 80.0), (0.8, 80.0)])
@@ -267,14 +270,14 @@ class TestStops:
         """As much as a control period and stopping take, and that is enough for contact physics."""
         laden = loaded(vehicle.gripping(friction), deck_load(vehicle, load))
         for its in (vehicle, laden):
-            shield = Shield(ShieldOptions(leads=False), always(0), its, DRIVE, TaskOptions())
-            with closing(TwinSimulator(its, DRIVE)) as simulator:
+            shield = Shield(ShieldOptions(recovers=False), always(0), its, DRIVE, TaskOptions())
+            with closing(KinematicSimulator(its, DRIVE)) as simulator:
                 passes = []
                 for gap in np.arange(1.5, 6.0, 0.1):
                     wall = world_of(OrientedBox(MIDDLE.x + 0.9 + gap + 1.0, MIDDLE.y, 1.0, 60.0))
-                    shield.begin(0, 0)
+                    shield.reset(0, 0)
                     observed = Navigation(simulator, TaskOptions()).reset(wall)
-                    passes.append(shield.exploit(stacked([observed]))[0] == 0)
+                    passes.append(shield.act(stacked([observed]))[0] == 0)
             assert passes == sorted(passes)
             deceleration = min(its.limits.acceleration, 0.9 * turning_deceleration(its, DRIVE.speed))
             needed = max(2.0, DRIVE.speed * 0.5 + DRIVE.speed**2 / (2 * deceleration)) + 0.3
@@ -284,28 +287,28 @@ class TestStops:
             assert drive(simulator, world, shield, steps=120)[0].ending == "timeout"
 
     def test_a_standing_vehicle_makes_way_for_what_comes(
-        self, twin: TwinSimulator, around: Callable[..., Shield], world_of: WorldOf
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         """A box comes at 1 m/s along the vehicle's way; an agent that goes straight on would be hit."""
         patrol = Patrol(OrientedBox(MIDDLE.x + 14.0, MIDDLE.y, 0.5, 1.5), (MIDDLE.x - 20.0, MIDDLE.y), 1.0, 0.0)
         world = replace(world_of(target=(190.0, 100.0)), patrols=(patrol,))
-        summary, _, _ = drive(twin, world, around(always(TOWARD_TARGET)), steps=200)
+        summary, _, _ = drive(kinematic, world, around(always(TOWARD_TARGET)), steps=200)
         assert summary.ending == "goal"
         assert summary.clearance > 0.3
 
 
 class TestMemory:
-    def test_it_reckons_where_the_twin_goes(
-        self, twin: TwinSimulator, around: Callable[..., Shield], empty_world: WorldSpec
+    def test_it_reckons_where_the_kinematic_model_goes(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], empty_world: WorldSpec
     ) -> None:
         wanted = iter([0, 1, 2, 4, TOWARD_TARGET, 3, 0, 2])
         shield = around(Wilful(lambda o: np.array([next(wanted)])))
-        navigation = Navigation(twin, TaskOptions())
+        navigation = Navigation(kinematic, TaskOptions())
         observed = navigation.reset(empty_world)
-        shield.begin(0, 0)
+        shield.reset(0, 0)
         for _ in range(8):
-            before = twin.pose()
-            action = int(shield.exploit(stacked([observed]))[0])
+            before = kinematic.pose()
+            action = int(shield.act(stacked([observed]))[0])
             motion = navigation.step(action).motion
             observed = navigation._observation
             memory, dx, dy = shield._memories[0], motion.pose.x - before.x, motion.pose.y - before.y
@@ -314,46 +317,46 @@ class TestMemory:
             assert memory.speed == motion.speed
 
     def test_an_agent_that_remembers_is_told_what_was_done(
-        self, twin: TwinSimulator, around: Callable[..., Shield], world_of: WorldOf
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         class Remembering(Wilful):
-            def exploit(self, observations: Observations) -> NDArray[np.int64]:
-                wanted.append(int(super().exploit(observations)[0]))
+            def act(self, observations: Observations) -> NDArray[np.int64]:
+                wanted.append(int(super().act(observations)[0]))
                 return np.array(wanted[-1:])
 
-            def correct(self, actions: NDArray[np.int64]) -> None:
+            def override(self, actions: NDArray[np.int64]) -> None:
                 told.extend(actions.tolist())
 
         wanted: list[int] = []
         told: list[int] = []
         world = world_of(OrientedBox(115.0, 100.0, 1.0, 8.0), target=(190.0, 100.0))
-        _, done, _ = drive(twin, world, around(Remembering(suicidal)), steps=40)
+        _, done, _ = drive(kinematic, world, around(Remembering(suicidal)), steps=40)
         assert told == done
         assert wanted != done
 
     def test_one_that_reckons_its_heading_does_not_lose_it(
-        self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
+        self, vehicle: VehicleSpec, kinematic: KinematicSimulator, around: Callable[..., Shield]
     ) -> None:
         """Against the simulator's, though the shield turns it, at speed and on the spot."""
         agent = Vfh(VfhOptions(), vehicle, DRIVE)
-        shield, navigation = around(agent), Navigation(twin, TaskOptions())
+        shield, navigation = around(agent), Navigation(kinematic, TaskOptions())
         observed = navigation.reset(load_world("traps").draw(0, 0.8))
-        shield.begin(0, 0)
-        start, instead = twin.pose().yaw, []
+        shield.reset(0, 0)
+        start, instead = kinematic.pose().yaw, []
         for _ in range(150):
-            action = int(shield.exploit(stacked([observed]))[0])
-            instead += [action] if shield.overruled[0] else []
+            action = int(shield.act(stacked([observed]))[0])
+            instead += [action] if shield.overridden[0] else []
             observed = navigation.step(action).s_t
-            assert wrap_angle(float(agent._headings[0]) - twin.pose().yaw + start) == pytest.approx(0.0, abs=1e-6)
+            assert wrap_angle(float(agent._headings[0]) - kinematic.pose().yaw + start) == pytest.approx(0.0, abs=1e-6)
         assert min(instead) < STOP < max(instead)
 
     def test_vehicles_of_a_fleet_are_driven_as_each_alone(
-        self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield]
+        self, vehicle: VehicleSpec, kinematic: KinematicSimulator, around: Callable[..., Shield]
     ) -> None:
         worlds = [load_world(name).draw(seed, 0.8) for name in ("cover_20", "moving") for seed in (1, 2)]
         task = TaskOptions(max_steps=60)
-        alone = [run_episode(Navigation(twin, task), world, around(Wilful(suicidal))) for world in worlds]
-        with closing(TwinFleet(vehicle, DRIVE, 6)) as fleet:  # two have nothing to do
+        alone = [run_episode(Navigation(kinematic, task), world, around(Wilful(suicidal))) for world in worlds]
+        with closing(KinematicFleet(vehicle, DRIVE, 6)) as fleet:  # two have nothing to do
             together = run_episodes(FleetNavigation(fleet, task), worlds, around(Wilful(suicidal)))
         for one, other in zip(alone, together, strict=True):
             expected, found = asdict(one), asdict(other)
@@ -361,8 +364,8 @@ class TestMemory:
             assert found.pop("episode_return") == pytest.approx(expected.pop("episode_return"))
             assert found == expected
 
-    def test_an_agent_without_a_shield_is_never_overruled(self) -> None:
-        assert overruled(always(0), 3).tolist() == [False] * 3
+    def test_an_agent_without_a_shield_is_never_overridden(self) -> None:
+        assert overridden(always(0), 3).tolist() == [False] * 3
 
 
 def arc(way: float, turn: float) -> Array:
@@ -371,10 +374,10 @@ def arc(way: float, turn: float) -> Array:
     return np.array([sin(turn) / bend, (1 - cos(turn)) / bend, turn]) if turn else np.array([way, 0.0, 0.0])
 
 
-def sight(target: complex, pose: Array) -> Sight:
+def sight(target: complex, pose: Array) -> TargetFix:
     """Of a place in the frame of the pose, by complex numbers."""
     seen = (target - complex(pose[0], pose[1])) * np.exp(-1j * pose[2])
-    return Sight(abs(seen), float(np.angle(seen)))
+    return TargetFix(abs(seen), float(np.angle(seen)))
 
 
 class TestReckoning:
@@ -417,11 +420,11 @@ class TestReckoning:
                 shield = Shield(ShieldOptions(), always(TOWARD_TARGET), laden, DRIVE, TaskOptions())
                 navigation = Navigation(simulator, TaskOptions())
                 observed, moving = navigation.reset(load_world("cover_20").draw(seed, 0.8)), 0
-                shield.begin(0, 0)
+                shield.reset(0, 0)
                 for _ in range(80):
                     o = stacked([observed])
                     moving += int(shield._at_worst(o, deepcopy(shield._memories))[1].any())
-                    transition = navigation.step(int(shield.exploit(o)[0]))
+                    transition = navigation.step(int(shield.act(o)[0]))
                     assert not transition.motion.touching
                     observed = transition.s_t
                 shares.append(moving / 80)
@@ -430,19 +433,19 @@ class TestReckoning:
 
 class TestNewcomers:
     @pytest.mark.parametrize("seed", range(6))
-    def test_nothing_that_stands_has_come(self, twin: TwinSimulator, seed: int) -> None:
+    def test_nothing_that_stands_has_come(self, kinematic: KinematicSimulator, seed: int) -> None:
         world = load_world("cover_20").draw(seed, 0.8)
-        twin.reset(world)
+        kinematic.reset(world)
         chance = np.random.default_rng(seed)
-        before, then, found = twin.scan().distances, twin.pose(), 0
+        before, then, found = kinematic.scan().distances, kinematic.pose(), 0
         for _ in range(40):
-            if twin.advance(float(chance.choice(paper.TURNS))).touching:
+            if kinematic.advance(float(chance.choice(paper.TURNS))).touching:
                 break
-            now, rays = twin.pose(), twin.scan().distances
+            now, rays = kinematic.pose(), kinematic.scan().distances
             c, s = cos(then.yaw), sin(then.yaw)
             dx, dy = now.x - then.x, now.y - then.y
             moved = np.array([c * dx + s * dy, c * dy - s * dx, now.yaw - then.yaw])
-            found += int(newcomers(scan_points(rays, (0.35, 0.0, 0.475)), before, moved, 0.0, SENSOR).sum())
+            found += int(moving_points(point_cloud(rays, (0.35, 0.0, 0.475)), before, moved, 0.0, SENSOR).sum())
             before, then = rays, now
         assert found <= 4  # a corner, seen between two rays
 
@@ -451,12 +454,12 @@ class TestNewcomers:
         box = OrientedBox(MIDDLE.x + 5.0, MIDDLE.y, 0.5, 1.0)
         came = replace(box, x=box.x - 0.5 * speed)
         before, now = rays_from(MIDDLE, box), rays_from(MIDDLE, came)
-        points = scan_points(now, (0.35, 0.0, 0.475))
-        found = newcomers(points, before, np.zeros(3), strayed, SENSOR)
+        points = point_cloud(now, (0.35, 0.0, 0.475))
+        found = moving_points(points, before, np.zeros(3), strayed, SENSOR)
         assert found.sum() >= 0.8 * np.isfinite(points[:, 0]).sum() > 0
-        gone = scan_points(rays_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), (0.35, 0.0, 0.475))
-        assert not newcomers(gone, before, np.zeros(3), strayed, SENSOR).any()
-        assert not newcomers(points, np.full(RAYS, np.nan), np.zeros(3), strayed, SENSOR).any()
+        gone = point_cloud(rays_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), (0.35, 0.0, 0.475))
+        assert not moving_points(gone, before, np.zeros(3), strayed, SENSOR).any()
+        assert not moving_points(points, np.full(RAYS, np.nan), np.zeros(3), strayed, SENSOR).any()
 
 
 class TestSectorFaults:
@@ -506,24 +509,26 @@ class TestSectorFaults:
 
     @pytest.mark.parametrize("sector", [0, 1, 7])
     def test_untold_it_finds_out_and_survives(
-        self, twin: TwinSimulator, around: Callable[..., Shield], sector: int
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], sector: int
     ) -> None:
         """Where the bare agent, which heads for the target, does not."""
-        faulty = FaultySimulator(twin, SensorFaults(dead_sector=sector))
+        faulty = FaultySimulator(kinematic, SensorFaults(dead_sector=sector))
         for seed in (0, 1, 2, 3):
             world, shield = load_world("cover_10").draw(seed, 0.8), around(always(TOWARD_TARGET))
             summary, _, _ = drive(faulty, world, shield)
             assert summary.ending == "goal"
 
-    def test_sound_sensors_are_hardly_ever_doubted(self, twin: TwinSimulator, around: Callable[..., Shield]) -> None:
+    def test_sound_sensors_are_hardly_ever_doubted(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield]
+    ) -> None:
         doubted = decisions = 0
         for seed in range(4):
             shield = around(always(TOWARD_TARGET))
-            navigation = Navigation(twin, TaskOptions())
+            navigation = Navigation(kinematic, TaskOptions())
             observed = navigation.reset(load_world("cover_10").draw(seed, 0.8))
-            shield.begin(0, 0)
+            shield.reset(0, 0)
             for _ in range(90):
-                transition = navigation.step(int(shield.exploit(stacked([observed]))[0]))
+                transition = navigation.step(int(shield.act(stacked([observed]))[0]))
                 doubted += int((shield._memories[0].against >= ENOUGH).any())
                 decisions += 1
                 if transition.ending:
@@ -535,84 +540,84 @@ class TestSectorFaults:
 class TestEscape:
     SEES = np.array([5.0, 6.0, 10.0, 10.0, 10.0, 10.0, 10.0, 4.0])
 
-    def waiting(self, escape: Escape, seconds: float, distance: float = 50.0) -> None:
+    def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> None:
         for _ in range(round(seconds / 0.5)):
-            escape.notice(distance, self.SEES, 0, 0.5)
+            recovery.notice(distance, self.SEES, 0, 0.5)
 
     def test_it_begins_after_some_time_without_progress_to_the_more_open_side(self) -> None:
-        escape = Escape()
-        self.waiting(escape, PATIENCE)
-        assert escape.side == 0
-        self.waiting(escape, 1.0)
-        assert escape.side == 1
-        assert escape.leads(50.0)
+        recovery = Recovery()
+        self.waiting(recovery, PATIENCE)
+        assert recovery.side == 0
+        self.waiting(recovery, 1.0)
+        assert recovery.side == 1
+        assert recovery.leads(50.0)
 
     def test_it_ends_nearer_than_ever_and_leads_on_for_a_while(self) -> None:
-        escape = Escape()
-        self.waiting(escape, PATIENCE + 1)
-        escape.notice(49.0, self.SEES, 0, 0.5)
-        assert escape.side == 0
-        assert escape.leads(50.0 - FIRST_GAIN + 0.1)
-        assert not escape.leads(50.0 - FIRST_GAIN - 0.1)
+        recovery = Recovery()
+        self.waiting(recovery, PATIENCE + 1)
+        recovery.notice(49.0, self.SEES, 0, 0.5)
+        assert recovery.side == 0
+        assert recovery.leads(50.0 - FIRST_GAIN + 0.1)
+        assert not recovery.leads(50.0 - FIRST_GAIN - 0.1)
 
     def test_one_that_comes_to_nothing_is_tried_the_other_way_round_for_longer(self) -> None:
-        escape, begun = Escape(), []
+        recovery, begun = Recovery(), []
         for _ in range(round(10 * FIRST_LIMIT / 0.5)):
-            before = escape.side
-            escape.notice(50.0, self.SEES, 0, 0.5)
-            if escape.side and not before:
-                begun.append((escape.side, escape.left))
+            before = recovery.side
+            recovery.notice(50.0, self.SEES, 0, 0.5)
+            if recovery.side and not before:
+                begun.append((recovery.side, recovery.left))
         assert [side for side, _ in begun[:3]] == [1, -1, 1]
         assert [left for _, left in begun[:3]] == pytest.approx([FIRST_LIMIT * LIMIT_GROWTH**k for k in range(3)])
-        assert escape.guided_until == pytest.approx(50.0 - FIRST_GAIN * GAIN_GROWTH ** (escape.escapes - 1))
+        assert recovery.guided_until == pytest.approx(50.0 - FIRST_GAIN * GAIN_GROWTH ** (recovery.recoveries - 1))
 
     def test_one_that_leads_far_away_comes_to_nothing(self) -> None:
-        escape = Escape()
-        self.waiting(escape, PATIENCE + 1)
-        escape.notice(50.0 + FARTHEST - 0.1, self.SEES, 0, 0.5)
-        assert escape.side == 1
-        escape.notice(50.0 + FARTHEST + 0.1, self.SEES, 0, 0.5)
-        assert (escape.side, escape.swap) == (0, True)
+        recovery = Recovery()
+        self.waiting(recovery, PATIENCE + 1)
+        recovery.notice(50.0 + FARTHEST - 0.1, self.SEES, 0, 0.5)
+        assert recovery.side == 1
+        recovery.notice(50.0 + FARTHEST + 0.1, self.SEES, 0, 0.5)
+        assert (recovery.side, recovery.swap) == (0, True)
 
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
-        escape = Escape(side=1)
+        recovery = Recovery(side=1)
         wall = OrientedBox(MIDDLE.x, MIDDLE.y - 1.2 - 0.5, 50.0, 0.5)
-        assert escape.heading(0.0, rays_from(MIDDLE, wall)) == pytest.approx(0.0, abs=0.02)
+        assert recovery.heading(0.0, rays_from(MIDDLE, wall)) == pytest.approx(0.0, abs=0.02)
         nearer = rays_from(replace(MIDDLE, y=99.7), wall)
-        assert escape.heading(0.0, nearer) > 0.05
+        assert recovery.heading(0.0, nearer) > 0.05
         farther = rays_from(replace(MIDDLE, y=101.0), wall)
-        assert escape.heading(0.0, farther) < -0.3
-        assert Escape(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall)) == pytest.approx(0.0, abs=0.02)
-        assert Escape().heading(0.7, nearer) == 0.7
+        assert recovery.heading(0.0, farther) < -0.3
+        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall)) == pytest.approx(0.0, abs=0.02)
+        assert Recovery().heading(0.7, nearer) == 0.7
 
 
 class TestRecords:
     def test_a_recording_keeps_where_it_intervened_and_older_ones_load(
-        self, vehicle: VehicleSpec, twin: TwinSimulator, around: Callable[..., Shield], tmp_path: Path
+        self, vehicle: VehicleSpec, kinematic: KinematicSimulator, around: Callable[..., Shield], tmp_path: Path
     ) -> None:
         shield = around(Wilful(suicidal))
         recorder = Recorder(vehicle, shield)
         world = load_world("cover_20").draw(2, 0.8)
-        summary = run_episode(Navigation(twin, TaskOptions(max_steps=40)), world, shield, watcher=recorder)
+        summary = run_episode(Navigation(kinematic, TaskOptions(max_steps=40)), world, shield, watcher=recorder)
         recording = recorder.recording()
-        assert recording.overruled.shape == recording.action.shape
-        assert recording.overruled.sum() == summary.overruled_steps > 0
+        assert recording.overridden.shape == recording.action.shape
+        assert recording.overridden.sum() == summary.overridden_steps > 0
         assert (recording.action >= STOP).sum() == summary.stop_steps
         recording.save(tmp_path / "new.npz")
-        assert np.array_equal(load_recording(tmp_path / "new.npz").overruled, recording.overruled)
+        assert np.array_equal(load_recording(tmp_path / "new.npz").overridden, recording.overridden)
         with np.load(tmp_path / "new.npz") as stored:
-            np.savez(tmp_path / "old.npz", **{name: stored[name] for name in stored.files if name != "overruled"})
+            np.savez(tmp_path / "old.npz", **{name: stored[name] for name in stored.files if name != "overridden"})
         older = load_recording(tmp_path / "old.npz")
-        assert older.overruled.tolist() == [False] * len(older.action)
+        assert older.overridden.tolist() == [False] * len(older.action)
 
     def test_it_is_part_of_the_configuration(self, tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text("[agent]\nkind = 'straight'\n\n[shield]\nmargin = 0.4\n")
         config = load_config(str(tmp_path / "mine.toml"), {})
         assert config.shield == ShieldOptions(margin=0.4)
         assert RunConfig().shield is None
-        driver = Experiment(config).driver
-        assert isinstance(driver, Shield)
-        assert driver.options.margin == 0.4
+        policy = Experiment(config).policy
+        assert isinstance(policy, Shield)
+        assert policy.options.margin == 0.4
         with pytest.raises(UserError, match=r"unknown key 'shield.margins'; valid keys: box_speed"):
             load_config("paper", {"shield": {"margins": 1}})
 
@@ -625,27 +630,27 @@ class TestRecords:
             p.fingerprint for p in open_policies([Path("straight"), Path("hand_rule")])
         ]
 
-    def test_navigate_drives_in_it(
+    def test_drive_drives_in_it(
         self, run_cli: RunCli, small_world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.chdir(tmp_path)
-        code, out, err = run_cli("navigate", "straight", "--world", small_world, "--sim", "twin", "--shield")
+        code, out, err = run_cli("drive", "straight", "--world", small_world, "--sim", "kinematic", "--shield")
         assert code == 0, err
-        recording = load_recording(Path("runs/straight/navigate/small-0-twin-shield/trajectory.npz"))
+        recording = load_recording(Path("runs/straight/drives/small-0-kinematic-shield/trajectory.npz"))
         assert recording.about["policy"] == "straight + shield"
         assert "goal" in out
 
     def test_evaluate_reports_it_beside_the_bare_policy(
         self, run_cli: RunCli, small_world: Path, tmp_path: Path
     ) -> None:
-        arguments = ("straight", "--world", small_world, "--worlds", 12, "--sim", "twin", "--executor", "inline")
+        arguments = ("straight", "--world", small_world, "--worlds", 12, "--sim", "kinematic", "--executor", "inline")
         code, out, err = run_cli("evaluate", *arguments, "--shield", "--out", tmp_path)
         assert code == 0, err
         assert "straight+shield" in out
         values = json.loads((tmp_path / "results.json").read_text())
         bare, shielded = values["rows"]
-        assert (bare["overruled"], bare["stops"]) == (0.0, 0.0)
-        assert shielded["overruled"] > 0.0
+        assert (bare["overridden"], bare["stops"]) == (0.0, 0.0)
+        assert shielded["overridden"] > 0.0
         assert shielded["outcomes"]["collision"][0] <= bare["outcomes"]["collision"][0]
         assert shielded["outcomes"]["goal"][0] == 1.0
         assert values["command"].count("straight") == 1

@@ -9,7 +9,7 @@ from nnql_bullet.task import (
     ENDINGS,
     GOES_ON,
     REWARD_TERMS,
-    Property,
+    StateProperty,
     TaskOptions,
     ending,
     is_safe,
@@ -18,13 +18,13 @@ from nnql_bullet.task import (
     state_property,
 )
 
-SS, NS, WS, FS = Property.SAFE, Property.NON_SAFE, Property.WINNING, Property.FAILURE
+SS, NS, WS, FS = StateProperty.SAFE, StateProperty.NON_SAFE, StateProperty.WINNING, StateProperty.FAILURE
 FREE = np.full(8, 10.0)
 DEFAULT = TaskOptions()
 
 readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 distances = st.floats(0, 10)
-properties = st.sampled_from(list(Property))
+properties = st.sampled_from(list(StateProperty))
 going_on = st.sampled_from([SS, NS])
 
 
@@ -106,7 +106,7 @@ def test_states_of_many_vehicles_are_those_of_each(rows, front, side):
 
 
 def test_property_is_named_by_the_papers_two_letters():
-    assert {state: state.label for state in Property} == {SS: "SS", NS: "NS", WS: "WS", FS: "FS"}
+    assert {state: state.label for state in StateProperty} == {SS: "SS", NS: "NS", WS: "WS", FS: "FS"}
 
 
 NEAR, FAR = reading(3, 2.0), reading(5, 4.0)
@@ -177,7 +177,7 @@ def test_rewards_of_many_steps_are_those_of_each(rows):
 
 
 @pytest.mark.parametrize("before", [WS, FS])
-@pytest.mark.parametrize("after", list(Property))
+@pytest.mark.parametrize("after", list(StateProperty))
 def test_there_is_no_reward_after_an_ending(before, after):
     assert reward_terms(before, after, FAR, NEAR, DEFAULT).tolist() == [0] * 6
 

@@ -22,8 +22,8 @@ import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents import Learner
-from nnql_bullet.agents.nnql import Nnql
+from nnql_bullet.agents import LearningAgent
+from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.env import FleetNavigation, Navigation, Observations, Transition, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, RunConfig
@@ -32,8 +32,8 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
 from nnql_bullet.sim.faults import FaultyFleet, SensorFaults
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.local import as_motions
-from nnql_bullet.sim.twin import TwinSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import Training, TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
@@ -49,22 +49,23 @@ class Parts:
     """A training and what it is made of."""
 
     experiment: Experiment
-    agent: Learner
+    agent: LearningAgent
     fleet: Fleet
     training: Training
 
 
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
-    """Makes trainings in the small world, on the twin unless told otherwise; what it wraps may be looked into."""
+    """Makes trainings in the small world, on the kinematic model unless told otherwise; what it wraps may be looked
+    into."""
     fleets: list[Fleet] = []
 
     def make(
         vehicles: int,
-        agent: Callable[[Learner], Learner] = lambda agent: agent,
+        agent: Callable[[LearningAgent], LearningAgent] = lambda agent: agent,
         fleet: Callable[[Fleet], Fleet] = lambda fleet: fleet,
         max_steps: int = 40,
-        simulator: str = "twin",
+        simulator: str = "kinematic",
         world: Path = small_world,
     ) -> Parts:
         config = RunConfig(
@@ -76,7 +77,7 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
         )
         experiment = Experiment(config)
         fleets.append(experiment.fleet(1))
-        inner, learner = fleet(fleets[-1]), agent(experiment.learner)
+        inner, learner = fleet(fleets[-1]), agent(experiment.learning_agent)
         navigation = FleetNavigation(inner, config.task)
         return Parts(experiment, learner, inner, Training(learner, navigation, experiment.training_world, config.seed))
 
@@ -92,7 +93,7 @@ def same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> 
 class Spy:
     """An agent whose training is written down."""
 
-    def __init__(self, agent: Learner) -> None:
+    def __init__(self, agent: LearningAgent) -> None:
         self._agent = agent
         self.asked: list[list[int]] = []
         """Which episodes the vehicles were in, at each step."""
@@ -100,10 +101,12 @@ class Spy:
         self.errors: dict[int, list[float]] = {}
         """What `learn` gave, by episode."""
 
-    def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
+    def act_exploring(
+        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+    ) -> NDArray[np.int64]:
         self.asked.append(episodes.tolist())
         self.uniforms.append(uniforms.tolist())
-        return self._agent.explore(observations, episodes, uniforms)
+        return self._agent.act_exploring(observations, episodes, uniforms)
 
     def learn(self, transitions: Transitions) -> Array:
         errors = self._agent.learn(transitions)
@@ -132,10 +135,10 @@ class Mortal:
         return self._fleet.reset(worlds)
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         self._count("advance")
-        return self._fleet.advance(heading_changes, active, paces)
+        return self._fleet.advance(heading_changes, active, speed_scales)
 
     def close(self) -> None:
         self._fleet.close()
@@ -160,7 +163,7 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
     config = experiment.config
     agent = Nnql(config.agent, config.seed)
     found = []
-    with closing(TwinSimulator(experiment.vehicle, config.drive)) as simulator:
+    with closing(KinematicSimulator(experiment.vehicle, config.drive)) as simulator:
         navigation = Navigation(simulator, config.task)
         for episode in range(episodes):
             world = experiment.world(training_world_seed(config.seed, episode))
@@ -169,7 +172,7 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
             steps, errors = [], []
             while not steps or steps[-1].ending is None:
                 chance = uniforms[len(steps) : len(steps) + 1]
-                action = agent.explore(stacked([observation]), np.array([episode]), chance)
+                action = agent.act_exploring(stacked([observation]), np.array([episode]), chance)
                 steps.append(navigation.step(int(action[0])))
                 errors += agent.learn(batch_of_one(steps[-1])).tolist()
                 observation = steps[-1].s_t
@@ -177,7 +180,7 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
             diagnostics = agent.diagnostics(episode)
             diagnostics["td_error"] = sqrt(sum(error**2 for error in learned) / max(len(learned), 1))
             found.append(TrainingEpisode(episode, summed_up(world.seed, steps), diagnostics))
-    return found, agent.arrays()
+    return found, agent.state_dict()
 
 
 def summed_up(world_seed: int, steps: list[Transition]) -> EpisodeSummary:
@@ -191,7 +194,7 @@ def summed_up(world_seed: int, steps: list[Transition]) -> EpisodeSummary:
         mean_clearance=sum(t.motion.clearance for t in steps) / len(steps),
         lateral_acceleration=max(abs(t.motion.path_length / t.motion.duration * t.motion.yaw_rate) for t in steps),
         heading_error=sqrt(sum(t.motion.heading_error**2 for t in steps) / len(steps)),
-        non_safe_steps=sum(t.s_tm1.property.label == "NS" for t in steps),
+        non_safe_steps=sum(t.s_tm1.state_property.label == "NS" for t in steps),
         episode_return=sum(t.r_t for t in steps),
         terms={name: sum(t.terms[name] for t in steps) for name in REWARD_TERMS},
     )
@@ -217,7 +220,7 @@ class TestOneVehicle:
             assert s.terms == pytest.approx(e.terms, abs=1e-12)
             assert one.episode == other.episode
             assert one.diagnostics == pytest.approx(other.diagnostics, abs=1e-12)
-        assert same(made.agent.arrays(), weights)
+        assert same(made.agent.state_dict(), weights)
         assert len({episode.summary.ending for episode in found}) > 1
         assert sum(episode.summary.non_safe_steps for episode in found) > 50
 
@@ -255,15 +258,15 @@ class TestOrder:
 
         class Watched(Mortal):
             def advance(
-                self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+                self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
             ) -> tuple[Motions, Array]:
                 driven.append(active.tolist())
-                return super().advance(heading_changes, active, paces)
+                return super().advance(heading_changes, active, speed_scales)
 
         made = parts(5, fleet=lambda fleet: Watched(fleet, "", 1))
         finished = sum(episode.summary.steps for episode in islice(made.training.episodes(), 15))
         assert all(active == [True] * 5 for active in driven)
-        arrays = made.training.arrays()
+        arrays = made.training.state_dict()
         under_way = (arrays["actions"] != -1).sum()  # the vehicle whose episode was given out last has none
         assert finished + under_way == 5 * len(driven)
 
@@ -295,15 +298,15 @@ def stops(made: Parts, episodes: int) -> list[Stop]:
     found = []
     for episode in islice(made.training.episodes(), episodes):
         done.append(episode)
-        found.append(Stop(list(done), made.agent.arrays(), made.training.arrays()))
+        found.append(Stop(list(done), made.agent.state_dict(), made.training.state_dict()))
     return found
 
 
 def going_on(made: Parts, stop: Stop, episodes: int) -> Stop:
-    made.agent.load(stop.learned)
-    made.training.load(stop.under_way)
+    made.agent.load_state_dict(stop.learned)
+    made.training.load_state_dict(stop.under_way)
     more = list(islice(made.training.episodes(), episodes - len(stop.done)))
-    return Stop(stop.done + more, made.agent.arrays(), made.training.arrays())
+    return Stop(stop.done + more, made.agent.state_dict(), made.training.state_dict())
 
 
 def assert_same(one: Stop, other: Stop) -> None:
@@ -335,7 +338,7 @@ class TestGoingOn:
             assert_same(going_on(parts(3, fleet=noisy), stop, 8), whole[-1])
         assert whole[-1].done != stops(parts(3), 8)[-1].done
 
-    @pytest.mark.parametrize("simulator", ["twin", pytest.param("bullet", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("simulator", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
     def test_in_a_world_with_boxes_that_move(
         self, parts: Callable[..., Parts], small_world: Path, tmp_path: Path, simulator: str
     ) -> None:
@@ -363,7 +366,7 @@ class TestGoingOn:
         done = []
         with pytest.raises(WorkerDied):
             done += iter_into(done, made.training.episodes())
-        stop = Stop(done, made.agent.arrays(), made.training.arrays())
+        stop = Stop(done, made.agent.state_dict(), made.training.state_dict())
         assert len(stop.done) < 12
         assert_same(going_on(parts(5), stop, 12), whole[-1])
 
@@ -376,13 +379,13 @@ class TestGoingOn:
     ) -> None:
         (stop,) = stops(parts(vehicles), 1)
         with pytest.raises(UserError, match=r"not the state of a training with .*\b5\b"):
-            parts(5).training.load(stop.under_way)
+            parts(5).training.load_state_dict(stop.under_way)
 
     def test_a_longer_episode_than_there_can_be_is_refused(self, parts: Callable[..., Parts]) -> None:
         (*_, stop) = stops(parts(5, max_steps=40), 3)
         assert stop.under_way["actions"].shape[1] > 5
         with pytest.raises(UserError, match="not the state of a training"):
-            parts(5, max_steps=5).training.load(stop.under_way)
+            parts(5, max_steps=5).training.load_state_dict(stop.under_way)
 
     def test_a_missing_array_is_refused(self, parts: Callable[..., Parts]) -> None:
         (stop,) = stops(parts(5), 1)
@@ -390,13 +393,13 @@ class TestGoingOn:
         for name in stop.under_way:
             rest = {other: values for other, values in stop.under_way.items() if other != name}
             with pytest.raises(UserError, match=r"not the state of a training with .*\b5\b"):
-                parts(5).training.load(rest)
+                parts(5).training.load_state_dict(rest)
 
     def test_what_was_given_out_does_not_change_afterwards(self, parts: Callable[..., Parts]) -> None:
         made = parts(5)
         episodes = made.training.episodes()
         next(episodes)
-        given = made.training.arrays()
+        given = made.training.state_dict()
         kept = {name: values.copy() for name, values in given.items()}
         list(islice(episodes, 6))
         assert same(given, kept)
@@ -443,8 +446,8 @@ class TestCommandLine:
         assert_same_run(tmp_path / "1", tmp_path / "2")
 
     def test_in_two_parts_is_as_in_one(self, train: Callable[..., None], run_cli: Cli, tmp_path: Path) -> None:
-        train(tmp_path / "one", 12, "--sim", "twin")
-        train(tmp_path / "two", 6, "--sim", "twin", "--workers", 1)
+        train(tmp_path / "one", 12, "--sim", "kinematic")
+        train(tmp_path / "two", 6, "--sim", "kinematic", "--workers", 1)
         assert count(tmp_path / "two") == 6
         assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 12, "--workers", 3)[0] == 0
         assert_same_run(tmp_path / "one", tmp_path / "two")
@@ -452,7 +455,7 @@ class TestCommandLine:
     def test_episodes_are_written_down_as_they_finish(
         self, train: Callable[..., None], run_cli: Cli, tmp_path: Path
     ) -> None:
-        train(tmp_path / "run", 12, "--sim", "twin")
+        train(tmp_path / "run", 12, "--sim", "kinematic")
         with (tmp_path / "run" / "episodes.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         numbers = [int(row["episode"]) for row in rows]
@@ -465,13 +468,13 @@ class TestCommandLine:
     def test_what_the_vehicles_are_is_part_of_the_run(
         self, train: Callable[..., None], run_cli: Cli, tmp_path: Path
     ) -> None:
-        train(tmp_path / "run", 3, "--sim", "twin")
+        train(tmp_path / "run", 3, "--sim", "kinematic")
         config = (tmp_path / "run" / "config.toml").read_text()
         assert "vehicles = 4" in config
-        assert 'simulator = "twin"' in config
+        assert 'simulator = "kinematic"' in config
         assert "workers" not in config
         for option in ("--vehicles", "--sim"):
-            value = {"--vehicles": 4, "--sim": "twin"}[option]
+            value = {"--vehicles": 4, "--sim": "kinematic"}[option]
             code, _, err = run_cli("train", "--resume", tmp_path / "run", option, value)
             assert code == 2
             assert option in err
@@ -479,8 +482,8 @@ class TestCommandLine:
     def test_one_vehicle_is_the_default(
         self, train: Callable[..., None], run_cli: Cli, small_config: Path, tmp_path: Path
     ) -> None:
-        train(tmp_path / "said", 3, "--sim", "twin", vehicles=1)
-        arguments = ("--config", small_config, "--episodes", 3, "--sim", "twin", "--out", tmp_path / "unsaid")
+        train(tmp_path / "said", 3, "--sim", "kinematic", vehicles=1)
+        arguments = ("--config", small_config, "--episodes", 3, "--sim", "kinematic", "--out", tmp_path / "unsaid")
         assert run_cli("train", *arguments)[0] == 0
         assert_same_run(tmp_path / "said", tmp_path / "unsaid")
 
@@ -667,14 +670,14 @@ class TestDeathBeforeTheFirstEpisode:
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
         real = Experiment.fleet
-        arguments = ("--config", small_config, "--episodes", 6, "--vehicles", 4, "--sim", "twin")
+        arguments = ("--config", small_config, "--episodes", 6, "--vehicles", 4, "--sim", "kinematic")
         with monkeypatch.context() as patch:
             patch.setattr(Experiment, "fleet", lambda self, workers: Mortal(real(self, workers), "advance", 2))
             code, _, err = run_cli("train", *arguments, "--out", tmp_path / "run")
         assert code == 1
         assert "worker 1 of 1 died; stopped after episode 0 of 6; go on with: nnql-bullet train --resume" in err
         assert run_cli("train", "--resume", tmp_path / "run")[0] == 0
-        train(tmp_path / "whole", 6, "--sim", "twin")
+        train(tmp_path / "whole", 6, "--sim", "kinematic")
         assert_same_run(tmp_path / "run", tmp_path / "whole")
 
     def test_while_it_drives_up_to_where_it_was(
@@ -684,7 +687,7 @@ class TestDeathBeforeTheFirstEpisode:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        train(tmp_path / "run", 6, "--sim", "twin")
+        train(tmp_path / "run", 6, "--sim", "kinematic")
         before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
         real = Experiment.fleet
         with monkeypatch.context() as patch:

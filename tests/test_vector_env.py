@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import nnql_bullet  # noqa: F401 (makes the environment known)
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import RunConfig
+from nnql_bullet.gym_env import TricycleVectorEnv
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.tricycle_env import TricycleVectorEnv
 
 NAME = "nnql_bullet/Tricycle-v0"
 WORLD = "cover_20"
@@ -22,12 +22,12 @@ TOWARD = 5
 Env = VectorEnv[Any, Any, Any]
 
 
-def make(simulator: str = "twin", **more: Any) -> Env:
+def make(simulator: str = "kinematic", **more: Any) -> Env:
     return gymnasium.make_vec(NAME, num_envs=N, simulator=simulator, world=WORLD, **more)
 
 
 @pytest.fixture(scope="module")
-def twins() -> Iterator[Env]:
+def kinematic_ones() -> Iterator[Env]:
     """Three ideal vehicles; whoever takes them resets them."""
     with closing(make()) as env:
         yield env
@@ -43,7 +43,7 @@ def singles() -> Iterator[Env]:
 @pytest.fixture(scope="module")
 def short() -> Iterator[tuple[Env, Env]]:
     """Ours and Gymnasium's, with episodes of at most four steps."""
-    config = RunConfig(task=TaskOptions(max_steps=4), simulator="twin", world=WORLD)
+    config = RunConfig(task=TaskOptions(max_steps=4), simulator="kinematic", world=WORLD)
     with (
         closing(gymnasium.make_vec(NAME, num_envs=N, config=config)) as ours,
         closing(gymnasium.make_vec(NAME, num_envs=N, config=config, vectorization_mode="sync")) as theirs,
@@ -87,8 +87,8 @@ def drive_both(ours: Env, theirs: Env, steps: int, seed: int) -> list[str | None
 
 
 class TestLikeSingles:
-    def test_ideal_vehicles(self, twins: Env, singles: Env) -> None:
-        endings = drive_both(twins, singles, steps=120, seed=7)
+    def test_ideal_vehicles(self, kinematic_ones: Env, singles: Env) -> None:
+        endings = drive_both(kinematic_ones, singles, steps=120, seed=7)
         assert endings.count("collision") >= 5
 
     @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -99,7 +99,7 @@ class TestLikeSingles:
     def test_episodes_that_are_cut_short(self, short: tuple[Env, Env]) -> None:
         assert drive_both(*short, steps=30, seed=3).count("timeout") >= 15
 
-    def test_every_way_to_begin(self, twins: Env, singles: Env) -> None:
+    def test_every_way_to_begin(self, kinematic_ones: Env, singles: Env) -> None:
         ways: list[dict[str, Any]] = [
             {"seed": 3},
             {"seed": [5, None, 9]},
@@ -111,51 +111,51 @@ class TestLikeSingles:
             again = (
                 {**way, "options": dict(way["options"])} if "options" in way else way
             )  # Gymnasium takes the mask out
-            assert_same_step(twins.reset(**way), singles.reset(**again))
+            assert_same_step(kinematic_ones.reset(**way), singles.reset(**again))
             for action in (TOWARD, 1, 3):
                 actions = np.full(N, action)
-                assert_same_step(twins.step(actions), singles.step(actions))
+                assert_same_step(kinematic_ones.step(actions), singles.step(actions))
 
-    def test_a_world_that_is_named(self, twins: Env, singles: Env) -> None:
+    def test_a_world_that_is_named(self, kinematic_ones: Env, singles: Env) -> None:
         options = {"world_seed": 12}
-        found = twins.reset(seed=1, options=options)
+        found = kinematic_ones.reset(seed=1, options=options)
         assert found[1]["world_seed"].tolist() == [12, 12, 12]
         assert options == {"world_seed": 12}
         assert_same_step(found, singles.reset(seed=1, options=dict(options)))
-        assert_same_step(twins.step(np.full(N, TOWARD)), singles.step(np.full(N, TOWARD)))
+        assert_same_step(kinematic_ones.step(np.full(N, TOWARD)), singles.step(np.full(N, TOWARD)))
 
 
 class TestWhatItIs:
-    def test_spaces_and_numbers(self, twins: Env) -> None:
-        assert isinstance(twins.unwrapped, TricycleVectorEnv)
-        assert twins.num_envs == N
-        assert twins.single_action_space == gymnasium.spaces.Discrete(6)
-        assert twins.action_space == gymnasium.spaces.MultiDiscrete([6] * N)
-        assert twins.observation_space.shape == (N, 11)
-        assert twins.observation_space.dtype == np.float32
-        assert twins.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-        with closing(gymnasium.make(NAME, simulator="twin", world=WORLD)) as single:
-            assert twins.single_observation_space == single.observation_space
-            assert twins.single_action_space == single.action_space
+    def test_spaces_and_numbers(self, kinematic_ones: Env) -> None:
+        assert isinstance(kinematic_ones.unwrapped, TricycleVectorEnv)
+        assert kinematic_ones.num_envs == N
+        assert kinematic_ones.single_action_space == gymnasium.spaces.Discrete(6)
+        assert kinematic_ones.action_space == gymnasium.spaces.MultiDiscrete([6] * N)
+        assert kinematic_ones.observation_space.shape == (N, 11)
+        assert kinematic_ones.observation_space.dtype == np.float32
+        assert kinematic_ones.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        with closing(gymnasium.make(NAME, simulator="kinematic", world=WORLD)) as single:
+            assert kinematic_ones.single_observation_space == single.observation_space
+            assert kinematic_ones.single_action_space == single.action_space
 
-    def test_kinds_of_what_is_returned(self, twins: Env) -> None:
-        observations, infos = twins.reset(seed=0)
+    def test_kinds_of_what_is_returned(self, kinematic_ones: Env) -> None:
+        observations, infos = kinematic_ones.reset(seed=0)
         assert observations.dtype == np.float32
-        assert observations in twins.observation_space
+        assert observations in kinematic_ones.observation_space
         assert infos["_world_seed"].tolist() == [True] * N
         assert len(set(infos["world_seed"].tolist())) == N
-        _, rewards, terminations, truncations, infos = twins.step(np.zeros(N, np.int64))
+        _, rewards, terminations, truncations, infos = kinematic_ones.step(np.zeros(N, np.int64))
         assert (rewards.dtype, terminations.dtype, truncations.dtype) == (np.float64, np.bool_, np.bool_)
         assert rewards.tolist() == pytest.approx(sum(infos[key] for key in infos if key.startswith("reward/")))
 
     def test_one_vehicle_is_enough(self) -> None:
-        with closing(gymnasium.make_vec(NAME, num_envs=1, simulator="twin", world=WORLD)) as env:
+        with closing(gymnasium.make_vec(NAME, num_envs=1, simulator="kinematic", world=WORLD)) as env:
             assert env.reset(seed=0)[0].shape == (1, 11)
             assert env.step(np.array([TOWARD]))[0].shape == (1, 11)
 
     def test_no_vehicle_is_refused(self) -> None:
         with pytest.raises(UserError):
-            TricycleVectorEnv(0, simulator="twin")
+            TricycleVectorEnv(0, simulator="kinematic")
 
     @pytest.mark.parametrize("changes", [{"world": "nowhere"}, {"simulator": "unity"}, {"wheels": 4}])
     def test_a_wrong_configuration_is_refused(self, changes: dict[str, Any]) -> None:
@@ -165,7 +165,7 @@ class TestWhatItIs:
 
 class TestEpisodes:
     def test_a_vehicle_whose_time_is_up_is_put_into_its_next_world_by_the_step_after(self) -> None:
-        config = RunConfig(task=TaskOptions(max_steps=4), simulator="twin", world="empty")
+        config = RunConfig(task=TaskOptions(max_steps=4), simulator="kinematic", world="empty")
         with closing(gymnasium.make_vec(NAME, num_envs=N, config=config)) as env:
             first, infos = env.reset(seed=1)
             seeds = infos["world_seed"].copy()
@@ -184,30 +184,30 @@ class TestEpisodes:
                     seeds = infos["world_seed"].copy()
                     assert observations == pytest.approx(first)  # an empty world looks like any other
 
-    def test_named_worlds_for_each_vehicle(self, twins: Env) -> None:
-        alike = twins.reset(options={"world_seed": 11})[0][0]
-        observations, infos = twins.reset(options={"world_seed": [10, 11, 12]})
+    def test_named_worlds_for_each_vehicle(self, kinematic_ones: Env) -> None:
+        alike = kinematic_ones.reset(options={"world_seed": 11})[0][0]
+        observations, infos = kinematic_ones.reset(options={"world_seed": [10, 11, 12]})
         assert infos["world_seed"].tolist() == [10, 11, 12]
         assert observations[1].tolist() == alike.tolist()
         assert observations[0].tolist() != alike.tolist()
-        observations, infos = twins.reset(options={"world_seed": np.array([12, 11, 10])})
+        observations, infos = kinematic_ones.reset(options={"world_seed": np.array([12, 11, 10])})
         assert infos["world_seed"].tolist() == [12, 11, 10]
 
-    def test_only_some_begin_anew(self, twins: Env) -> None:
-        twins.reset(seed=2)
-        going = twins.step(np.full(N, TOWARD))[0]
+    def test_only_some_begin_anew(self, kinematic_ones: Env) -> None:
+        kinematic_ones.reset(seed=2)
+        going = kinematic_ones.step(np.full(N, TOWARD))[0]
         mask = np.array([False, True, False])
-        observations, infos = twins.reset(options={"reset_mask": mask, "world_seed": 30})
+        observations, infos = kinematic_ones.reset(options={"reset_mask": mask, "world_seed": 30})
         assert infos["_world_seed"].tolist() == mask.tolist()
         assert infos["world_seed"].tolist() == [0, 30, 0]
         assert observations[[0, 2]].tolist() == going[[0, 2]].tolist()
-        assert observations[1].tolist() == twins.reset(options={"world_seed": 30})[0][0].tolist()
+        assert observations[1].tolist() == kinematic_ones.reset(options={"world_seed": 30})[0][0].tolist()
 
-    def test_the_seed_decides(self, twins: Env) -> None:
-        worlds = [twins.reset(seed=seed)[1]["world_seed"].tolist() for seed in (4, 4, 5)]
+    def test_the_seed_decides(self, kinematic_ones: Env) -> None:
+        worlds = [kinematic_ones.reset(seed=seed)[1]["world_seed"].tolist() for seed in (4, 4, 5)]
         assert worlds[0] == worlds[1]
         assert worlds[2][:2] == worlds[0][1:]  # vehicle i has the seed of the first and i
-        assert twins.reset()[1]["world_seed"].tolist() != worlds[2]
+        assert kinematic_ones.reset()[1]["world_seed"].tolist() != worlds[2]
 
     @pytest.mark.parametrize(
         "wrong",
@@ -220,19 +220,19 @@ class TestEpisodes:
             {"options": {"world_seed": -1}},
         ],
     )
-    def test_wrong_sizes_are_refused(self, twins: Env, wrong: dict[str, Any]) -> None:
+    def test_wrong_sizes_are_refused(self, kinematic_ones: Env, wrong: dict[str, Any]) -> None:
         with pytest.raises(UserError):
-            twins.reset(**wrong)
+            kinematic_ones.reset(**wrong)
 
-    def test_what_was_returned_does_not_change_later(self, twins: Env) -> None:
-        given: list[Any] = [*twins.reset(seed=8)]
+    def test_what_was_returned_does_not_change_later(self, kinematic_ones: Env) -> None:
+        given: list[Any] = [*kinematic_ones.reset(seed=8)]
         for step in range(40):
-            given += twins.step(np.full(N, (TOWARD, 1, 0)[step % 3]))
+            given += kinematic_ones.step(np.full(N, (TOWARD, 1, 0)[step % 3]))
             if step == 20:
                 kept = [copied(part) for part in given]
         assert all(unchanged(part, then) for part, then in zip(given, kept, strict=False))
 
-    @pytest.mark.parametrize("simulator", ["twin", "bullet"])
+    @pytest.mark.parametrize("simulator", ["kinematic", "bullet"])
     def test_it_may_be_closed_twice(self, simulator: str) -> None:
         env = make(simulator, workers=1)
         env.reset(seed=0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.straight import Straight
+from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, squared_distance
@@ -22,11 +22,11 @@ from nnql_bullet.render.renderers import make_renderer
 from nnql_bullet.render.solids import BOX, MOVING, WALL, BulletRenderer, Renderer, Solids
 from nnql_bullet.render.timeline import Moment, Timeline
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.task import TaskOptions
-from nnql_bullet.vehicle.looks import upright
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.visuals import upright
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 NEEDS_VTK = pytest.mark.skipif(

@@ -73,12 +73,12 @@ def test_the_installed_package_is_the_one_that_runs(
     assert Path(worlds).is_relative_to(installed)
 
 
-def test_it_trains_navigates_and_reports_away_from_the_checkout(
+def test_it_trains_drives_and_reports_away_from_the_checkout(
     run: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:
     trained = run("-m", "nnql_bullet", "train", "--episodes", "1", "--world", "cover_2.5", "--out", "run")
     assert trained.returncode == 0, trained.stderr
-    driven = run("-m", "nnql_bullet", "navigate", "run", "--world", "paper", "--json", "--physics", "fast")
+    driven = run("-m", "nnql_bullet", "drive", "run", "--world", "paper", "--json", "--physics", "fast")
     assert (driven.returncode, driven.stderr) == (0, "")
     result = json.loads(driven.stdout)
     assert result["world"] == "paper"

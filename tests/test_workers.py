@@ -23,9 +23,10 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
-from nnql_bullet.sim.base import DriveOptions, Motions, WorkerDied
+from nnql_bullet.sim.base import Motions, WorkerDied
 from nnql_bullet.sim.local import as_motions, local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -52,7 +53,7 @@ class FakeFleet:
         return poses, self._rays()[chosen]
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         if np.isnan(heading_changes).any():
             _misbehave("hang")

@@ -4,20 +4,20 @@ from typing import Annotated, TypeAlias
 
 from pydantic import Field
 
-from nnql_bullet.agents.base import Agent, Learner, Taught
-from nnql_bullet.agents.double_dqn import DoubleDqn, DoubleDqnOptions
-from nnql_bullet.agents.fuzzy import Fuzzy, FuzzyOptions
-from nnql_bullet.agents.genetic import Genetic, GeneticOptions
-from nnql_bullet.agents.hand_rule import HandRule, HandRuleOptions
-from nnql_bullet.agents.look_ahead import LookAhead, LookAheadOptions
-from nnql_bullet.agents.nnql import Nnql, NnqlOptions
-from nnql_bullet.agents.potential_field import PotentialField, PotentialFieldOptions
-from nnql_bullet.agents.q_table import QTable, QTableOptions
-from nnql_bullet.agents.random_turns import RandomTurns, RandomTurnsOptions
-from nnql_bullet.agents.sb3_dqn import Sb3Dqn, Sb3DqnOptions
-from nnql_bullet.agents.straight import Straight, StraightOptions
-from nnql_bullet.agents.vfh import Vfh, VfhOptions
-from nnql_bullet.sim.base import DriveOptions
+from nnql_bullet.agents.base import Agent, LearningAgent, Trainable
+from nnql_bullet.agents.learning.double_dqn import DoubleDqn, DoubleDqnOptions
+from nnql_bullet.agents.learning.genetic import Genetic, GeneticOptions
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.q_table import QTable, QTableOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions
+from nnql_bullet.agents.rules.fuzzy import Fuzzy, FuzzyOptions
+from nnql_bullet.agents.rules.hand_rule import HandRule, HandRuleOptions
+from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
+from nnql_bullet.agents.rules.potential_field import PotentialField, PotentialFieldOptions
+from nnql_bullet.agents.rules.random_turns import RandomTurns, RandomTurnsOptions
+from nnql_bullet.agents.rules.straight import Straight, StraightOptions
+from nnql_bullet.agents.rules.vfh import Vfh, VfhOptions
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 RuleOptions: TypeAlias = (
@@ -76,4 +76,4 @@ def make_agent(options: AgentOptions, seed: int, vehicle: VehicleSpec, drive: Dr
             return LookAhead(options, vehicle, drive)
 
 
-__all__ = ["KINDS", "RULES", "Agent", "AgentOptions", "AnyAgentOptions", "Learner", "Taught", "make_agent"]
+__all__ = ["KINDS", "RULES", "Agent", "AgentOptions", "AnyAgentOptions", "LearningAgent", "Trainable", "make_agent"]

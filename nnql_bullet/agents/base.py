@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions
 from nnql_bullet.geometry import Array
-from nnql_bullet.task import Property
+from nnql_bullet.task import StateProperty
 
 
 class Agent(Protocol):
-    """Chooses among the environment's six actions for each of n vehicles. It is a `rollout.Driver`."""
+    """Chooses among the environment's six actions for each of n vehicles. It is a `rollout.Policy`."""
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """The actions (n,) that the agent holds best for vehicles 0 to n - 1."""
 
     def action_values(self, observations: Observations) -> Array:
@@ -26,22 +26,22 @@ class Agent(Protocol):
 
 
 @runtime_checkable
-class Corrected(Protocol):
+class Overridable(Protocol):
     """An agent that remembers what it did, and can be told what was done in its place."""
 
-    def correct(self, actions: NDArray[np.int64]) -> None:
+    def override(self, actions: NDArray[np.int64]) -> None:
         """Vehicles 0 to n - 1 do this instead of what was last chosen for them: manoeuvres of `env` (n,)."""
 
 
 @runtime_checkable
-class Taught(Agent, Protocol):
+class Trainable(Agent, Protocol):
     """An agent that drives by what it was taught, however that came about."""
 
-    def arrays(self) -> dict[str, Array]:
+    def state_dict(self) -> dict[str, Array]:
         """Everything that learning changes, by name: what a checkpoint keeps."""
 
-    def load(self, arrays: dict[str, Array]) -> None:
-        """Takes back what `arrays` gave.
+    def load_state_dict(self, arrays: dict[str, Array]) -> None:
+        """Takes back what `state_dict` gave.
 
         Raises:
             UserError: If these are not arrays of such an agent.
@@ -49,10 +49,12 @@ class Taught(Agent, Protocol):
 
 
 @runtime_checkable
-class Learner(Taught, Protocol):
+class LearningAgent(Trainable, Protocol):
     """An agent that learns from every step, as Q-learning does."""
 
-    def explore(self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array) -> NDArray[np.int64]:
+    def act_exploring(
+        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+    ) -> NDArray[np.int64]:
         """Actions (n,) for learning.
 
         Args:
@@ -71,10 +73,10 @@ class Learner(Taught, Protocol):
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Named numbers of a training episode for the log."""
 
-    def under_way(self) -> dict[str, NDArray[Any]]:
-        """What it needs beside `arrays` to go on learning as if it had never stopped, by name."""
+    def training_state(self) -> dict[str, NDArray[Any]]:
+        """What it needs beside `state_dict` to go on learning as if it had never stopped, by name."""
 
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Takes back what `under_way` gave.
 
         Raises:
@@ -82,33 +84,33 @@ class Learner(Taught, Protocol):
         """
 
 
-class Stateless:
+class NoTrainingState:
     """The part of a learner that needs nothing but what it has learned to go on."""
 
-    def under_way(self) -> dict[str, NDArray[Any]]:
+    def training_state(self) -> dict[str, NDArray[Any]]:
         """Nothing."""
         return {}
 
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
         """There is nothing to take back."""
 
 
-class Memoryless:
+class NoMemory:
     """The part of an agent that remembers nothing of a vehicle."""
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """There is nothing to forget."""
 
 
-class Rule(Memoryless):
+class Rule(NoMemory):
     """The parts that agents share which compare no values of turns, and by default remember nothing."""
 
     def action_values(self, observations: Observations) -> Array:
         """It has none: NaN (n, 5)."""
-        return np.full((len(observations.property), len(paper.TURNS)), np.nan)
+        return np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
 
 
-class TurnChooser(Memoryless, ABC):
+class TurnChooser(NoMemory, ABC):
     """The parts of an agent that values the paper's five turns, and is asked in non-safe states only (III.C)."""
 
     @abstractmethod
@@ -118,11 +120,11 @@ class TurnChooser(Memoryless, ABC):
     @staticmethod
     def asks(observations: Observations) -> NDArray[np.bool_]:
         """Which vehicles ask (n,)."""
-        return np.asarray(observations.property != Property.SAFE)
+        return np.asarray(observations.state_property != StateProperty.SAFE)
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
-        actions = np.full(len(observations.property), TOWARD_TARGET)
+        actions = np.full(len(observations.state_property), TOWARD_TARGET)
         asked = self.asks(observations)
         if asked.any():
             actions[asked] = self.values(observations, asked).argmax(axis=-1)
@@ -130,7 +132,7 @@ class TurnChooser(Memoryless, ABC):
 
     def action_values(self, observations: Observations) -> Array:
         """Q(s, a) of the five turns (n, 5); NaN in safe states, where it is not asked."""
-        values = np.full((len(observations.property), len(paper.TURNS)), np.nan)
+        values = np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
         asked = self.asks(observations)
         values[asked] = self.values(observations, asked)
         return values

@@ -27,8 +27,8 @@ def drive(policy: Path, seed: int, changes: Mapping[str, Any]) -> tuple[Recordin
     """
     experiment, episodes = open_policy(policy, changes)
     config, kind = experiment.config, experiment.config.agent.kind
-    recorder = Recorder(experiment.vehicle, experiment.driver)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver, watcher=recorder)
+    recorder = Recorder(experiment.vehicle, experiment.policy)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     label = kind if kind in RULES else f"{kind}, {episodes} episodes"
     recording = recorder.recording(
         policy=f"{label} + shield" if config.shield else label,

@@ -80,7 +80,7 @@ def evaluate(
 
     For example:
 
-        nnql-bullet evaluate straight hand_rule look_ahead --sim twin
+        nnql-bullet evaluate straight hand_rule look_ahead --sim kinematic
         nnql-bullet evaluate runs/paper-0 runs/paper-1 hand_rule --cover 5,10
         nnql-bullet evaluate runs/paper-0 straight --world traps,aisles,moving --worlds 50 --split test
         nnql-bullet evaluate double_dqn --shield --friction 0.5 --payload 80
@@ -91,7 +91,7 @@ def evaluate(
         worlds: How many of each kind; default 100.
         cover: Shipped worlds by the percentage under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
         world: Other shipped worlds (traps, aisles, moving, ...) or TOML files, beside those of --cover.
-        sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin).
+        sim: Contact physics (bullet, the default, or mujoco) or the kinematic model (kinematic).
         physics: Settings of contact physics; default reference, the more exact.
         shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
         friction: Of the wheels against the ground, instead of the vehicle's own.

@@ -44,7 +44,7 @@ def failures(
 
     For example:
 
-        nnql-bullet evaluate runs/paper-0 hand_rule --sim twin
+        nnql-bullet evaluate runs/paper-0 hand_rule --sim kinematic
         nnql-bullet failures
         nnql-bullet failures runs/evaluate-test --most 20
 

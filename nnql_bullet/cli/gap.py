@@ -27,7 +27,7 @@ from nnql_bullet.task import ENDINGS
 def gap(
     runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
     /,
-    against: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "twin",
+    against: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "kinematic",
     sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
     physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
@@ -51,7 +51,8 @@ def gap(
 
     Args:
         runs: Run folders, or policy files.
-        against: What contact physics is held against: the ideal vehicle (twin, the default), or the other engine.
+        against: What contact physics is held against: the kinematic model (kinematic, the default), or the other
+            engine.
         sim: Engine of contact physics; default bullet.
         physics: Settings of contact physics; default reference, the more exact.
         world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.

@@ -20,12 +20,12 @@ from nnql_bullet.sim.base import WorkerDied
 VERBS = (
     "train",
     "policies",
-    "navigate",
+    "drive",
     "render",
     "view",
     "evaluate",
     "failures",
-    "ledger",
+    "ablate",
     "gap",
     "report",
     "fidelity",
@@ -41,9 +41,9 @@ usage: nnql-bullet VERB [OPTIONS]
 """
 START = """\
 nnql-bullet VERB --help tells more. To begin:
-  nnql-bullet navigate --world traps --video
+  nnql-bullet drive --world traps --video
   nnql-bullet train --episodes 200 --out runs/first
-  nnql-bullet navigate runs/first
+  nnql-bullet drive runs/first
 """
 
 

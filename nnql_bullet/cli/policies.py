@@ -15,13 +15,13 @@ def policies(
 ) -> int:
     """List the trained policies that are shipped, or show the card of one: how it was trained, how good it is, limits.
 
-    Their names stand where a run folder may: with `navigate`, `evaluate`, `render` and `gap`.
+    Their names stand where a run folder may: with `drive`, `evaluate`, `render` and `gap`.
 
     For example:
 
         nnql-bullet policies
         nnql-bullet policies double_dqn
-        nnql-bullet navigate double_dqn --world aisles --seed 3 --shield --video
+        nnql-bullet drive double_dqn --world aisles --seed 3 --shield --video
 
     Args:
         name: Whose card to show; without it, all are listed.

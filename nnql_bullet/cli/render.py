@@ -47,16 +47,16 @@ def render(
 
     For example:
 
-        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4
-        nnql-bullet render runs/paper-0/navigate/cover_10-4/trajectory.npz
+        nnql-bullet drive runs/paper-0 --world cover_10 --seed 4
+        nnql-bullet render runs/paper-0/drives/cover_10-4/trajectory.npz
         nnql-bullet render runs/paper-0 --world traps --seed 1 --camera split --speed 2 --out traps.mp4
         nnql-bullet render drive.npz --format gif --size 640x360 --fps 15 --begin 20 --end 30
         nnql-bullet render drive.npz --sheet sheet.png
 
     Args:
-        recording: A trajectory.npz, or what `navigate` takes: a run folder, policy file or rule, which is then driven
-            and recorded first, as `navigate` does.
-        world: Of that drive; see `navigate`.
+        recording: A trajectory.npz, or what `drive` takes: a run folder, policy file or rule, which is then driven
+            and recorded first, as `drive` does.
+        world: Of that drive; see `drive`.
         seed: Of that drive; default 0.
         out: The video; default beside the recording, under its name. With --frames or --sheet alone there is none.
         camera: Behind the vehicle (chase, the default), the whole arena from above (top), round the vehicle (orbit), or
@@ -107,7 +107,7 @@ def render(
 
 
 def _driven(policy: Path, world: str | None, seed: int) -> Path:
-    """Where the recording of a drive of the policy lies, as `navigate` would have left it."""
+    """Where the recording of a drive of the policy lies, as `drive` would have left it."""
     from nnql_bullet.cli.driving import RECORDING, drive  # all that drives; to draw, none of it is needed
     from nnql_bullet.runs import drives_folder
 

@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from nnql_bullet.agents import Taught
+from nnql_bullet.agents import Trainable
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
@@ -32,7 +32,9 @@ RECENT = 100
 
 def train(
     config: Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE", help_behavior_hint="")] = None,
-    sim: Annotated[SimulatorName | None, tyro.conf.arg(metavar="bullet|mujoco|twin", help_behavior_hint="")] = None,
+    sim: Annotated[
+        SimulatorName | None, tyro.conf.arg(metavar="bullet|mujoco|kinematic", help_behavior_hint="")
+    ] = None,
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
     seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
@@ -48,31 +50,33 @@ def train(
     The folder holds config.toml, episodes.csv, policy.safetensors, learning_curve.png and a checkpoint. The result is a
     function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to go on from.
     With the table training.selection in the configuration, late states of the training are tried in
-    validation worlds in the twin, whatever it drove in; the best is the policy, and selection.csv says how all did.
+    validation worlds in the kinematic model, whatever it drove in; the best is the policy, and selection.csv says how
+    all did.
 
     For example:
 
         nnql-bullet train
         nnql-bullet train --config literal --seed 3 --out runs/mine
         nnql-bullet train --vehicles 64 --out runs/quick
-        nnql-bullet train --vehicles 64 --sim twin --out runs/quicker
-        nnql-bullet train --config genetic --vehicles 200 --sim twin
+        nnql-bullet train --vehicles 64 --sim kinematic --out runs/quicker
+        nnql-bullet train --config genetic --vehicles 200 --sim kinematic
         nnql-bullet train --config tuned
         nnql-bullet train --config double_dqn --seed 1
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
         config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the
-            same with numbers set by evidence; in the twin, 64 vehicles), q_table (a table instead of the network),
-            genetic (a search over its weights), double_dqn (which decides every step and keeps a map; in the twin, 64
-            vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
-        sim: Contact physics (bullet, the default, or mujoco) or the ideal vehicle (twin: no slip, much faster).
+            same with numbers set by evidence; in the kinematic model, 64 vehicles), q_table (a table instead of the
+            network), genetic (a search over its weights), double_dqn (which decides every step and keeps a map; in the
+            kinematic model, 64 vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
+        sim: Contact physics (bullet, the default, or mujoco) or the kinematic model (kinematic: no slip, much faster).
         episodes: Training episodes in all; default 1000, with genetic 20000, with double_dqn 12000.
         seed: Of the whole run; default 0.
         world: Shipped world (paper, cover_10, ...) or TOML file; default paper, tuned cover_7.5, double_dqn a mix.
         physics: Solver settings of contact physics; default fast.
         vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
-        workers: Processes (twin: threads) to share them among; default one a core. The result does not depend on it.
+        workers: Processes (kinematic: threads) to share them among; default one a core. The result does not depend on
+            it.
         out: Run folder; default runs/CONFIG-SEED.
         resume: Go on with the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
         overwrite: Start anew in a folder that holds a run already.
@@ -94,7 +98,7 @@ def train(
         mix: dict[str, list[str]] | None = None if world is None else {"worlds": []}
         resolved = load_config(name, {**changes, "vehicles": vehicles, "training": mix})
         experiment, state = Experiment(resolved), None
-        experiment.taught  # noqa: B018 (refuses rules)
+        experiment.trainable  # noqa: B018 (refuses rules)
         # What is wrong with worlds or robot shows before anything is written.
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018
@@ -102,14 +106,14 @@ def train(
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
     with closing(experiment.training_fleet(workers)) as fleet:
-        agent = experiment.taught
+        agent = experiment.trainable
         training = experiment.trainer(FleetNavigation(fleet, c.task))
-        where = "the ideal twin" if c.simulator == "twin" else f"{c.physics} contact physics"
+        where = "the kinematic model" if c.simulator == "kinematic" else f"{c.physics} contact physics"
         several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
         try:
             if state:
-                agent.load(state.learned)
-                training.load(state.under_way)
+                agent.load_state_dict(state.learned)
+                training.load_state_dict(state.under_way)
             if resume is None:
                 run.create(overwrite)
             else:
@@ -125,7 +129,7 @@ def train(
     if finished:
         if c.training.selection:
             _select(run, experiment, c.training.selection, workers)
-        say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet navigate {run.folder}")
+        say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet drive {run.folder}")
         return 0
     stopped = f"stopped after episode {len(run.episodes)} of {c.episodes}"
     go_on = f"go on with: nnql-bullet train --resume {run.folder}"
@@ -136,7 +140,7 @@ def train(
     return 130
 
 
-def _run(run: Run, agent: Taught, training: Trainer) -> bool:
+def _run(run: Run, agent: Trainable, training: Trainer) -> bool:
     """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
 
     Raises:
@@ -170,9 +174,9 @@ def _run(run: Run, agent: Taught, training: Trainer) -> bool:
 
 def _select(run: Run, experiment: Experiment, selection: SelectionOptions, workers: int | None) -> None:
     """Makes the candidate that does best in validation worlds the policy."""
-    candidates = finalists(run.candidates, len(run.episodes), experiment.taught, selection)
+    candidates = finalists(run.candidates, len(run.episodes), experiment.trainable, selection)
     worlds = len(experiment.selection_worlds)
-    say(f"trying {len(candidates)} candidates in {worlds} validation worlds, in the ideal twin")
+    say(f"trying {len(candidates)} candidates in {worlds} validation worlds, in the kinematic model")
     goals = experiment.try_out(candidates, workers)
     best = run.save_selected(candidates, goals, worlds)
     others = f"the {len(goals)} came to {min(goals.values())} to {max(goals.values())}; all: {run.folder / SELECTION}"

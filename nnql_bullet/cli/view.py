@@ -25,12 +25,12 @@ def view(
 
     For example:
 
-        nnql-bullet navigate runs/paper-0 --world cover_10 --seed 4 --out drive
+        nnql-bullet drive runs/paper-0 --world cover_10 --seed 4 --out drive
         nnql-bullet view drive/trajectory.npz
         rerun drive/trajectory.rrd
 
     Args:
-        recording: A trajectory.npz that `navigate` left, or one that `evaluate` or `gap` kept of a drive.
+        recording: A trajectory.npz that `drive` left, or one that `evaluate` or `gap` kept of a drive.
         out: The file, whose name ends in .rrd; default beside the recording.
     """
     loaded = load_recording(recording)

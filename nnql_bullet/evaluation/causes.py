@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from nnql_bullet.env import TOWARD_TARGET
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
-from nnql_bullet.sim.base import COMMAND_RATE
-from nnql_bullet.vehicle.drive import plan_turn, rolled_path, sample_turn
+from nnql_bullet.vehicle.controller import COMMAND_RATE
+from nnql_bullet.vehicle.profiles import plan_turn, rolled_path, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cause = Literal["slip", "tracking lag", "grazing contact", "other"]

@@ -64,14 +64,14 @@ class Setting:
     @property
     def title(self) -> str:
         """As it is printed."""
-        where = "the ideal twin" if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
+        where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
         asked = (f"{name.replace('-', ' ')} {value:g}" for name, value in self.departures.given.items())
         return ", ".join((f"{self.split} worlds", where, *asked))
 
     @property
     def flags(self) -> list[str]:
         """What says so on the command line, besides the split."""
-        physics = [] if self.simulator == "twin" else ["--physics", self.physics]
+        physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         return ["--sim", self.simulator, *physics, *self.departures.flags]
 
 
@@ -143,15 +143,15 @@ def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Sett
 
 
 def drive(task: DriveTask) -> list[EpisodeSummary]:
-    """Drives a piece: the twin all worlds at once, contact physics one after another."""
+    """Drives a piece: the kinematic model all worlds at once, contact physics one after another."""
     seeds = task.tier.block(task.first)
-    if task.setting.simulator == "twin":
+    if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier.file, task.setting, len(seeds))
         with closing(experiment.fleet(workers=1)) as fleet:
             navigation = FleetNavigation(fleet, experiment.config.task)
-            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.driver)
+            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
     experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
-    return [run_episode(experiment.navigation, experiment.world(seed), experiment.driver) for seed in seeds]
+    return [run_episode(experiment.navigation, experiment.world(seed), experiment.policy) for seed in seeds]
 
 
 class SurveyTask(_BlockTask):
@@ -195,14 +195,14 @@ class FilmTask:
         """The command that drives it again, exactly."""
         where = ["--world", self.tier.file, "--seed", str(self.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shlex.join(["nnql-bullet", "navigate", self.policy.path, *where, *shield, *self.setting.flags])
+        return shlex.join(["nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags])
 
 
 def film(task: FilmTask) -> Recording:
     """Records the drive."""
     experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
-    recorder = Recorder(experiment.vehicle, experiment.driver)
-    run_episode(experiment.navigation, experiment.world(task.seed), experiment.driver, watcher=recorder)
+    recorder = Recorder(experiment.vehicle, experiment.policy)
+    run_episode(experiment.navigation, experiment.world(task.seed), experiment.policy, watcher=recorder)
     config = experiment.config
     return recorder.recording(
         policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__

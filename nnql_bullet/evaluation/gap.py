@@ -50,11 +50,11 @@ class Side:
     @property
     def name(self) -> str:
         """As it is printed."""
-        return self.simulator if self.simulator == "twin" else f"{self.simulator}, {self.physics}"
+        return self.simulator if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
 
     def notices(self, fault: str) -> bool:
         """Whether a key of `FAULTS` changes anything there."""
-        return self.simulator != "twin" or "sensors" in FAULTS[fault]
+        return self.simulator != "kinematic" or "sensors" in FAULTS[fault]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
     experiment = _experiment(task.run, task.world, task.side, task.fault)
     trials = []
     for seed in task.seeds:
-        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver)
+        summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy)
         trials.append(Trial(task.run, task.side, task.fault, summary))
     return trials
 
@@ -168,8 +168,8 @@ def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> E
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
-    recorder = Recorder(experiment.vehicle, experiment.driver)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.driver, watcher=recorder)
+    recorder = Recorder(experiment.vehicle, experiment.policy)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     c = experiment.config
     return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)
 
@@ -208,8 +208,8 @@ class Gap:
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
         world = f" --world {self.world}" if self.world else ""
-        physics = "" if side.simulator == "twin" else f" --physics {side.physics}"
-        return f"nnql-bullet navigate {pair.run}{world} --seed {pair.world_seed} --sim {side.simulator}{physics}"
+        physics = "" if side.simulator == "kinematic" else f" --physics {side.physics}"
+        return f"nnql-bullet drive {pair.run}{world} --seed {pair.world_seed} --sim {side.simulator}{physics}"
 
 
 WORLDS_AT_A_TIME = 5
@@ -220,7 +220,7 @@ def tasks(
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
-    The twin has no friction and no mass: there, only faults of the sensors are tried.
+    The kinematic model has no friction and no mass: there, only faults of the sensors are tried.
     """
     chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
     names = [str(run) for run in runs]

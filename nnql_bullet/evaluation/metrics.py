@@ -94,7 +94,7 @@ class Row:
     """Root mean square of a drive, mean over all [rad]."""
     non_safe: float
     """Share of decisions that were taken in non-safe states."""
-    overruled: float
+    overridden: float
     """Share of decisions that a shield took in its agent's place."""
     stops: float
     """Share of decisions to brake, to stand or to turn on the spot."""
@@ -136,7 +136,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         lateral_acceleration=_mean([summary.lateral_acceleration for summary in summaries]),
         heading_error=_mean([summary.heading_error for summary in summaries]),
         non_safe=sum(summary.non_safe_steps for summary in summaries) / steps,
-        overruled=sum(summary.overruled_steps for summary in summaries) / steps,
+        overridden=sum(summary.overridden_steps for summary in summaries) / steps,
         stops=sum(summary.stop_steps for summary in summaries) / steps,
         standing=_mean([summary.standing_time for summary in summaries]),
     )

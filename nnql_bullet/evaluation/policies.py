@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nnql_bullet import assets
-from nnql_bullet.agents import RULES, Taught
+from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -128,7 +128,7 @@ def _short_names(paths: Sequence[str]) -> list[str]:
 
 
 def _learned(experiment: Experiment) -> dict[str, Array]:
-    return experiment.agent.arrays() if isinstance(experiment.agent, Taught) else {}
+    return experiment.agent.state_dict() if isinstance(experiment.agent, Trainable) else {}
 
 
 def _recipe(experiment: Experiment) -> str:

@@ -9,7 +9,7 @@ from nnql_bullet import paper
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, open_ground
 from nnql_bullet.fidelity.turning import WheelForces, follow_turn, forces_by_command
 from nnql_bullet.geometry import Array
-from nnql_bullet.vehicle.drive import Turn, plan_turn, rolled_path, sample_turn
+from nnql_bullet.vehicle.profiles import Turn, plan_turn, rolled_path, sample_turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,9 @@ from nnql_bullet.fidelity.turning import follow_turn, forces_by_command, largest
 from nnql_bullet.geometry import wrap_angle
 from nnql_bullet.sim.base import SAMPLE_EVERY
 from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.demand import TurnDemand, static_rear_load, tip_angle, turn_demand
-from nnql_bullet.vehicle.drive import plan_turn
+from nnql_bullet.vehicle.limits import TurnDemand, static_rear_load, tip_angle, turn_demand
 from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 RAMP = 1 / 3

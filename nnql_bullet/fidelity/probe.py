@@ -5,9 +5,9 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 

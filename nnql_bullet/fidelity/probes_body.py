@@ -9,7 +9,7 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_mos
 from nnql_bullet.fidelity.probes_vehicles import on_ice, rolling_freely, top_heavy
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.demand import GRAVITY, tip_angle
+from nnql_bullet.vehicle.limits import GRAVITY, tip_angle
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 

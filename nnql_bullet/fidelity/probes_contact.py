@@ -9,7 +9,7 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_mos
 from nnql_bullet.fidelity.probes_vehicles import driven_by, skidding_friction
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.demand import GRAVITY
+from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 

@@ -9,9 +9,10 @@ from nnql_bullet import paper
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground, step_factor
 from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sim.base import COMMAND_RATE, DriveOptions, Motion, Sample
+from nnql_bullet.sim.base import Motion, Sample
 from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.demand import GRAVITY, grip_acceleration, quasi_steady, tip_acceleration
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.limits import GRAVITY, grip_acceleration, quasi_steady, tip_acceleration
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 OUT_OF_REACH = 1e6

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from nnql_bullet import paper
-from nnql_bullet.vehicle.demand import GRAVITY, tip_acceleration, turn_demand
-from nnql_bullet.vehicle.drive import plan_turn
+from nnql_bullet.vehicle.limits import GRAVITY, tip_acceleration, turn_demand
 from nnql_bullet.vehicle.payload import loaded
+from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 OWN_SHARE, EASY_SHARE = 0.95, 0.6

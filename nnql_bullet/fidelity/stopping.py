@@ -12,8 +12,9 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.fidelity.envelope import SETTLING
 from nnql_bullet.fidelity.probe import Bench, open_ground
 from nnql_bullet.fidelity.turning import mean_forces
-from nnql_bullet.sim.base import SAMPLE_EVERY, DriveOptions
-from nnql_bullet.vehicle.demand import Braking, braking, braking_rear_load, static_rear_load
+from nnql_bullet.sim.base import SAMPLE_EVERY
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.limits import Braking, braking, braking_rear_load, static_rear_load
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 

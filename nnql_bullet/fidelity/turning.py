@@ -7,9 +7,9 @@ from math import asin, cos, hypot, sin
 import numpy as np
 
 from nnql_bullet.geometry import Array, Pose, wrap_angle
-from nnql_bullet.sim.base import COMMAND_RATE, whole_steps
 from nnql_bullet.sim.contact import ContactForce, ContactSimulator
-from nnql_bullet.vehicle.demand import static_rear_load
+from nnql_bullet.vehicle.controller import COMMAND_RATE, whole_steps
+from nnql_bullet.vehicle.limits import static_rear_load
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Forces = tuple[ContactForce, ContactForce, ContactForce]

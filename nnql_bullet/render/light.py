@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, OrientedBox, as_rows, squared_distance
 from nnql_bullet.render.shading import LEAN, Eye, Vector, distance_ahead, dot, kernel, ray_through, surface_normal
-from nnql_bullet.vehicle.looks import Kind, Shape
+from nnql_bullet.vehicle.visuals import Kind, Shape
 from nnql_bullet.worlds.spec import WorldSpec
 
 SUN_SHARE = 0.42

@@ -148,7 +148,7 @@ class Overlay:
         pad, bar, tall = self._px(12), self._px(40), self._px(86)
         asked = bool(np.isfinite(values).all())
         text = _manoeuvre(action)
-        if self._recording.overruled[moment.step]:
+        if self._recording.overridden[moment.step]:
             text = f"shield: {text}"
         elif asked:
             text = "Q of the five turns"
@@ -228,8 +228,8 @@ RANGE_SHOWN = paper.SENSOR_RANGE - 0.05
 
 def _simulator(about: dict[str, object]) -> str:
     """Where it was driven, as far as the recording says."""
-    if about.get("simulator") == "twin":
-        return "ideal twin"
+    if about.get("simulator") == "kinematic":
+        return "kinematic model"
     names = {"bullet": "PyBullet", "mujoco": "MuJoCo"}
     name = names.get(str(about.get("simulator")), "")
     return f"{name}, {about['physics']}" if name and "physics" in about else name

@@ -7,7 +7,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.solids import BulletRenderer, Renderer
 from nnql_bullet.sim.bullet_scene import NO_EGL, works
-from nnql_bullet.vehicle.looks import Looks
+from nnql_bullet.vehicle.visuals import Looks
 
 RendererName = Literal["tiny", "egl", "vtk"]
 

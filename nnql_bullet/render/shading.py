@@ -7,14 +7,14 @@ rendering of 3-D shapes, SIGGRAPH 1990.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.jit import njit
 from nnql_bullet.render.camera import Camera
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -36,12 +36,12 @@ HALF_ROOT = 0.5**0.5
 
 def kernel(function: F) -> F:
     """Compiles a function."""
-    return cast(F, numba.njit(cache=True, fastmath=True, error_model="numpy")(function))
+    return njit(fastmath=True, error_model="numpy")(function)
 
 
 def _part(function: F) -> F:
     """Compiles a function into those that call it."""
-    return cast(F, numba.njit(cache=True, fastmath=True, error_model="numpy", inline="always")(function))
+    return njit(fastmath=True, error_model="numpy", inline="always")(function)
 
 
 class Eye(NamedTuple):

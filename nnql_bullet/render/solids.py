@@ -66,7 +66,9 @@ class BulletRenderer:
         """
         vehicle = recording.about["vehicle"]
         if "urdf" not in vehicle:
-            raise UserError("this recording does not say what the vehicle looks like; record it again: navigate")
+            raise UserError(
+                "this recording does not say what the vehicle looks like; record it again with: nnql-bullet drive"
+            )
         self.scene = BulletScene(kind)
         world = recording.world
         self._height = world.obstacle_height

@@ -18,7 +18,7 @@ from nnql_bullet.render.light import SAMPLES, light_in_pixels, placed_parts, sta
 from nnql_bullet.render.shading import eye_of
 from nnql_bullet.render.solids import BOX, MOVING, WALL, Solids
 from nnql_bullet.render.timeline import Moment
-from nnql_bullet.vehicle.looks import Colour, Looks, Shape, upright
+from nnql_bullet.vehicle.visuals import Colour, Looks, Shape, upright
 
 FACETS = 96
 """Of what is round."""

@@ -34,7 +34,7 @@ from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
-from nnql_bullet.vehicle.demand import (
+from nnql_bullet.vehicle.limits import (
     braking,
     grip_acceleration,
     static_rear_load,
@@ -42,7 +42,7 @@ from nnql_bullet.vehicle.demand import (
     tip_angle,
     turn_demand,
 )
-from nnql_bullet.vehicle.drive import plan_turn
+from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 PAPER_GRID = 40

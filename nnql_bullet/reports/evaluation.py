@@ -80,7 +80,7 @@ def _shield_lines(rows: Sequence[Row], named: Mapping[str, str]) -> list[str]:
         "worlds",
         "goal %",
         "collision %",
-        "decisions overruled %",
+        "decisions overridden %",
         "stops %",
         "standing [s]",
         "time [s]",
@@ -97,7 +97,7 @@ def _shield_lines(rows: Sequence[Row], named: Mapping[str, str]) -> list[str]:
                 (
                     *(row.method, named[row.world]),
                     *(str(row.outcomes[ending]) for ending in ("goal", "collision")),
-                    *(f"{100 * row.overruled:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
+                    *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
                     _or_none(row.time, ".1f"),
                 )
                 for row in rows

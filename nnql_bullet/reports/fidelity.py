@@ -16,9 +16,9 @@ from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.plots import save_figure
 from nnql_bullet.reports.tables import finite, markdown_table
-from nnql_bullet.sim.base import COMMAND_RATE
-from nnql_bullet.vehicle.demand import Demand, quasi_steady
-from nnql_bullet.vehicle.drive import sample_turn
+from nnql_bullet.vehicle.controller import COMMAND_RATE
+from nnql_bullet.vehicle.limits import Demand, quasi_steady
+from nnql_bullet.vehicle.profiles import sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 COLOURS = ("#212529", "#74c0fc", "#1864ab", "#ffa94d", "#d9480f")

@@ -203,8 +203,11 @@ def _tightest(recording: Recording) -> int:
     step = int(np.argmin(recording.clearance))
     begin, end = recording.state_time[step : step + 2] + 1e-9
     within = np.flatnonzero((recording.sample_time > begin) & (recording.sample_time <= end))
-    footprint, times, poses = as_rows((recording.footprint,))[0], recording.sample_time, recording.sample_pose
-    gaps = [clearance_at(*poses[i], footprint, as_rows(recording.boxes_at(times[i]))) for i in within.tolist()]
+    footprint = as_rows((recording.footprint,))[0]
+    gaps = []
+    for i in within.tolist():
+        x, y, yaw = recording.sample_pose[i]
+        gaps.append(clearance_at(x, y, yaw, footprint, as_rows(recording.boxes_at(recording.sample_time[i]))))
     return int(within[np.argmin(gaps)])
 
 

@@ -32,7 +32,7 @@ from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.task import REWARD_TERMS
-from nnql_bullet.vehicle.looks import Looks, Shape
+from nnql_bullet.vehicle.visuals import Looks, Shape
 
 TIME, DECISION = "time", "decision"
 """Time lines: [s], and the number of decisions so far."""
@@ -216,7 +216,7 @@ def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
     )
     stops = [TIMEOUT] * len(ACTIONS)
     _log_line(stream, recording, "action", MANOEUVRES, (*LINES[: len(ACTIONS)], *stops), recording.action)
-    _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overruled)
+    _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overridden)
 
 
 def _log_line(
@@ -275,7 +275,7 @@ def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
     ]
     events += [
         (step, f"shield: {MANOEUVRES[recording.action[step]]}", rr.TextLogLevel.WARN)
-        for step in np.flatnonzero(recording.overruled).tolist()
+        for step in np.flatnonzero(recording.overridden).tolist()
     ]
     touching = (np.flatnonzero(recording.contact) + 1).tolist()
     events += [(state, "contact with an obstacle or a wall", rr.TextLogLevel.ERROR) for state in touching]

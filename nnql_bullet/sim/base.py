@@ -2,22 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from nnql_bullet import paper
-from nnql_bullet.config import options
-from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import Scan
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
-COMMAND_RATE = 120.0
-"""Wheel-speed commands per second, in every simulator: the controller is part of the vehicle, not of the physics."""
 SAMPLE_EVERY = 4
 """Commands from one sample of a trace to the next: 30 samples a second. The moment an episode ends is sampled too."""
 
@@ -75,14 +69,14 @@ class Simulator(Protocol):
     def reset(self, world: WorldSpec) -> None:
         """Puts the vehicle on the world's start, already at speed, whatever happened before."""
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
         """Drives one control period.
 
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left. A standing vehicle turns on
                 the spot, about its rear-axle centre.
             trace: Where samples between the decisions are appended, if wanted.
-            pace: Wanted speed as a share of the drive's, from 0, which is to stand. It is reached as fast as the
+            speed_scale: Wanted speed as a share of the drive's, from 0, which is to stand. It is reached as fast as the
                 vehicle's limits let it.
         """
 
@@ -133,7 +127,7 @@ class Fleet(Protocol):
         """
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         """Drives one control period, as `Simulator.advance` does.
 
@@ -142,7 +136,7 @@ class Fleet(Protocol):
         Args:
             heading_changes: Wanted changes from the present yaws (n,) [rad].
             active: Which vehicles drive (n,); the others stand by, and their rows in the result mean nothing.
-            paces: Wanted speeds as shares of the drive's (n,); the drive's speed if they are not given.
+            speed_scales: Wanted speeds as shares of the drive's (n,); the drive's speed if they are not given.
 
         Returns:
             The motions, and the ray distances (n, 72) [m] at their end.
@@ -157,28 +151,3 @@ class Fleet(Protocol):
 
 class WorkerDied(Exception):
     """A worker process is gone; the message names it."""
-
-
-@options
-class DriveOptions:
-    """How the agent's decisions reach the wheels."""
-
-    decision_period: Annotated[float, Field(gt=0)] = 0.5
-    """From one decision to the next [s]. The paper's "one step" has no length; a kinematic study before this program
-    got 97 % with 0.5 s and 55 % with 1.0 s at 10 % cover. A turn goes on over several decisions."""
-    speed: Annotated[float, Field(gt=0)] = paper.SPEED
-    """Of the rear-axle centre, but where it is told to go slower [m/s]."""
-    heading_gain: Annotated[float, Field(ge=0)] = 4.0
-    """Yaw rate per heading error [1/s]."""
-
-
-def whole_steps(period: float, time_step: float) -> int:
-    """How many physics steps make a control period.
-
-    Raises:
-        UserError: If it is not a whole number of at least one.
-    """
-    steps = round(period / time_step)
-    if steps < 1 or abs(steps * time_step - period) > 1e-9:
-        raise UserError(f"a control period of {period:g} s is not a whole number of physics steps of {time_step:g} s")
-    return steps

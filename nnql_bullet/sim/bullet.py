@@ -20,7 +20,7 @@ import numpy as np
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions, Sample
+from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import (
     CONTACT_MARGIN,
     ContactForce,
@@ -29,7 +29,8 @@ from nnql_bullet.sim.contact import (
     Quaternion,
     Vector,
 )
-from nnql_bullet.vehicle.demand import GRAVITY
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities

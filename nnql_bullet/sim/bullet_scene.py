@@ -156,7 +156,7 @@ class BulletScene:
 
 @cache
 def works(kind: SceneKind, patience: float = 60.0) -> bool:
-    """Whether a renderer draws something here. It is tried in a process of its own, which a bad driver may end.
+    """Whether a renderer draws something here. It is tried in a process of its own, which a bad policy may end.
 
     Args:
         kind: See `BulletScene`.

@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from functools import partial
 from math import cos, hypot, sin
 
-import numba
 import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
+from nnql_bullet.jit import njit
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
-from nnql_bullet.sim.base import COMMAND_RATE, SAMPLE_EVERY, DriveOptions, Motion, Sample, whole_steps
-from nnql_bullet.vehicle.drive import plan_turn, sample_ramp, sample_turn, wheel_speeds
+from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, whole_steps
+from nnql_bullet.vehicle.profiles import plan_turn, sample_ramp, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
@@ -99,7 +100,7 @@ class ContactSimulator(ABC):
         self,
         heading_change: float,
         trace: list[Sample] | None = None,
-        pace: float = 1.0,
+        speed_scale: float = 1.0,
         look: Callable[[], None] | None = None,
     ) -> Motion:
         """Follows the turn's profile for one control period, or up to the first contact or the target.
@@ -111,14 +112,14 @@ class ContactSimulator(ABC):
         Args:
             heading_change: See `sim.base.Simulator.advance`.
             trace: Likewise.
-            pace: Likewise.
+            speed_scale: Likewise.
             look: Called after every physics step; it may look at the simulator, not move it.
         """
         run = self._run if look is None else partial(self._run_seen, look)
         begin, first_step = self.pose(), self._steps
         turn = plan_turn(self._turn_rate, heading_change, self.vehicle.limits)
         rates, headings = sample_turn(turn, self._command_times)
-        ramp, goal = np.empty(len(headings)), pace * self.drive.speed
+        ramp, goal = np.empty(len(headings)), speed_scale * self.drive.speed
         sample_ramp(self._ramp_speed, goal, self.vehicle.limits.acceleration, self._command_times, ramp)
         # Of the axle and of the yaw, in the mean from each command to the next.
         feed_forward = np.stack([(ramp[:-1] + ramp[1:]) / 2, (headings[1:] - headings[:-1]) * COMMAND_RATE], axis=1)
@@ -348,7 +349,7 @@ class ContactSimulator(ABC):
         return x, y, yaw, clearance_at(x, y, yaw, self._footprint, self._solids)
 
 
-@numba.njit(cache=True)
+@njit()
 def _rear_axle(
     com_x: float, com_y: float, qx: float, qy: float, qz: float, qw: float, ahead: float, up: float
 ) -> tuple[float, float, float]:
@@ -362,7 +363,7 @@ def _rear_axle(
     return x, y, np.arctan2(forward_y, forward_x)
 
 
-@numba.njit(cache=True)
+@njit()
 def _follow(
     com: tuple[float, float, float],
     orientation: tuple[float, float, float, float],
@@ -414,7 +415,7 @@ def _follow(
     return way[5] <= reach, to_target <= 0.0, until_look
 
 
-@numba.njit(cache=True)
+@njit()
 def _move_rays(
     com: tuple[float, float, float],
     orientation: tuple[float, float, float, float],
@@ -441,7 +442,7 @@ def _move_rays(
         ends[i, 0], ends[i, 1], ends[i, 2] = x + dx, y + dy, z + dz
 
 
-@numba.njit(cache=True)
+@njit()
 def _rotated(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw: float) -> tuple[float, float, float]:
     """A vector turned by a unit quaternion: v + 2 w (q x v) + 2 q x (q x v)."""
     tx, ty, tz = 2 * (qy * z - qz * y), 2 * (qz * x - qx * z), 2 * (qx * y - qy * x)

@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import Literal
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 EngineName = Literal["bullet", "mujoco"]

@@ -73,9 +73,9 @@ class FaultySimulator:
         self._noise = _generator(world)
         self._look()
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, pace: float = 1.0) -> Motion:
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
         """Drives one control period."""
-        motion = self._simulator.advance(heading_change, trace, pace)
+        motion = self._simulator.advance(heading_change, trace, speed_scale)
         self._look()
         return motion
 
@@ -114,10 +114,10 @@ class FaultyFleet:
         return poses, seen
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         """Drives one control period."""
-        motions, distances = self._fleet.advance(heading_changes, active, paces)
+        motions, distances = self._fleet.advance(heading_changes, active, speed_scales)
         seen = distances.copy()
         for i in np.flatnonzero(active).tolist():
             seen[i] = degraded(distances[i], self._faults, self._noise[i])

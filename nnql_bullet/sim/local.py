@@ -30,14 +30,14 @@ class LocalFleet:
         return poses, distances
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         """Drives one control period."""
-        paces = np.ones(self.size) if paces is None else paces
+        speed_scales = np.ones(self.size) if speed_scales is None else speed_scales
         motions: dict[int, Motion] = {}
         distances = np.zeros((self.size, RAYS))
         for i in np.flatnonzero(active).tolist():
-            motions[i] = self._simulators[i].advance(float(heading_changes[i]), None, float(paces[i]))
+            motions[i] = self._simulators[i].advance(float(heading_changes[i]), None, float(speed_scales[i]))
             distances[i] = self._simulators[i].scan().distances
         return as_motions(motions, self.size), distances
 

@@ -17,16 +17,17 @@ from math import cos, hypot, sin, sqrt
 from typing import Any
 
 import mujoco
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions, Sample
+from nnql_bullet.jit import njit
+from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion, Vector
-from nnql_bullet.vehicle.demand import GRAVITY
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -399,7 +400,7 @@ def _add_box(body: Any, box: OrientedBox, half_height: float, pos: list[float]) 
     )
 
 
-@numba.njit(cache=True)
+@njit()
 def _slides(rows: NDArray[np.int32], sizes: NDArray[np.int32], frictions: Array, forces: Array) -> bool:
     """Whether any contact uses all the friction there is, in all its directions together.
 
@@ -418,7 +419,7 @@ def _slides(rows: NDArray[np.int32], sizes: NDArray[np.int32], frictions: Array,
     return False
 
 
-@numba.njit(cache=True)
+@njit()
 def _make_up(
     rows: NDArray[np.int32],
     sizes: NDArray[np.int32],

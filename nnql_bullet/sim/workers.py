@@ -79,14 +79,14 @@ class WorkerFleet:
         return poses, distances
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], paces: Array | None = None
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
     ) -> tuple[Motions, Array]:
         """Drives one control period, in all processes at once."""
-        paces = np.ones(self.size) if paces is None else paces
+        speed_scales = np.ones(self.size) if speed_scales is None else speed_scales
         asked = [worker for worker, share in enumerate(self._shares) if active[share].any()]
         for worker in asked:
             share = self._shares[worker]
-            self._send(worker, ("advance", heading_changes[share], active[share], paces[share]))
+            self._send(worker, ("advance", heading_changes[share], active[share], speed_scales[share]))
         answers = self._collect(asked)
         distances = np.zeros((self.size, RAYS))
         pose, numbers, events = np.zeros((self.size, 3)), np.zeros((5, self.size)), np.zeros((2, self.size), np.bool_)

@@ -24,17 +24,17 @@ class Trainer(Protocol):
     """A training as far as it has come. What comes out depends on the configuration and the seed alone."""
 
     def episodes(self) -> Iterator[TrainingEpisode]:
-        """Trains without end, and yields each episode as it finishes; `arrays` may be asked for in between.
+        """Trains without end, and yields each episode as it finishes; `state_dict` may be asked for in between.
 
         Raises:
-            WorkerDied: If a process that holds vehicles is gone; `arrays` then gives a state to go on from.
+            WorkerDied: If a process that holds vehicles is gone; `state_dict` then gives a state to go on from.
         """
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """What to go on from, beside what the agent has learned."""
 
-    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `arrays` gave, so that what follows is as if the training had never stopped.
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `state_dict` gave, so that what follows is as if the training had never stopped.
 
         Raises:
             UserError: If these are not the arrays of such a training.

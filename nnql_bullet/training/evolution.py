@@ -20,7 +20,7 @@ from deap import tools
 from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import TurnChooser
-from nnql_bullet.agents.genetic import Genetic, GeneticOptions, first_generation, layers, network_outputs
+from nnql_bullet.agents.learning.genetic import Genetic, GeneticOptions, first_generation, layers, network_outputs
 from nnql_bullet.env import FleetNavigation, Observations
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, distance
@@ -68,7 +68,7 @@ class Evolution:
                 numbers = {"generation": float(generation), "genome": float(place // o.worlds)}
                 yield TrainingEpisode(generation * size + place, summary, numbers)
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """The generation under way, what its elites did before, and how many of its episodes were given out."""
         return {
             "generation": np.array([self._generation]),
@@ -78,8 +78,8 @@ class Evolution:
             "given": np.array([self._given]),
         }
 
-    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `arrays` gave."""
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `state_dict` gave."""
         try:
             if arrays["genomes"].shape != self._genomes.shape:
                 raise ValueError
@@ -95,7 +95,7 @@ class Evolution:
         self._tries += o.worlds
         fitness = genome_fitness(self._sums, self._tries, sums.mean() / o.worlds, o.prior)
         elites = fittest(fitness, o.elites)
-        self._agent.load({name: weights[0] for name, weights in layers(self._genomes[elites[:1]]).items()})
+        self._agent.load_state_dict({name: weights[0] for name, weights in layers(self._genomes[elites[:1]]).items()})
         self._generation += 1
         self._given = 0
         children = bred(self._genomes, fitness, o, rng(self._seed, Stream.WEIGHTS, self._generation))
@@ -115,15 +115,15 @@ class Crowd(TurnChooser):
         self.left = np.zeros(len(genomes))
         """How far from its target each was last seen [m]."""
 
-    def begin(self, vehicle: int, world_seed: int) -> None:
+    def reset(self, vehicle: int, world_seed: int) -> None:
         """The vehicle is given the next genome."""
         self._driving[vehicle] = self._begun
         self._begun += 1
 
-    def exploit(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observations) -> NDArray[np.int64]:
         """As each vehicle's network says."""
         self.left[list(self._driving.values())] = observations.target_distance[list(self._driving)]
-        return super().exploit(observations)
+        return super().act(observations)
 
     def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
         """What each vehicle's network puts out."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.agents import Learner
+from nnql_bullet.agents import LearningAgent
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import Tally
@@ -32,7 +32,7 @@ class Training:
     """
 
     def __init__(
-        self, agent: Learner, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
+        self, agent: LearningAgent, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
     ) -> None:
         self._agent = agent
         self._navigation = navigation
@@ -49,10 +49,10 @@ class Training:
         self._worlds: dict[int, WorldSpec] = {}
 
     def episodes(self) -> Iterator[TrainingEpisode]:
-        """Trains without end, and yields each episode as it finishes; `arrays` may be asked for in between.
+        """Trains without end, and yields each episode as it finishes; `state_dict` may be asked for in between.
 
         Raises:
-            WorkerDied: If a process that holds vehicles is gone; `arrays` then gives the state before this step.
+            WorkerDied: If a process that holds vehicles is gone; `state_dict` then gives the state before this step.
         """
         while True:
             for vehicle in self._vehicles.tolist():
@@ -64,7 +64,7 @@ class Training:
                     self._begin(vehicle)
             self._step()
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """What to go on from, beside what the agent has learned."""
         longest = int((self._actions != _NONE).sum(axis=1).max())
         return {
@@ -73,11 +73,11 @@ class Training:
             "actions": self._actions[:, :longest].copy(),
             "squared_errors": self._squared_errors.copy(),
             "updates": self._updates.copy(),
-            **{_AGENT + name: values for name, values in self._agent.under_way().items()},
+            **{_AGENT + name: values for name, values in self._agent.training_state().items()},
         }
 
-    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `arrays` gave, and drives the episodes that were under way up to where they were.
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `state_dict` gave, and drives the episodes that were under way up to where they were.
 
         Raises:
             UserError: If these are not the arrays of a training with as many vehicles.
@@ -100,15 +100,15 @@ class Training:
                 break
             self._tally.add(self._navigation.step(np.where(active, actions, 0), active))
         state = {name.removeprefix(_AGENT): values for name, values in arrays.items() if name.startswith(_AGENT)}
-        self._agent.restore(state)
+        self._agent.load_training_state(state)
 
     def _begin(self, vehicle: int) -> None:
         """Draws the world of the vehicle's episode, and all the chance that there is in it."""
         episode = int(self._episode[vehicle])
         world = self._world_of(episode)
         self._worlds[vehicle] = world
-        self._tally.begin(vehicle, world.seed)
-        self._agent.begin(vehicle, world.seed)
+        self._tally.reset(vehicle, world.seed)
+        self._agent.reset(vehicle, world.seed)
         self._uniforms[vehicle] = rng(self._seed, Stream.POLICY, episode).random(self._uniforms.shape[1])
 
     def _put_into_worlds(self) -> None:
@@ -119,7 +119,7 @@ class Training:
         """One decision of every vehicle, and one update."""
         self._put_into_worlds()
         now = self._vehicles, self._tally.steps
-        actions = self._agent.explore(self._navigation.observations, self._episode, self._uniforms[now])
+        actions = self._agent.act_exploring(self._navigation.observations, self._episode, self._uniforms[now])
         transitions = self._navigation.step(actions)
         td_errors = self._agent.learn(transitions)
         self._actions[now] = actions

@@ -16,7 +16,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from nnql_bullet.agents.sb3_dqn import INPUTS, Sb3Dqn, inputs
+from nnql_bullet.agents.learning.sb3_dqn import INPUTS, Sb3Dqn, inputs
 from nnql_bullet.env import ACTIONS, FleetNavigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
@@ -39,19 +39,19 @@ class DqnTraining:
         self._given = 0
 
     def episodes(self) -> Iterator[TrainingEpisode]:
-        """See `Trainer`; those that were given out before `load` are redone without a word."""
+        """See `Trainer`; those that were given out before `load_state_dict` are redone without a word."""
         for done, (episode, weights) in enumerate(self._train()):
             if done == self._given:
                 self._given += 1
-                self._agent.load(weights)
+                self._agent.load_state_dict(weights)
                 yield episode
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def state_dict(self) -> dict[str, NDArray[Any]]:
         """How many episodes were given out."""
         return {"given": np.array([self._given])}
 
-    def load(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `arrays` gave."""
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Takes back what `state_dict` gave."""
         try:
             (self._given,) = arrays["given"].tolist()
         except (KeyError, ValueError, TypeError):
@@ -136,7 +136,7 @@ class FleetVecEnv(VecEnv):
         for vehicle in vehicles:
             worlds[vehicle] = self._world_of(self._next_episode)
             self._episode[vehicle] = self._next_episode
-            self._tally.begin(vehicle, worlds[vehicle].seed)
+            self._tally.reset(vehicle, worlds[vehicle].seed)
             self._next_episode += 1
         self._navigation.reset(worlds)
         return inputs(self._navigation.observations)

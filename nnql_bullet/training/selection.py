@@ -2,8 +2,8 @@
 
 What an agent drives like goes up and down from one episode of its training to the next, and where it happens to end is
 no better than where it was a while before. So what it has learned is kept now and then, and in the end the last few of
-these candidates are driven greedily. That is done in the ideal twin, whatever the training drove in: in contact physics
-it would take as long as the training.
+these candidates are driven greedily. That is done in the kinematic model, whatever the training drove in: in contact
+physics it would take as long as the training.
 
 The worlds are the last of the split `validation`, whose first ones figures are made of: those stay figures of worlds
 that nothing was chosen on.
@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from nnql_bullet.agents import Taught
+from nnql_bullet.agents import Trainable
 from nnql_bullet.config import options
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.geometry import Array
@@ -23,7 +23,7 @@ from nnql_bullet.seeding import VALIDATION_WORLDS
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
-"""What had been learned (`Taught.arrays`) after so many episodes, in their order."""
+"""What had been learned (`Trainable.arrays`) after so many episodes, in their order."""
 
 
 @options
@@ -46,22 +46,22 @@ class SelectionOptions:
         return VALIDATION_WORLDS[-self.count :]
 
 
-def keep(candidates: Candidates, episodes: int, agent: Taught, options: SelectionOptions) -> None:
+def keep(candidates: Candidates, episodes: int, agent: Trainable, options: SelectionOptions) -> None:
     """Takes in what the agent has learned after so many episodes, if its turn has come; the oldest may go for it."""
     if episodes % options.every == 0:
-        candidates[episodes] = agent.arrays()
+        candidates[episodes] = agent.state_dict()
         for old in sorted(candidates)[: -options.candidates]:
             del candidates[old]
 
 
-def finalists(candidates: Candidates, episodes: int, agent: Taught, options: SelectionOptions) -> Candidates:
+def finalists(candidates: Candidates, episodes: int, agent: Trainable, options: SelectionOptions) -> Candidates:
     """The last candidates of a training that is over after so many episodes, the agent as it is now among them."""
-    known = {**candidates, episodes: agent.arrays()}
+    known = {**candidates, episodes: agent.state_dict()}
     return {which: known[which] for which in sorted(known)[-options.candidates :]}
 
 
 def count_goals(
-    agent: Taught, candidates: Candidates, navigation: FleetNavigation, worlds: Sequence[WorldSpec]
+    agent: Trainable, candidates: Candidates, navigation: FleetNavigation, worlds: Sequence[WorldSpec]
 ) -> dict[int, int]:
     """In how many of the worlds each candidate comes to its target, driven greedily.
 
@@ -73,7 +73,7 @@ def count_goals(
     """
     goals = {}
     for episodes, arrays in candidates.items():
-        agent.load(arrays)
+        agent.load_state_dict(arrays)
         goals[episodes] = sum(summary.ending == "goal" for summary in run_episodes(navigation, worlds, agent))
     return goals
 

@@ -3,10 +3,10 @@
 from heapq import heappop, heappush
 from math import floor, hypot
 
-import numba
 import numpy as np
 
 from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
 CELL = 0.2
@@ -44,7 +44,7 @@ def cell_of(x: float, y: float) -> Cell:
     return floor(y / CELL), floor(x / CELL)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
     """Whether a box takes a cell whose centre is nearer than `reach` [m] to that of `cell`."""
     far = int(reach / CELL)
@@ -56,7 +56,7 @@ def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
     """A lower bound [m] on how far the centre of a cell is from those of cells that are taken or wall.
 
@@ -75,7 +75,7 @@ def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
     return float(max(reach, min(walls, np.sqrt(closest))))
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float) -> bool:
     """Whether free cells, each one of the eight around the last, lead from `begin` to `end`.
 

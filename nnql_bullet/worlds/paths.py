@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from math import floor, pi
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, clearance_at, ray_distances, squared_distance
+from nnql_bullet.jit import njit
 from nnql_bullet.worlds.grid import CELL, DIAGONAL, GROWTH, Cell, cell_of
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -107,7 +107,7 @@ def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.b
     return np.asarray(distance[1:-1, 1:-1] >= clearance + DIAGONAL)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
     """Which cells have their centre in a box."""
     taken = np.zeros(shape, np.bool_)
@@ -123,7 +123,7 @@ def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
     return taken
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
     """Whether the straight line between the centres of two cells keeps to free cells."""
     rows, columns = end[0] - begin[0], end[1] - begin[1]
@@ -136,12 +136,12 @@ def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _apart(one: Cell, other: Cell) -> float:
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Cells (k, 2) at the corners of the way from `begin` to `end`; none if there is no way."""
     far = np.full(free.shape, np.inf)  # from the beginning, in cells

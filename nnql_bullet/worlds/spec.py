@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot
 
-import numba
 import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows
+from nnql_bullet.jit import njit
 
 WALL_THICKNESS = 1.0
 
@@ -42,13 +42,13 @@ class Patrol:
         return replace(self.box, x=x + share * along, y=y + share * across)
 
 
-@numba.njit(cache=True)
+@njit()
 def there_and_back(round_trips: float) -> float:
     """How far along its track something is after so many round trips, as a share of it: a triangle wave."""
     return float(1.0 - abs(1.0 - 2.0 * (round_trips % 1.0)))
 
 
-@numba.njit(cache=True)
+@njit()
 def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
     """Moves boxes to where they are at a time.
 
@@ -63,7 +63,7 @@ def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
         boxes[i, 1] = tracks[i, 1] + share * tracks[i, 3]
 
 
-@numba.njit(cache=True)
+@njit()
 def track_velocities(tracks: Array, time: float) -> Array:
     """Velocities (m, 2) [m/s] of what follows these tracks, from a time [s] on."""
     velocities = np.empty((len(tracks), 2))

@@ -12,10 +12,10 @@ from unittest.mock import patch
 import gymnasium
 
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.base import COMMAND_RATE
+from nnql_bullet.gym_env import TricycleEnv
 from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletSimulator
 from nnql_bullet.sim.bullet import bullet as pybullet
-from nnql_bullet.tricycle_env import TricycleEnv
+from nnql_bullet.vehicle.controller import COMMAND_RATE
 from nnql_bullet.worlds.spec import WorldSpec
 
 from .drives import hand_rule, quickest

@@ -16,11 +16,12 @@ from xml.etree import ElementTree
 
 from nnql_bullet.experiment import Experiment, RunConfig
 from nnql_bullet.geometry import Pose, wrap_angle
-from nnql_bullet.sim.base import COMMAND_RATE, Sample
+from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import OBSTACLE, BulletSimulator
 from nnql_bullet.sim.bullet import bullet as pybullet
-from nnql_bullet.vehicle.demand import GRAVITY
-from nnql_bullet.vehicle.drive import wheel_speeds
+from nnql_bullet.vehicle.controller import COMMAND_RATE
+from nnql_bullet.vehicle.limits import GRAVITY
+from nnql_bullet.vehicle.profiles import wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 

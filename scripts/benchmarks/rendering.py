@@ -55,11 +55,11 @@ def film_over_bare(renderer: RendererName, seconds: float) -> float:
 
 
 def _record(path: Path) -> None:
-    experiment = Experiment(RunConfig(simulator="twin", world="cover_10"))
+    experiment = Experiment(RunConfig(simulator="kinematic", world="cover_10"))
     recorder = Recorder(experiment.vehicle, experiment.agent)
     world = max((experiment.world(seed) for seed in range(6)), key=lambda world: len(world.obstacles))
     run_episode(experiment.navigation, world, experiment.agent, watcher=recorder)
-    recorder.recording(policy="untrained", simulator="twin").save(path)
+    recorder.recording(policy="untrained", simulator="kinematic").save(path)
 
 
 def _bare(path: Path, renderer: RendererName) -> float:

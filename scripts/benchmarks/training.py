@@ -17,7 +17,7 @@ WARM_UP = 300
 """Steps before the clock starts: DQN learns from its 101st on."""
 
 
-def paper_training_s(simulator: Literal["twin", "bullet"], cores: int) -> float:
+def paper_training_s(simulator: Literal["kinematic", "bullet"], cores: int) -> float:
     """Wall time of a whole training, worker processes and the drawing of its worlds included [s]."""
     config = RunConfig(simulator=simulator, vehicles=VEHICLES)
     begin = time.perf_counter()

@@ -13,18 +13,20 @@ PACKAGE = Path(nnql_bullet.__file__).resolve().parent
 # Low to high. A module imports from lower layers and, inside one folder, from its siblings. A new top-level module or
 # folder has to be given its place here.
 LAYERS = (
-    ("paper", "errors", "files", "colours"),
+    ("paper", "errors", "files", "colours", "jit"),
     ("config", "assets", "geometry", "seeding", "executors"),
     ("worlds", "vehicle", "sensing"),
     ("sim",),
     ("task",),
     ("env",),
+    ("mapping",),
     ("agents",),
+    ("shield",),
     ("rollout",),
     ("training", "recording", "fidelity"),
     ("render",),
     ("experiment",),
-    ("runs", "tricycle_env", "diagnosis"),
+    ("runs", "gym_env", "diagnosis"),
     ("evaluation",),
     ("reports",),
     ("cli",),

@@ -15,8 +15,8 @@ import pybullet
 
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions
 from nnql_bullet.sim.bullet import GROUND, PHYSICS, WHEEL, BulletSimulator, Physics
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import JointNames, VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 

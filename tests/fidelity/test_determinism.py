@@ -11,8 +11,9 @@ import pybullet
 import pytest
 
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sim.base import DriveOptions, Sample
+from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 

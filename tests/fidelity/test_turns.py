@@ -12,8 +12,9 @@ from scipy.integrate import solve_ivp
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Pose
-from nnql_bullet.sim.base import DriveOptions, Motion, Sample
+from nnql_bullet.sim.base import Motion, Sample
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -35,7 +36,7 @@ def profile(turn: float, time: float) -> float:
 
 
 def unicycle(start: Pose, turn: float, times: NDArray[Any]) -> NDArray[Any]:
-    """Poses (n, 3) of the ideal vehicle."""
+    """Poses (n, 3) of the kinematic model."""
 
     def derivative(time: float, state: NDArray[Any]) -> tuple[float, float, float]:
         return SPEED * cos(state[2]), SPEED * sin(state[2]), profile(turn, time)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numba
 import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, squared_distance
+from nnql_bullet.jit import njit
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Layout(Protocol):
         """Obstacles for one world, drawn from `rng` alone."""
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
     """Whether a box, a row (6,) of `as_rows`, lies in the arena and off what is to be kept free.
 

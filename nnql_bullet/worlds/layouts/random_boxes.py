@@ -3,7 +3,6 @@
 from math import pi
 from typing import Annotated, Literal
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -11,6 +10,7 @@ from pydantic import Field
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, clearance
+from nnql_bullet.jit import njit
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
 Positive = Annotated[float, Field(gt=0)]
@@ -85,7 +85,7 @@ def _rows(candidates: Array) -> Array:
     return np.column_stack([candidates[:, :4], np.cos(yaw), np.sin(yaw)])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _chosen(
     rows: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float
 ) -> tuple[NDArray[np.int64], float]:

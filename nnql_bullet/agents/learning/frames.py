@@ -1,0 +1,191 @@
+"""What a vehicle sees and remembers, as frames of bytes: what a network is shown, and what a replay keeps of a step."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.env import ACTIONS, STOP, Observations, heading_change, speed_scale
+from nnql_bullet.geometry import Array
+from nnql_bullet.mapping import grid_map
+from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.profiles import ramp_ways, rolled_path, turn_headings
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+Bytes = NDArray[np.uint8]
+
+MIRRORED_ACTIONS = np.array([0, 3, 4, 1, 2, 5])
+"""The actions (6,) as a vehicle has them that is seen in a mirror: left is right."""
+FAR = 50.0
+"""Distance of the target beyond which it makes no difference [m]."""
+DETOUR = 20.0
+"""A way to the target so much longer than the straight one is as long as it gets [m]."""
+MOST_PROGRESS = 2.0
+"""In one decision [m]: more is what the map has just come to know, and no progress."""
+_INSTANTS = 5
+"""At which the way between two decisions is looked at."""
+_STATE, _ODD = 5, (3, 4)
+"""Numbers in a frame that tell of the target and the vehicle, and those of them that a mirror changes the sign of."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What is remembered of n vehicles. Only the age means anything in an episode of which nothing was seen yet."""
+
+    age: NDArray[np.int64]
+    """Decisions in the episode so far (n,)."""
+    poses: Array
+    """In the frame of `grid_map` (n, 3)."""
+    steps: Array
+    """What was driven since, in the vehicle frame of then (n, 2) [m]."""
+    actions: NDArray[np.int64]
+    """The last ones (n,)."""
+    speeds: Array
+    """Commanded by now, as shares of the drive's (n,)."""
+    corners: NDArray[np.int64]
+    """Of the maps (n, 2)."""
+    cells: grid_map.Cells
+    """Of the maps (n, SIZE, SIZE)."""
+    frames: Bytes
+    """The last ones, the newest first (n, frames, width)."""
+
+    def first(self, count: int) -> "Memory":
+        """That of the first vehicles."""
+        return Memory(*(getattr(self, field.name)[:count] for field in fields(self)))
+
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """All of it, by name."""
+        return {field.name: getattr(self, field.name).copy() for field in fields(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A vehicle's memory with what it sees now entered."""
+
+    memory: Memory
+    progress: Array
+    """How much shorter the way to the target got by the last decision (n,) [m]."""
+
+    @property
+    def stacked(self) -> Bytes:
+        """What the network is shown (n, frames * width)."""
+        frames = self.memory.frames
+        return frames.reshape(len(frames), -1)
+
+
+class FrameMaker:
+    """Makes frames of what vehicles see.
+
+    A frame holds, each number as a byte from -1 to 1: nearness of the nearest of every few rays, what `grid_map` says
+    of the way, bearing and distance of the target, the yaw rate, and the action before.
+    """
+
+    def __init__(self, rays: int, frames: int, with_map: bool, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        """Decides what a frame holds.
+
+        Args:
+            rays: Readings that the 72 rays are told as, a divisor of 72.
+            frames: That make up what the network is shown.
+            with_map: Whether what was seen before is remembered.
+            vehicle: Its limits tell where it gets by a turn, and its sensor where rays start.
+            drive: Likewise speed and time between decisions.
+        """
+        self.rays, self.frames, self.with_map = rays, frames, with_map
+        self._limits, self._sensor = vehicle.limits, np.array(vehicle.sensor[:2])
+        self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
+        self._speed = drive.speed
+        self._angles = ray_angles()
+        felt = np.arange(grid_map.SENSE if with_map else 0)
+        bearings, reach = felt % grid_map.BEARINGS, felt - felt % grid_map.BEARINGS
+        order = np.arange(rays)
+        parts = [
+            (RAYS_PER_SECTOR * rays // RAYS - 1 - order) % rays,
+            reach + -bearings % grid_map.BEARINGS,
+            np.arange(_STATE),
+            MIRRORED_ACTIONS,
+        ]
+        begins = np.cumsum([0, *map(len, parts)])
+        self.width = int(begins[-1])
+        """Bytes of a frame."""
+        self._mirrored = np.concatenate([begin + part for begin, part in zip(begins, parts, strict=False)])
+        self._odd = np.zeros(self.width, np.bool_)
+        self._odd[begins[2] + np.array(_ODD)] = True
+
+    def nothing(self, size: int) -> Memory:
+        """Memory of vehicles that begin."""
+        side = grid_map.SIZE if self.with_map else 0
+        return Memory(
+            age=np.zeros(size, np.int64),
+            poses=np.zeros((size, 3)),
+            steps=np.zeros((size, 2)),
+            actions=np.zeros(size, np.int64),
+            speeds=np.ones(size),
+            corners=np.zeros((size, 2), np.int64),
+            cells=np.zeros((size, side, side), np.int8),
+            frames=np.zeros((size, self.frames, self.width), np.uint8),
+        )
+
+    def look(self, memory: Memory, observations: Observations) -> Look:
+        """Enters what n vehicles see into their memory, of which the one given stays as it is."""
+        o, new = observations, memory.age == 0
+        first = grid_map.first_poses(o.target_distance, o.target_bearing)
+        later = grid_map.tracked(memory.poses, memory.steps, o.target_distance, o.target_bearing)
+        poses = np.where(new[:, None], first, later)
+        before = np.where(new[:, None], poses, memory.poses)[:, :2]
+        corners, cells = memory.corners.copy(), memory.cells.copy()
+        if self.with_map:
+            cells[new] = 0
+            grid_map.add_scans(cells, corners, poses, o.ray_distances, self._sensor, self._angles)
+            around, ways, progress = grid_map.sensed(cells, corners, poses, before)
+        else:
+            around, ways = np.zeros((len(new), 0)), o.target_distance
+            progress = np.hypot(*before.T) - o.target_distance
+        frame = self._frame(o, around, ways - o.target_distance, np.where(new, -1, memory.actions))
+        earlier = np.where(new[:, None, None], frame[:, None], memory.frames)
+        frames = np.concatenate([frame[:, None], earlier[:, : self.frames - 1]], axis=1)
+        seen = replace(memory, poses=poses, corners=corners, cells=cells, frames=frames)
+        return Look(seen, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
+
+    def after(self, look: Look, observations: Observations, actions: NDArray[np.int64]) -> Memory:
+        """The memory of vehicles that saw this and do `actions` (n,), manoeuvres of `env`."""
+        o, memory = observations, look.memory
+        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
+        turns = heading_change(actions, o.target_bearing)
+        headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
+        ways = ramp_ways(self._speed * speeds, self._speed * goals, self._limits.acceleration, self._times)
+        steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
+        change = self._limits.acceleration * self._times[-1] / self._speed
+        speeds = np.clip(goals, speeds - change, speeds + change)
+        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % STOP, speeds=speeds)
+
+    def mirrored(self, stacked: Bytes) -> Bytes:
+        """What is shown to the network (m, frames * width) as if left were right."""
+        seen = stacked.reshape(len(stacked), self.frames, self.width)[:, :, self._mirrored]
+        return np.where(self._odd, 255 - seen, seen).reshape(stacked.shape)
+
+    def _frame(self, o: Observations, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
+        """Frames (n, width); an action of -1 is none."""
+        nearest = o.ray_distances.reshape(len(actions), self.rays, -1).min(axis=-1)
+        reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)
+        state = [
+            np.cos(o.target_bearing),
+            1 - 2 * o.target_distance / FAR,
+            2 * detour / DETOUR - 1,
+            np.sin(o.target_bearing),
+            o.yaw_rate / self._limits.yaw_rate,
+        ]
+        parts = [
+            1 - 2 * nearest / paper.SENSOR_RANGE,
+            around / reaches if self.with_map else around,
+            np.stack(state, axis=-1),
+            2.0 * (actions[:, None] == np.arange(ACTIONS)) - 1,
+        ]
+        return as_bytes(np.concatenate(parts, axis=-1))
+
+
+def as_bytes(numbers: Array) -> Bytes:
+    """Numbers from -1 to 1 as bytes; -x is 255 less the byte of x, but for numbers half-way between two."""
+    return np.rint(127.5 * (np.clip(numbers, -1.0, 1.0) + 1)).astype(np.uint8)

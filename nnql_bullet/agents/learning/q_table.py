@@ -1,0 +1,109 @@
+"""Tabular Q-learning, which the paper holds its network against (III): "a large-scale memory space" is needed.
+
+In numbers: by default 27 states of five values, 1080 bytes, against the 89 weights of the network, 712 bytes. All eight
+sectors with the same two edges make 6561 states, 262 kB; with four edges 390 625 states, 15.6 MB.
+"""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nnql_bullet import paper
+from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions
+from nnql_bullet.agents.turns import nearest_turns
+from nnql_bullet.config import options
+from nnql_bullet.env import Observations, Transitions, heading_change
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Array
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
+
+MOST_STATES = 2**22
+"""Of a table, whose values then take 168 MB."""
+
+
+@options
+class QTableOptions(QLearningOptions):
+    """The paper's numbers, and how readings become states."""
+
+    kind: Literal["q_table"] = "q_table"
+    edges: tuple[Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)], ...] = (3.5, 5.0)
+    """Readings from which the next level begins [m], rising."""
+    sectors: tuple[Annotated[int, Field(ge=0, lt=paper.SECTORS)], ...] = (FRONT, FRONT_LEFT, FRONT_RIGHT)
+    """Sectors whose readings make up the state. Each further sector multiplies the size of the table."""
+
+    def __post_init__(self) -> None:
+        """Refuses edges that do not rise, sectors given twice, and tables that are too large."""
+        super().__post_init__()
+        if list(self.edges) != sorted(set(self.edges)):
+            raise ValueError("edges have to rise")
+        if len(self.sectors) != len(set(self.sectors)):
+            raise ValueError("a sector is given twice")
+        if self.states > MOST_STATES:
+            raise ValueError(f"a table of {self.states} states is too large; give fewer edges or sectors")
+
+    @property
+    def states(self) -> int:
+        """Rows of the table."""
+        return int((len(self.edges) + 1) ** len(self.sectors))
+
+
+class QTable(QLearning):
+    """Q-values of every combination of a few levels of the readings."""
+
+    options: QTableOptions
+
+    def __init__(self, options: QTableOptions) -> None:
+        self.options = options
+        self._table = np.zeros((options.states, len(paper.TURNS)))
+        self._visited = np.zeros(options.states, np.bool_)
+
+    def state(self, readings: Array) -> NDArray[np.int64]:
+        """Rows of the table (n,) for readings (n, 8) [m]."""
+        levels = np.digitize(readings[:, self.options.sectors], self.options.edges)
+        base = len(self.options.edges) + 1
+        return np.asarray(levels @ base ** np.arange(len(self.options.sectors)))
+
+    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+        """Rows of the table."""
+        return np.asarray(self._table[self.state(observations.readings[asked])])
+
+    def learn(self, transitions: Transitions) -> Array:
+        """One update of eq. (2).
+
+        Several vehicles learn from the table as it stands; where they meet in one entry, their updates add up.
+        """
+        t, o = transitions, self.options
+        td_errors = np.full(len(t.r_t), np.nan)
+        taught = np.flatnonzero(t.active & self.asks(t.s_tm1))
+        turns = nearest_turns(heading_change(t.a_tm1[taught], t.s_tm1.target_bearing[taught]))
+        s_tm1, s_t = self.state(t.s_tm1.readings[taught]), self.state(t.s_t.readings[taught])
+        target = t.r_t[taught] + t.discount_t[taught] * o.discount * self._table[s_t].max(axis=-1)
+        td_errors[taught] = target - self._table[s_tm1, turns]
+        np.add.at(self._table, (s_tm1, turns), o.learning_rate * td_errors[taught])
+        self._visited[s_tm1] = True
+        return td_errors
+
+    def diagnostics(self, episode: int) -> dict[str, float]:
+        """The temperature, and how many states it has learned in: as a number, and as a share of the table."""
+        visited = int(self._visited.sum())
+        return {**super().diagnostics(episode), "states": visited, "table_share": visited / self.options.states}
+
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """The states that it has learned in (k,), and their Q-values (k, 5); all others are zero."""
+        states = np.flatnonzero(self._visited)
+        return {"states": states, "values": self._table[states]}
+
+    def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Replaces the table."""
+        try:
+            states, values = arrays["states"], arrays["values"]
+            fits = values.shape == (*states.shape, len(paper.TURNS)) and np.isfinite(values).all()
+            known = np.arange(self.options.states)[states]  # not those from the end
+            if not fits or (states != known).any() or len(np.unique(states)) < len(states):
+                raise ValueError
+        except (KeyError, IndexError, ValueError, TypeError):
+            raise UserError(f"this is not a table of Q-values of {self.options.states} states") from None
+        self._table[:], self._visited[:] = 0.0, False
+        self._table[states], self._visited[states] = values, True

@@ -1,0 +1,1 @@
+"""Rules: policies that never learn."""

@@ -1,0 +1,70 @@
+"""One-step prediction: each action is driven in thought, and the best of those that stay clear is taken."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nnql_bullet.agents.base import Rule
+from nnql_bullet.agents.turns import offered_turns
+from nnql_bullet.config import options
+from nnql_bullet.env import Observations
+from nnql_bullet.geometry import Array, as_rows, wrap_angles
+from nnql_bullet.mapping.point_cloud import point_cloud
+from nnql_bullet.mapping.prediction import predicted_poses, scan_clearances
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+LOOK_EVERY = 0.1
+"""From one foreseen pose to the next [s]: 0.2 m at 2 m/s, less than the margin."""
+
+
+@options
+class LookAheadOptions:
+    """How far it looks. Percentages are goals at 5 / 10 / 15 % cover: kinematic model, validation worlds 0 to 599."""
+
+    kind: Literal["look_ahead"] = "look_ahead"
+    horizon: Annotated[float, Field(ge=LOOK_EVERY)] = 4.0
+    """Time that is foreseen: the turn, and straight on after it [s]. 1 s got 98.5 / 93.3 / 79.8 %, 2 s 99.7 / 95.5 /
+    90.2 %, 3 s 100 / 98.5 / 94.3 %, 4 s 99.8 / 99.0 / 97.3 % and 5 s 99.8 / 98.8 / 95.3 %."""
+    margin: Annotated[float, Field(ge=0)] = 0.5
+    """Least distance from the footprint to the last scan, between whose rays there is more [m]. 0.1 m got 99.7 / 97.5 /
+    92.8 %, 0.4 m 99.8 / 99.3 / 97.8 % and 0.6 m 99.8 / 99.0 / 96.3 %."""
+
+
+class LookAhead(Rule):
+    """Among the actions that stay clear of the last scan the one nearest to the target's direction.
+
+    It sees the 72 rays, the yaw rate and the target's bearing, knows the drive's own profile and the footprint, and
+    remembers nothing. If no action keeps the margin, it takes the one that stays free of contact longest; of several
+    that do, the one with the most room.
+    """
+
+    def __init__(self, options: LookAheadOptions, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        self.options = options
+        self._vehicle = vehicle
+        self._footprint = as_rows((vehicle.footprint,))[0]
+        self._speed = drive.speed
+        self._times = LOOK_EVERY * np.arange(1.0, options.horizon / LOOK_EVERY + 1e-9)
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """The best of the six as foreseen."""
+        o = observations
+        turns = offered_turns(o.target_bearing)
+        poses = self.predicted_poses(o.yaw_rate, turns)
+        points = point_cloud(o.ray_distances, self._vehicle.sensor)
+        clearances: Array = scan_clearances(poses, points, self._footprint)
+        smallest = clearances.min(axis=-1)
+        clear = smallest > self.options.margin
+        off_target = np.abs(wrap_angles(o.target_bearing[:, None] - turns))
+        free_until = np.where(smallest > 0, len(self._times), (clearances <= 0).argmax(axis=-1))
+        lasts_longest = free_until == free_until.max(axis=-1, keepdims=True)
+        best = np.where(clear, off_target, np.inf).argmin(axis=-1)
+        last_resort = np.where(lasts_longest, smallest, -1.0).argmax(axis=-1)
+        return np.asarray(np.where(clear.any(axis=-1), best, last_resort))
+
+    def predicted_poses(self, yaw_rates: Array, turns: Array) -> Array:
+        """Poses in the present vehicle frame (n, 6, k, 3) along turns (n, 6) [rad] that begin at yaw rates (n,)."""
+        ways = np.full((len(turns), len(self._times)), self._speed * LOOK_EVERY)
+        return predicted_poses(yaw_rates, turns, ways, self._vehicle.limits, self._times)

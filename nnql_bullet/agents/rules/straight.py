@@ -1,0 +1,28 @@
+"""Straight at the target, whatever stands there: what every other agent has to be better than."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.agents.base import Rule
+from nnql_bullet.config import options
+from nnql_bullet.env import TOWARD_TARGET, Observations
+
+
+@options
+class StraightOptions:
+    """It has no options."""
+
+    kind: Literal["straight"] = "straight"
+
+
+class Straight(Rule):
+    """Turns toward the target at every step (the paper's III.C, in safe and non-safe states alike).
+
+    It sees the target's bearing alone, and remembers nothing.
+    """
+
+    def act(self, observations: Observations) -> NDArray[np.int64]:
+        """Toward the target."""
+        return np.full(len(observations.state_property), TOWARD_TARGET)

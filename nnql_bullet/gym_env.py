@@ -1,0 +1,215 @@
+"""The task as a Gymnasium environment, `nnql_bullet/Tricycle-v0`, of one vehicle or, by `make_vec`, of many.
+
+Observation, `Box` of 11 float32:
+
+| index | what | unit | range |
+|---|---|---|---|
+| 0-7 | smallest distance in each 45-degree sector, from straight ahead counter-clockwise | m | 0 to 10 (nothing seen) |
+| 8 | distance to the target | m | 0 to the arena's diagonal |
+| 9 | bearing of the target, positive to the left | rad | -pi to pi |
+| 10 | yaw rate, positive to the left | rad/s | -10 to 10, clipped |
+
+Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target.
+
+Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero. An episode terminates at the
+target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step also `ending`,
+`state_property`, `heading_error` and a `reward/NAME` for each term.
+"""
+
+from collections.abc import Sequence
+from math import hypot, pi
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, as_numbers
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
+from nnql_bullet.seeding import TRAINING_WORLDS
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.worlds.spec import WorldSpec
+
+_ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `GOES_ON` is its last
+_LABELS = np.array([*(state.label for state in StateProperty), None], dtype=object)
+_NOBODY = -1
+_REWARDS = tuple(f"reward/{name}" for name in REWARD_TERMS)
+
+
+def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
+    resolved = config if isinstance(config, RunConfig) else load_config(config, {})
+    return Experiment(changed(resolved, **changes))
+
+
+def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray[np.float32]]:
+    file = experiment.worlds.file
+    low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
+    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(file.width, file.depth), pi, MOST_YAW_RATE]
+    bounds = np.array([low, high], dtype=np.float32)
+    return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
+
+
+def _vectors(
+    observations: Observation | Observations, space: gymnasium.spaces.Space[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Observations as the rows (..., 11) that the module's table describes."""
+    numbers = as_numbers(observations)
+    return np.clip(numbers, space.low, space.high, out=numbers)  # type: ignore[attr-defined]
+
+
+def _draw_seed(generator: np.random.Generator) -> int:
+    return int(generator.integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop))
+
+
+class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
+    """One vehicle in a new world each episode."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
+
+    def __init__(self, config: RunConfig | str = "paper", **changes: Any) -> None:
+        """Sets up the simulator.
+
+        Args:
+            config: A run's configuration, a preset's name or a TOML file.
+            **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
+
+        Raises:
+            UserError: If a key or value is wrong.
+        """
+        self._experiment = _experiment(config, changes)
+        self.observation_space = _observation_space(self._experiment)
+        self.action_space = gymnasium.spaces.Discrete(ACTIONS)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Starts an episode in the world `options["world_seed"]`, or in one drawn from the environment's generator."""
+        super().reset(seed=seed)
+        given = (options or {}).get("world_seed")
+        world = self.world(_draw_seed(self.np_random) if given is None else int(given))
+        observation = self._experiment.navigation.reset(world)
+        return _vectors(observation, self.observation_space), {"world_seed": world.seed}
+
+    def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Carries out one decision."""
+        t = self._experiment.navigation.step(int(action))
+        info = {
+            "ending": t.ending,
+            "state_property": t.s_t.state_property.label,
+            "heading_error": t.motion.heading_error,
+            **dict(zip(_REWARDS, t.terms.values(), strict=True)),
+        }
+        over = t.ending in ("goal", "collision")
+        return _vectors(t.s_t, self.observation_space), t.r_t, over, t.ending == "timeout", info
+
+    @property
+    def simulator(self) -> Simulator:
+        """What moves the vehicle."""
+        return self._experiment.simulator
+
+    def world(self, seed: int) -> WorldSpec:
+        """The world of a seed."""
+        return self._experiment.world(seed)
+
+    def close(self) -> None:
+        """Frees the simulator."""
+        self.simulator.close()
+
+
+class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]):
+    """Many vehicles, each in a world of its own, one call a step.
+
+    Row i does what a `TricycleEnv` that is reset with seed + i does. A vehicle whose episode is over is put into its
+    next world by the step after that, whatever its action.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self, num_envs: int, config: RunConfig | str = "paper", workers: int | None = None, **changes: Any
+    ) -> None:
+        """Sets up the vehicles.
+
+        Args:
+            num_envs: How many.
+            config: A run's configuration, a preset's name or a TOML file.
+            workers: Processes (contact physics) or threads (kinematic model) that share them; one a core if not given.
+            **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
+
+        Raises:
+            UserError: If a key or value is wrong.
+        """
+        self._experiment = _experiment(config, {**changes, "vehicles": num_envs})
+        self.num_envs = num_envs
+        self.single_observation_space = _observation_space(self._experiment)
+        self.single_action_space = gymnasium.spaces.Discrete(ACTIONS)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        fleet = self._experiment.fleet(workers)
+        self._navigation = FleetNavigation(fleet, self._experiment.config.task)
+        self._generators = [np_random()[0] for _ in range(num_envs)]
+        self._over = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Starts an episode for every vehicle, or for those in `options["reset_mask"]` (n,).
+
+        Args:
+            seed: Of vehicle 0, the others' following; or one for each; None goes on with the generators there are.
+            options: `world_seed` may name the worlds, as one number or as one for each vehicle.
+        """
+        options = options or {}
+        mask = np.array(options.get("reset_mask", np.ones(self.num_envs, np.bool_)), np.bool_)
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
+        if len(seeds) != self.num_envs or mask.shape != (self.num_envs,):
+            raise UserError(f"give seeds and a reset_mask for {self.num_envs} vehicles")
+        for i in np.flatnonzero(mask).tolist():
+            if seeds[i] is not None:
+                self._generators[i] = np_random(seeds[i])[0]
+        given = options.get("world_seed")
+        if given is not None and np.shape(given) not in ((), (self.num_envs,)):
+            raise UserError(f"give one world_seed, or one for each of {self.num_envs} vehicles")
+        worlds = None if given is None else np.broadcast_to(given, self.num_envs).tolist()
+        return self._begin(mask, worlds)
+
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Carries out one decision of each vehicle."""
+        begun, active = self._over.copy(), ~self._over
+        t = self._navigation.step(np.asarray(actions), active)
+        terminated = active & (t.discount_t == 0.0)
+        truncated = active & (t.ending == ENDINGS.index("timeout"))
+        named = {
+            "ending": _ENDINGS[np.where(active, t.ending, GOES_ON)],
+            "state_property": _LABELS[np.where(active, t.s_t.state_property, _NOBODY)],
+            "heading_error": np.where(active, t.motions.heading_error, 0.0),
+            **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),
+        }
+        infos = named | {f"_{name}": active for name in named} if active.any() else {}
+        if begun.any():
+            infos |= self._begin(begun, None)[1]
+        self._over = terminated | truncated
+        vectors = _vectors(self._navigation.observations, self.single_observation_space)
+        return vectors, np.where(active, t.r_t, 0.0), terminated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees the vehicles."""
+        self._navigation.fleet.close()
+
+    def _begin(self, mask: NDArray[np.bool_], worlds: list[int] | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Puts the vehicles of `mask` (n,) into worlds of the given seeds (n,), or into ones that they draw."""
+        seeds = np.zeros(self.num_envs, np.int64)
+        for i in np.flatnonzero(mask).tolist():
+            seeds[i] = _draw_seed(self._generators[i]) if worlds is None else worlds[i]
+        self._navigation.reset({i: self._experiment.world(int(seeds[i])) for i in np.flatnonzero(mask).tolist()})
+        self._over &= ~mask
+        vectors = _vectors(self._navigation.observations, self.single_observation_space)
+        return vectors, {"world_seed": seeds, "_world_seed": mask}

@@ -1,0 +1,308 @@
+"""What a vehicle has seen, as a coarse map around it, and the shortest way to its target through that map.
+
+The target serves as a landmark: its distance and bearing, with the way driven between two decisions, fix place and
+heading in a frame whose origin is the target and whose x axis points from the start to it. Errors of the heading do not
+add up, so the map stays true.
+
+What was never seen counts as free, as in Koenig and Likhachev, "D* Lite" (AAAI 2002). The way that is left to the
+target is found anew at every decision, by sweeps over the cells (Rosenfeld and Pfaltz, "Sequential Operations in
+Digital Picture Processing", JACM 1966) until none changes.
+"""
+
+from math import floor, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array, wrap_angles
+from nnql_bullet.jit import njit
+
+Cells = NDArray[np.int8]
+
+CELL = 0.75
+"""Side of a cell [m]."""
+SIZE = 56
+"""Cells along a side of the map, in whose middle the vehicle stays: 21 m to each side, which holds a trap."""
+BEARINGS = 24
+"""Directions in which the map is felt, from straight ahead counter-clockwise."""
+REACHES = (2.5, 5.0)
+"""How far [m]."""
+SENSE = BEARINGS * len(REACHES)
+BARRED = 100.0
+"""More than any way gets longer by [m]."""
+
+PASSAGE = 1.3
+"""Where two rays met something closer together than this, no vehicle passes in between [m]."""
+NEIGHBOURS = 3.0
+"""The same for two rays side by side, which meet a wall far apart that they run along [m]: an opening as wide as that
+lets a ray through once it is near."""
+SEEN = 3
+"""Looks through a cell that it takes to hold it free again once something was seen there."""
+COSTS = (40.0, 3.0, 1.5)
+"""Of a way through a cell that holds something, over one that is free, beside such a cell, and one farther off: the way
+leads through what was seen where there is no other."""
+_INSIDE = 0.15
+"""By how much what a ray met is taken to be farther off, so that it is in the cell of the box and not before it [m]."""
+_BESIDE = 4
+"""So many rays on it is looked for something near what a ray met."""
+_MOST_SWEEPS = 40
+_DIAGONAL = 2**0.5
+_ROUNDING = 1e-9
+
+
+def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Array:
+    """Poses (n, 3) in the target's frame after one more decision.
+
+    Args:
+        poses: Before it (n, 3).
+        steps: What was driven since, in the vehicle frame of then (n, 2) [m].
+        distance: Of the target now (n,) [m].
+        bearing: Of the target now (n,) [rad].
+    """
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x = poses[:, 0] + c * steps[:, 0] - s * steps[:, 1]
+    y = poses[:, 1] + s * steps[:, 0] + c * steps[:, 1]
+    return _from_target(np.arctan2(-y, -x), distance, bearing)
+
+
+def first_poses(distance: Array, bearing: Array) -> Array:
+    """Poses (n, 3) in the target's frame at the start, for its distance (n,) [m] and bearing (n,) [rad]."""
+    return _from_target(np.zeros(len(distance)), distance, bearing)
+
+
+def _from_target(toward: Array, distance: Array, bearing: Array) -> Array:
+    """Poses (n, 3) that see the target in the direction `toward` of its own frame (n,) [rad]."""
+    x, y = -distance * np.cos(toward), -distance * np.sin(toward)
+    return np.stack([x, y, wrap_angles(toward - bearing)], axis=-1)
+
+
+@njit(nogil=True)
+def add_scans(
+    cells: Cells, corners: NDArray[np.int64], poses: Array, distances: Array, sensor: Array, angles: Array
+) -> None:
+    """Moves each map along with its vehicle, and enters what its rays met and what they passed through.
+
+    Args:
+        cells: Of the maps (n, SIZE, SIZE), above zero where something is; changed in place.
+        corners: Their first cells, counted from the target (n, 2); changed in place.
+        poses: Of the vehicles (n, 3).
+        distances: Of their rays (n, m) [m].
+        sensor: Where rays start, in the vehicle frame (2,) [m].
+        angles: Of the rays in the vehicle frame (m,) [rad].
+    """
+    for i in range(len(cells)):
+        x, y, yaw = poses[i]
+        corner_x, corner_y = floor(x / CELL) - SIZE // 2, floor(y / CELL) - SIZE // 2
+        _shift(cells[i], corner_x - corners[i, 0], corner_y - corners[i, 1])
+        corners[i, 0], corners[i, 1] = corner_x, corner_y
+        c, s = np.cos(yaw), np.sin(yaw)
+        x, y = x + c * sensor[0] - s * sensor[1], y + s * sensor[0] + c * sensor[1]
+        for j in range(len(angles)):
+            c, s = np.cos(yaw + angles[j]), np.sin(yaw + angles[j])
+            for k in range(int(distances[i, j] / CELL)):
+                way = (k + 0.5) * CELL
+                a, b = floor((x + c * way) / CELL) - corner_x, floor((y + s * way) / CELL) - corner_y
+                if 0 <= a < SIZE and 0 <= b < SIZE and cells[i, a, b] > 0:
+                    cells[i, a, b] -= 1
+        for j in range(len(angles)):
+            if distances[i, j] < paper.SENSOR_RANGE:
+                here_x, here_y = _hit(x, y, yaw + angles[j], distances[i, j])
+                for k in range(_BESIDE + 1):
+                    other = (j + k) % len(angles)
+                    there_x, there_y = _hit(x, y, yaw + angles[other], distances[i, other])
+                    apart = np.hypot(there_x - here_x, there_y - here_y)
+                    if distances[i, other] < paper.SENSOR_RANGE and apart < (NEIGHBOURS if k == 1 else PASSAGE):
+                        _enter(cells[i], corners[i], here_x, here_y, there_x, there_y)
+
+
+@njit(nogil=True)
+def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, float]:
+    """Where a ray met something."""
+    way = distance + _INSIDE
+    return x + np.cos(direction) * way, y + np.sin(direction) * way
+
+
+@njit(nogil=True)
+def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: float, to_y: float) -> None:
+    """Enters that something is all the way from one place to another."""
+    points = int(np.hypot(to_x - x, to_y - y) / (CELL / 2)) + 2
+    for k in range(points):
+        share = k / (points - 1)
+        a = floor((x + share * (to_x - x)) / CELL) - corner[0]
+        b = floor((y + share * (to_y - y)) / CELL) - corner[1]
+        if 0 <= a < SIZE and 0 <= b < SIZE:
+            cells[a, b] = SEEN
+
+
+@njit(nogil=True)
+def _shift(cells: Cells, along: int, across: int) -> None:
+    """Moves what is in a map (SIZE, SIZE) by so many cells; what comes in was not seen yet."""
+    if along == 0 and across == 0:
+        return
+    before = cells.copy()
+    for a in range(SIZE):
+        for b in range(SIZE):
+            inside = 0 <= a + along < SIZE and 0 <= b + across < SIZE
+            cells[a, b] = before[a + along, b + across] if inside else 0
+
+
+@njit(nogil=True)
+def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
+    """The shortest way from each cell of a map to the target (SIZE, SIZE) [m].
+
+    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts as `COSTS` say; one
+    across a corner no less than through the easier cell beside it, or walls that run aslant would let it through.
+
+    Args:
+        cells: The map (SIZE, SIZE).
+        corner: Its first cell, counted from the target (2,).
+    """
+    barred = (cells > 0).astype(np.int8)
+    beside = _widened(barred)
+    walls = barred + beside + _widened(beside)
+    metre = np.array((1.0, *COSTS[::-1]))
+    cost, left = np.empty((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
+    for a in range(SIZE):
+        for b in range(SIZE):
+            cost[a, b] = CELL / 2 * metre[walls[a, b]]
+            if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
+                left[a, b] = CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
+    # Whether a row may get shorter by the row before it, and by the one after it.
+    by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
+    for _ in range(_MOST_SWEEPS):
+        changed = False
+        for a in range(SIZE):
+            if by_before[a]:
+                by_before[a] = False
+                if _sweep(left, cost, a, a - 1):
+                    changed = by_before[min(a + 1, SIZE - 1)] = by_after[max(a - 1, 0)] = True
+        for a in range(SIZE - 1, -1, -1):
+            if by_after[a]:
+                by_after[a] = False
+                if _sweep(left, cost, a, a + 1):
+                    changed = by_before[min(a + 1, SIZE - 1)] = by_after[max(a - 1, 0)] = True
+        if not changed:
+            break
+    return left
+
+
+@njit(nogil=True)
+def _widened(marks: Cells) -> Cells:
+    """Marks (SIZE, SIZE) of 0 and 1, and of all cells that touch one that is marked."""
+    along, wide = np.zeros(SIZE + 2, np.int8), np.empty((SIZE, SIZE), np.int8)
+    for a in range(SIZE):
+        row, before, after = marks[a], marks[max(a - 1, 0)], marks[min(a + 1, SIZE - 1)]
+        for b in range(SIZE):
+            along[b + 1] = row[b] | before[b] | after[b]
+        for b in range(SIZE):
+            wide[a, b] = along[b] | along[b + 1] | along[b + 2]
+    return wide
+
+
+@njit(nogil=True)
+def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
+    """Shortens the ways of row `a` by those from the row beside it, then by those along the row, both ways.
+
+    Args:
+        left: Ways (SIZE, SIZE) [m]; changed in place.
+        cost: Of half a cell (SIZE, SIZE) [m].
+        a: The row.
+        beside: Another, or none.
+
+    Returns:
+        Whether any got shorter, by more than rounding.
+    """
+    here, cost_here = left[a], cost[a]
+    best = here.copy()
+    if 0 <= beside < SIZE:
+        there, cost_there = left[beside], cost[beside]
+        for b in range(1, SIZE - 1):
+            straight = there[b] + cost_there[b] + cost_here[b]
+            between = min(cost_there[b], cost_here[b - 1])
+            one = there[b - 1] + _DIAGONAL * (max(cost_there[b - 1], between) + max(cost_here[b], between))
+            between = min(cost_there[b], cost_here[b + 1])
+            other = there[b + 1] + _DIAGONAL * (max(cost_there[b + 1], between) + max(cost_here[b], between))
+            best[b] = min(best[b], straight, one, other)
+    # From either end at once: neither waits for the other, which takes half the time.
+    upward, downward = best.copy(), best.copy()
+    last_up, last_down = best[0], best[SIZE - 1]
+    for b in range(1, SIZE):
+        c = SIZE - 1 - b
+        last_up = min(best[b], last_up + (cost_here[b - 1] + cost_here[b]))
+        last_down = min(best[c], last_down + (cost_here[c + 1] + cost_here[c]))
+        upward[b], downward[c] = last_up, last_down
+    shorter = False
+    for b in range(SIZE):
+        best[b] = min(upward[b], downward[b])
+        shorter |= best[b] < here[b] - _ROUNDING
+        here[b] = best[b]
+    return shorter
+
+
+@njit(nogil=True)
+def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float:
+    """The way that is left at a place of the target's frame [m], between the cells' middles by bilinear interpolation.
+
+    Args:
+        left: As `ways_left` gives it (SIZE, SIZE) [m].
+        corner: The map's first cell (2,).
+        x: [m]; a place outside counts as the nearest inside.
+        y: [m]
+    """
+    a = min(max(x / CELL - corner[0] - 0.5, 0.0), SIZE - 1.000001)
+    b = min(max(y / CELL - corner[1] - 0.5, 0.0), SIZE - 1.000001)
+    i, j = int(a), int(b)
+    a, b = a - i, b - j
+    low = (1 - b) * left[i, j] + b * left[i, j + 1]
+    high = (1 - b) * left[i + 1, j] + b * left[i + 1, j + 1]
+    here: float = (1 - a) * low + a * high
+    return here
+
+
+@njit(nogil=True)
+def _free_way(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: float, s: float) -> float:
+    """How far it is from a place to the first cell in a direction that holds something, up to the last reach [m].
+
+    The cell that the place is in does not count.
+    """
+    first_a, first_b = floor(x / CELL) - corner[0], floor(y / CELL) - corner[1]
+    way = 0.0
+    while way < REACHES[-1]:
+        way += CELL / 2
+        a, b = floor((x + way * c) / CELL) - corner[0], floor((y + way * s) / CELL) - corner[1]
+        if cells[a, b] > 0 and (a != first_a or b != first_b):
+            return way
+    return way
+
+
+@njit(nogil=True)
+def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array) -> tuple[Array, Array, Array]:
+    """What the maps say.
+
+    Args:
+        cells: Of the maps (n, SIZE, SIZE).
+        corners: Their first cells (n, 2).
+        poses: Of the vehicles (n, 3).
+        before: Where they were before (n, 2) [m].
+
+    Returns:
+        What the way gets longer by if it begins `REACHES` off at each of `BEARINGS`, `BARRED` where something is in
+        between (n, SENSE) [m]; the way that is left (n,) [m]; and how much longer it would be from where they were
+        before (n,) [m].
+    """
+    n = len(cells)
+    around, ways, progress = np.empty((n, SENSE)), np.empty(n), np.empty(n)
+    for i in range(n):
+        left = ways_left(cells[i], corners[i])
+        x, y, yaw = poses[i]
+        ways[i] = left_at(left, corners[i], x, y)
+        progress[i] = left_at(left, corners[i], before[i, 0], before[i, 1]) - ways[i]
+        for j in range(BEARINGS):
+            direction = yaw + j * 2 * pi / BEARINGS
+            c, s = np.cos(direction), np.sin(direction)
+            free = _free_way(cells[i], corners[i], x, y, c, s)
+            for k in range(len(REACHES)):
+                there = left_at(left, corners[i], x + REACHES[k] * c, y + REACHES[k] * s)
+                around[i, k * BEARINGS + j] = there - ways[i] if free >= REACHES[k] else BARRED
+    return around, ways, progress

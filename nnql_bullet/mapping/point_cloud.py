@@ -1,0 +1,60 @@
+"""The last scan as points in the plane."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
+from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+
+MOVING_POINT, MOVING_POINT_SHARE = 0.06, 0.03
+"""How far in front of what was seen before something has to be, to have come there [m], and the share of its distance
+that this grows by: between two rays there is more than they tell."""
+
+
+def seen_distances(ray_distances: Array) -> Array:
+    """Ray distances (..., 72) [m], NaN where a ray met nothing."""
+    return np.where(ray_distances < paper.SENSOR_RANGE, ray_distances, np.nan)
+
+
+def point_cloud(ray_distances: Array, sensor: tuple[float, float, float]) -> Array:
+    """Where the rays met something, in the vehicle frame (..., 72, 2) [m]; NaN where they met nothing.
+
+    Args:
+        ray_distances: (..., 72) [m]
+        sensor: Where the rays start, in the vehicle frame [m].
+    """
+    angles = ray_angles()
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.asarray(seen_distances(ray_distances)[..., None] * directions + sensor[:2])
+
+
+@njit()
+def place_among_rays(x: float, y: float, sensor: Array) -> float:
+    """The place of a point of the vehicle frame [m] among the rays, counted from the first, in between too."""
+    step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
+    return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (RAYS_PER_SECTOR - 1) / 2) % RAYS)
+
+
+@njit()
+def moving_points(points: Array, before: Array, moved: Array, strayed: float, sensor: Array) -> NDArray[np.bool_]:
+    """Which points of a scan (72,) lie where the scan before saw that there was nothing: what they belong to moves.
+
+    Args:
+        points: In the vehicle frame (72, 2) [m]; NaN for none.
+        before: Ray distances of the scan before (72,) [m]; NaN if there was none.
+        moved: The pose of now in the vehicle frame of then (3,).
+        strayed: How far off that may be [m].
+        sensor: x, y in the vehicle frame [m].
+    """
+    found = np.zeros(len(points), np.bool_)
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    for k in range(len(points)):
+        if np.isnan(points[k, 0]):
+            continue
+        x, y = moved[0] + c * points[k, 0] - s * points[k, 1], moved[1] + s * points[k, 0] + c * points[k, 1]
+        place, distance = place_among_rays(x, y, sensor), np.hypot(x - sensor[0], y - sensor[1])
+        free = min(before[int(place) % RAYS], before[int(place + 1) % RAYS])
+        found[k] = distance < free - MOVING_POINT - MOVING_POINT_SHARE * distance - strayed
+    return found

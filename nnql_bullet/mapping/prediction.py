@@ -1,0 +1,47 @@
+"""Where actions lead, and how near that comes to what the last scan met."""
+
+import numpy as np
+
+from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.jit import njit
+from nnql_bullet.vehicle.profiles import rolled_path, turn_headings
+from nnql_bullet.vehicle.spec import Limits
+
+
+def predicted_poses(yaw_rates: Array, turns: Array, ways: Array, limits: Limits, times: Array) -> Array:
+    """Poses in the present frame of each vehicle (n, m, k, 3) along turns under the drive's own profile.
+
+    Args:
+        yaw_rates: At the start (n,) [rad/s].
+        turns: Heading changes (n, m) [rad].
+        ways: Driven from each time to the next (n, k) [m].
+        limits: Of the vehicle.
+        times: (k,) [s]
+    """
+    headings = turn_headings(yaw_rates[:, None], turns, limits, times)
+    places = rolled_path(0.0, ways[:, None, :], np.diff(headings, prepend=0.0))
+    return np.concatenate([places, headings[..., None]], axis=-1)
+
+
+@njit()
+def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
+    """Distance from the footprint to the nearest point of the scan (n, m, k) [m]; infinite without points.
+
+    Args:
+        poses: Of vehicle i, in its present frame (n, m, k, 3).
+        points: That vehicle i sees, in its present frame (n, r, 2) [m]; NaN for none.
+        footprint: A row (6,) of `geometry.as_rows`, in the vehicle's frame.
+    """
+    clearances = np.empty(poses.shape[:-1])
+    for i in range(len(poses)):
+        seen = points[i][np.isfinite(points[i, :, 0])]
+        for j in range(poses.shape[1]):
+            for k in range(poses.shape[2]):
+                x, y, yaw = poses[i, j, k]
+                c, s = np.cos(yaw), np.sin(yaw)
+                nearest = np.inf
+                for point in seen:
+                    dx, dy = point[0] - x, point[1] - y
+                    nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
+                clearances[i, j, k] = np.sqrt(nearest)
+    return clearances

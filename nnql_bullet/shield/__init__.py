@@ -1,0 +1,1 @@
+"""The shield around a policy."""

@@ -1,0 +1,95 @@
+"""The way out for a vehicle that gets no nearer: along what is in its way, until it is nearer than ever before.
+
+This is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
+Principles of Robot Motion, chapter 2), with limits of time and distance, after which it is tried the other way round.
+"""
+
+from dataclasses import dataclass
+from math import inf, pi, radians
+
+import numpy as np
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array, wrap_angle, wrap_angles
+from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT, ray_angles
+
+PATIENCE = 12.0
+"""Time without progress after which a vehicle is stuck [s]."""
+PROGRESS = 0.5
+"""What counts as progress: so much nearer to the target than ever before [m]."""
+FIRST_LIMIT, LIMIT_GROWTH = 20.0, 2.0
+"""How long the first recovery may take [s], and what that is multiplied by after each that came to nothing."""
+FARTHEST = 25.0
+"""How much farther from the target than ever before an recovery may lead [m]."""
+FIRST_GAIN, GAIN_GROWTH = 10.0, 4.0
+"""How much nearer a vehicle is guided after its first recovery before its agent ranks actions again [m], and what that
+is multiplied by with each further recovery: an agent that gets stuck again and again does not know the way."""
+KEPT_DISTANCE = 1.2
+"""From the sensor to what is followed [m]."""
+CORRECTION = 0.5
+"""How fast that is corrected: radians of heading per metre and radian of the largest turn."""
+AHEAD, BEHIND = radians(30.0), radians(170.0)
+"""Between these bearings on one side lies what may be followed."""
+_BEARINGS = wrap_angles(ray_angles())
+
+
+@dataclass(slots=True)
+class Recovery:
+    """What is remembered of one vehicle's progress, and on which side it recoveries."""
+
+    side: int = 0
+    """To which it turns away from what it follows: 1 left, -1 right, 0 while it does not recovery."""
+    closest: float = inf
+    """To the target so far, in steps of `PROGRESS` [m]."""
+    waited: float = 0.0
+    """Since then, or since the last recovery [s]."""
+    left: float = 0.0
+    """Time that the recovery may still take [s]."""
+    recoveries: int = 0
+    failures: int = 0
+    """Of them those that came to nothing: they took too long, or led too far away."""
+    last_side: int = 0
+    swap: bool = False
+    """Whether the last one came to nothing, so that the next goes the other way round."""
+    guided_until: float = inf
+    """Distance to the target up to which the vehicle is guided [m]; infinite before the first recovery."""
+
+    def notice(self, distance: float, readings: Array, side: int, period: float) -> None:
+        """Takes down a decision.
+
+        Args:
+            distance: To the target [m].
+            readings: Of the eight sensors (8,) [m].
+            side: To which the vehicle turns on the spot, if it does.
+            period: Since the last decision [s].
+        """
+        nearer = distance < self.closest - PROGRESS
+        self.waited = 0.0 if nearer else self.waited + period
+        self.closest = distance if nearer else self.closest
+        if self.side:
+            self.left -= period
+            if nearer or self.left < 0 or distance > self.closest + FARTHEST:
+                self.swap = not nearer
+                self.failures += self.swap
+                self.side, self.waited = 0, 0.0
+        elif self.waited > PATIENCE:
+            opener = 1 if readings[FRONT_LEFT] > readings[FRONT_RIGHT] else -1
+            self.side = self.last_side = -self.last_side if self.swap else side or opener
+            self.left = FIRST_LIMIT * LIMIT_GROWTH**self.failures
+            self.guided_until = self.closest - FIRST_GAIN * GAIN_GROWTH**self.recoveries
+            self.recoveries += 1
+
+    def leads(self, distance: float) -> bool:
+        """Whether the vehicle, at a distance to the target [m], follows this and not its agent."""
+        return self.side != 0 or (self.recoveries > 0 and distance > self.guided_until)
+
+    def heading(self, target_bearing: float, ray_distances: Array) -> float:
+        """Where to turn [rad]: toward the target or, during an recovery, along what is nearest on the other side."""
+        if not self.side:
+            return target_bearing
+        beside = -self.side * _BEARINGS
+        distances = np.where((beside > -AHEAD) & (beside < BEHIND), ray_distances, inf)
+        nearest = int(distances.argmin())
+        bearing = float(_BEARINGS[nearest]) if distances[nearest] < paper.SENSOR_RANGE else -self.side * pi / 2
+        closing = min(max((float(distances[nearest]) - KEPT_DISTANCE) * CORRECTION, -1.0), 1.0) * max(paper.TURNS)
+        return float(wrap_angle(bearing + self.side * (pi / 2 - closing)))

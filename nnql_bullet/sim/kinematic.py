@@ -1,0 +1,561 @@
+"""The kinematic model: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
+
+A vehicle follows the profiles of yaw rate and speed exactly, as a unicycle (Siegwart and Nourbakhsh, Autonomous Robots,
+3.2). Its footprint collides as the oriented box it is, looked at after every wheel command, with whatever moves
+where it is by then. The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
+"""
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache
+from math import hypot
+from threading import Timer
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
+from nnql_bullet.jit import njit
+from nnql_bullet.sensing import RAYS, Scan, ray_angles, scan_from
+from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Motions, Sample
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, whole_steps
+from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
+
+SHARE = 16
+"""Vehicles that are worth a thread of their own."""
+STILL = 1e-9
+"""What nothing is taken to move less than from one wheel command to the next [m], where it is divided by that."""
+
+_GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
+
+
+class _Constants(NamedTuple):
+    """What is the same for all vehicles at all times."""
+
+    speed: float
+    """Of the drive [m/s]."""
+    times: Array
+    """Of the commands of a control period, and of its start (k + 1,) [s]."""
+    most_rate: float
+    """[rad/s]"""
+    yaw_acceleration: float
+    """[rad/s2]"""
+    acceleration: float
+    """[m/s2]"""
+    footprint: Array
+    """A row of `as_rows` (6,)."""
+    farthest: float
+    """Of the footprint's points from the axle [m]."""
+    sensor: Array
+    """x, y in the vehicle frame (2,) [m]."""
+    directions: Array
+    """Of the rays in the vehicle frame (72, 2)."""
+
+
+class _State(NamedTuple):
+    """Vehicles and their worlds."""
+
+    pose: Array
+    """(n, 3)"""
+    yaw_rate: Array
+    """(n,)"""
+    speed: Array
+    """(n,)"""
+    clearance: Array
+    """At `pose` (n,) [m]."""
+    solids: Array
+    """Rows of which each world fills the first (n, most, 6): of `as_rows`, first what stands still, then the patrols
+    where they are now; then the patrols' tracks, of `WorldSpec.tracks`."""
+    counts: NDArray[np.int64]
+    """Solids, patrols among them, and wheel commands since the reset (n, 3). They share an array, as solids and tracks
+    do, because every array takes time to pass on."""
+    target: Array
+    """x, y, radius (n, 3) [m]."""
+
+
+class _Period(NamedTuple):
+    """What a control period leaves."""
+
+    rates: Array
+    """After each command (n, k + 1) [rad/s]."""
+    headings: Array
+    """Likewise, since the start (n, k + 1) [rad]."""
+    speeds: Array
+    """Likewise (n, k + 1) [m/s]."""
+    path: Array
+    """Poses after each command (n, k + 1, 3)."""
+    near: Array
+    """Room for the solids that may come close, and their tracks (n, most, 6)."""
+    commands: NDArray[np.int64]
+    """How many were carried out (n,)."""
+    path_length: Array
+    """(n,) [m]"""
+    clearance: Array
+    """Smallest (n,) [m]."""
+    heading_error: Array
+    """(n,) [rad]"""
+    event: NDArray[np.int64]
+    """What ended it (n,)."""
+    ray_distances: Array
+    """At its end (n, 72) [m]."""
+
+
+class KinematicFleet:
+    """n ideal vehicles. See `sim.base.Fleet` for the contract.
+
+    The first one made on a machine waits while the kernels are compiled; they are then kept on disk.
+    """
+
+    def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, size: int, threads: int | None = None) -> None:
+        """Sets up the vehicles, in no world yet.
+
+        Args:
+            vehicle: What they are.
+            drive: How decisions reach the wheels.
+            size: How many.
+            threads: That the work is shared among, whatever the result; as many as there are cores if not given.
+        """
+        self.vehicle = vehicle
+        self.drive = drive
+        self.size = size
+        commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
+        footprint, angles = vehicle.footprint, ray_angles()
+        farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
+        self._constants = _Constants(
+            speed=drive.speed,
+            times=np.arange(commands + 1) / COMMAND_RATE,
+            most_rate=vehicle.limits.yaw_rate,
+            yaw_acceleration=vehicle.limits.yaw_acceleration,
+            acceleration=vehicle.limits.acceleration,
+            footprint=as_rows((footprint,))[0],
+            farthest=farthest,
+            sensor=np.array(vehicle.sensor[:2]),
+            directions=np.stack([np.cos(angles), np.sin(angles)], axis=1),
+        )
+        self._state = _empty_state(size)
+        self._period = _empty_period(size, commands)
+        self._threads = threads or os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads)
+        _compile()
+
+    def close(self) -> None:
+        """Ends its threads."""
+        self._pool.shutdown()
+
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
+        """Puts some vehicles on the start of a world each, at the drive's speed."""
+        rows = {i: np.concatenate([world.solids_at(0.0), world.tracks]) for i, world in worlds.items()}
+        self._make_room(max((len(some) for some in rows.values()), default=0))
+        state = self._state
+        for i, world in worlds.items():
+            start, count, moving = world.start, len(rows[i]) - len(world.tracks), len(world.tracks)
+            state.pose[i] = start.x, start.y, start.yaw
+            state.yaw_rate[i], state.speed[i] = 0.0, self.drive.speed
+            state.solids[i, : count + moving] = rows[i]
+            state.counts[i] = count, moving, 0
+            state.target[i] = *world.target, world.target_radius
+            state.clearance[i] = clearance_at(start.x, start.y, start.yaw, self._constants.footprint, rows[i][:count])
+        vehicles = np.array(list(worlds), dtype=np.int64)
+        self._share(_scan, vehicles, self._constants, state, self._period)
+        return state.pose[vehicles], self._period.ray_distances[vehicles]
+
+    def advance(
+        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
+    ) -> tuple[Motions, Array]:
+        """Follows each turn's profile for one control period, or up to the first contact or the target."""
+        period, speed_scales = self._period, np.ones(self.size) if speed_scales is None else speed_scales
+        self._share(
+            _advance, np.flatnonzero(active), heading_changes, speed_scales, self._constants, self._state, period
+        )
+        motions = Motions(
+            pose=self._state.pose,
+            yaw_rate=self._state.yaw_rate,
+            duration=period.commands / COMMAND_RATE,
+            path_length=period.path_length,
+            clearance=period.clearance,
+            heading_error=period.heading_error,
+            touching=period.event == _TOUCHING,
+            at_target=period.event == _AT_TARGET,
+        )
+        return motions, period.ray_distances
+
+    def path(self, vehicle: int) -> Array:
+        """Poses of the last control period (k + 1, 3), from its start, after each command carried out."""
+        return self._period.path[vehicle, : self._period.commands[vehicle] + 1]
+
+    def speeds(self, vehicle: int) -> Array:
+        """Likewise its speeds (k + 1,) [m/s]."""
+        return self._period.speeds[vehicle, : self._period.commands[vehicle] + 1]
+
+    def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
+        """Calls a kernel, which lets go of the interpreter, for a share of the vehicles in each thread."""
+        mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // SHARE)))
+        waiting = [self._pool.submit(kernel, share, *arguments) for share in others]
+        kernel(mine, *arguments)
+        for future in waiting:
+            future.result()
+
+    def _make_room(self, most: int) -> None:
+        """Lets each world have so many rows."""
+        room = self._state.solids.shape[1]
+        if most > room:
+            grown = np.zeros((self.size, most, 6))
+            grown[:, :room] = self._state.solids
+            self._state = self._state._replace(solids=grown)
+            self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
+
+
+class KinematicSimulator:
+    """One ideal vehicle in one world: a fleet of one. See `sim.base.Simulator` for the contract."""
+
+    def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        self.vehicle = vehicle
+        self.drive = drive
+        self.control_period = drive.decision_period
+        self._fleet = KinematicFleet(vehicle, drive, 1, threads=1)
+        self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
+
+    def close(self) -> None:
+        """Ends its fleet."""
+        self._fleet.close()
+
+    def reset(self, world: WorldSpec) -> None:
+        """Puts the vehicle on the world's start, at the drive's speed."""
+        _, (self._ray_distances,) = self._fleet.reset({0: world})
+        self._pose = world.start
+        self._time = 0.0
+        self._joints = np.zeros(4)
+
+    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
+        """Follows the turn's profile for one control period, or up to the first contact or the target."""
+        m, rays = self._fleet.advance(np.array([heading_change]), np.ones(1, np.bool_), np.array([speed_scale]))
+        self._ray_distances = rays[0].copy()
+        self._pose, yaw_rate, duration = Pose(*m.pose[0].tolist()), float(m.yaw_rate[0]), float(m.duration[0])
+        touching, at_target = bool(m.touching[0]), bool(m.at_target[0])
+        speeds = self._fleet.speeds(0)
+        if trace is not None:
+            self._extend(trace, self._fleet.path(0), speeds, over=touching or at_target)
+        self._time += duration
+        return Motion(
+            pose=self._pose,
+            speed=float(speeds[-1]),
+            yaw_rate=yaw_rate,
+            wheel_speeds=self._wheel_speeds(float(speeds[-1]), yaw_rate),
+            duration=duration,
+            path_length=float(m.path_length[0]),
+            clearance=float(m.clearance[0]),
+            heading_error=float(m.heading_error[0]),
+            touching=touching,
+            at_target=at_target,
+        )
+
+    def pose(self) -> Pose:
+        """Of the rear-axle centre."""
+        return self._pose
+
+    def scan(self) -> Scan:
+        """Rays from the sensor, by the slab method."""
+        return scan_from(self._ray_distances)
+
+    def _wheel_speeds(self, speed: float, yaw_rate: float) -> tuple[float, float]:
+        left, right = wheel_speeds(speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
+        return left, right
+
+    def _extend(self, trace: list[Sample], path: Array, speeds: Array, over: bool) -> None:
+        """Samples between the decisions; the joints turn as the wheels roll."""
+        yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
+        mean_speeds = ((speeds[:-1] + speeds[1:]) / 2).tolist()
+        for command, (speed, yaw_rate) in enumerate(zip(mean_speeds, yaw_rates, strict=True), 1):
+            left, right = self._wheel_speeds(speed, yaw_rate)
+            swivel, roll = _caster_rates(self._joints[2], speed, yaw_rate, *self._caster)
+            self._joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
+            if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
+                x, y, yaw = path[command].tolist()
+                a, b, c, d = self._joints.tolist()
+                time = self._time + command / COMMAND_RATE
+                trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
+
+
+def _empty_state(size: int) -> _State:
+    return _State(
+        pose=np.zeros((size, 3)),
+        yaw_rate=np.zeros(size),
+        speed=np.zeros(size),
+        clearance=np.zeros(size),
+        solids=np.zeros((size, 0, 6)),
+        counts=np.zeros((size, 3), np.int64),
+        target=np.zeros((size, 3)),
+    )
+
+
+def _empty_period(size: int, commands: int) -> _Period:
+    return _Period(
+        rates=np.zeros((size, commands + 1)),
+        headings=np.zeros((size, commands + 1)),
+        speeds=np.zeros((size, commands + 1)),
+        path=np.zeros((size, commands + 1, 3)),
+        near=np.zeros((size, 0, 6)),
+        commands=np.zeros(size, np.int64),
+        path_length=np.zeros(size),
+        clearance=np.zeros(size),
+        heading_error=np.zeros(size),
+        event=np.zeros(size, np.int64),
+        ray_distances=np.zeros((size, RAYS)),
+    )
+
+
+@cache
+def _compile() -> None:
+    """Compiles the kernels, or loads them from disk, by calling them for nobody."""
+    none, some = np.zeros(0, np.int64), np.zeros(1)
+    constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
+    with _announced("compiling the kinematic model; it is kept on disk, so this happens once"):
+        _advance(none, some[:0], some[:0], constants, _empty_state(0), _empty_period(0, 0))
+        _scan(none, constants, _empty_state(0), _empty_period(0, 0))
+
+
+@contextmanager
+def _announced(what: str, after: float = 1.0) -> Iterator[None]:
+    """Says what is waited for, if it takes longer than `after` [s]."""
+    timer = Timer(after, logging.getLogger(__name__).warning, [what])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@njit(nogil=True)
+def _advance(
+    vehicles: NDArray[np.int64],
+    heading_changes: Array,
+    speed_scales: Array,
+    constants: _Constants,
+    state: _State,
+    period: _Period,
+) -> None:
+    """One control period of some vehicles, and their scans."""
+    for i in vehicles:
+        _advance_one(i, heading_changes[i], speed_scales[i], constants, state, period)
+        _scan_one(i, constants, state, period)
+
+
+@njit(nogil=True)
+def _scan(vehicles: NDArray[np.int64], constants: _Constants, state: _State, period: _Period) -> None:
+    """The scans of some vehicles."""
+    for i in vehicles:
+        _scan_one(i, constants, state, period)
+
+
+@njit()
+def _advance_one(
+    i: int, heading_change: float, speed_scale: float, constants: _Constants, state: _State, period: _Period
+) -> None:
+    start_rate, start_speed, yaw = state.yaw_rate[i], state.speed[i], state.pose[i, 2]
+    rates, headings, speeds, path = period.rates[i], period.headings[i], period.speeds[i], period.path[i]
+    peak, rise, hold, fall = turn_profile(start_rate, heading_change, constants.most_rate, constants.yaw_acceleration)
+    sample_profile(start_rate, peak, rise, hold, fall, constants.times, rates, headings)
+    goal = speed_scale * constants.speed
+    steady, stride = start_speed == goal, goal / COMMAND_RATE
+    if steady:
+        speeds[:] = goal
+    else:
+        sample_ramp(start_speed, goal, constants.acceleration, constants.times, speeds)
+    path[0, 0], path[0, 1], path[0, 2] = state.pose[i]
+    chord, c, s = np.nan, 0.0, 0.0
+    for k in range(1, len(headings)):
+        middle = yaw + (headings[k - 1] + headings[k]) / 2
+        if middle != chord:  # the chord of an arc points along its middle heading; once straight, it stays
+            chord, c, s = middle, np.cos(middle), np.sin(middle)
+        if not steady:
+            stride = (speeds[k - 1] + speeds[k]) / 2 / COMMAND_RATE
+        path[k, 0] = path[k - 1, 0] + stride * c
+        path[k, 1] = path[k - 1, 1] + stride * s
+        path[k, 2] = yaw + headings[k]
+    # No point of the footprint and of a solid get nearer to each other by more than this from one command to the next.
+    quickest = max(abs(start_rate), abs(peak))
+    hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
+    count, moving, clock = state.counts[i]
+    tracks = state.solids[i, count : count + moving]
+    hop = max(hop + _fastest(tracks) / COMMAND_RATE, STILL)
+    near, near_tracks = _near(i, hop * (len(path) - 1), constants, state, period)
+    last, event, smallest, left = _follow(
+        path, state.target[i], state.clearance[i], hop, constants.footprint, near, near_tracks, clock
+    )
+    state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
+    state.yaw_rate[i], state.speed[i] = rates[last], speeds[last]
+    state.clearance[i] = left
+    state.counts[i, 2] = clock + last
+    follow_tracks(tracks, (clock + last) / COMMAND_RATE, state.solids[i, count - moving : count])
+    period.commands[i] = last
+    period.path_length[i] = last * stride
+    if not steady:  # the trapezoidal rule
+        ends = speeds[0] + speeds[last]
+        period.path_length[i] = (speeds[: last + 1].sum() - ends / 2) / COMMAND_RATE
+    period.clearance[i] = smallest
+    period.heading_error[i] = wrap_angle(heading_change - headings[last])
+    period.event[i] = event
+
+
+@njit()
+def _fastest(tracks: Array) -> float:
+    """The highest speed on tracks (m, 6) [m/s]; 0 where there are none."""
+    fastest = 0.0
+    for track in tracks:
+        fastest = max(fastest, 2.0 * track[4] * np.hypot(track[2], track[3]))
+    return fastest
+
+
+@njit()
+def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> tuple[Array, Array]:
+    """Solids that may be nearest at some time of the control period, and the tracks of those of them that move.
+
+    Meanwhile the nearest may get farther off by `travel` [m], and another as much nearer.
+    """
+    footprint, (x, y, yaw) = constants.footprint, state.pose[i]
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    reach = state.clearance[i] + 2 * travel + np.hypot(footprint[2], footprint[3])
+    near: Array = period.near[i]
+    solids, patrols, _ = state.counts[i]
+    count, moving = 0, 0
+    for j in range(solids):
+        if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
+            for column in range(6):  # a whole row at once takes seconds to compile
+                near[count, column] = state.solids[i, j, column]
+            count += 1
+    for j in range(solids - patrols, solids):
+        if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
+            for column in range(6):
+                near[count + moving, column] = state.solids[i, j + patrols, column]
+            moving += 1
+    return near[:count], near[count : count + moving]
+
+
+@njit()
+def _follow(
+    path: Array,
+    target: Array,
+    clearance: float,
+    hop: float,
+    footprint: Array,
+    solids: Array,
+    tracks: Array,
+    clock: int,
+) -> tuple[int, int, float, float]:
+    """Follows a path (k + 1, 3) up to the first contact or the target.
+
+    Clearances are taken only where they can matter: from one command to the next none changes by more than `hop` [m].
+
+    Args:
+        path: Poses.
+        target: x, y, radius [m].
+        clearance: At the path's start [m].
+        hop: By how much a point of the footprint and one of a solid may get nearer to each other from one pose to the
+            next [m].
+        footprint: A row (6,) in the vehicle's frame.
+        solids: Rows (n, 6) of `as_rows`.
+        tracks: Of the last of them, which are moved along (m, 6).
+        clock: Commands up to the path's start.
+
+    Returns:
+        Index of the last pose reached, what ended it, the smallest clearance on the way and that at the end [m].
+    """
+    last, event, movers = len(path) - 1, _GOES_ON, solids[len(solids) - len(tracks) :]
+    to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
+    for k in range(1, len(path) if to_target <= hop * last else 0):
+        if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
+            last, event = k, _AT_TARGET
+            break
+    smallest = now = clearance
+    if clearance <= hop * last:
+        for k in range(1, last + 1):
+            follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
+            now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
+            smallest = min(smallest, now)
+            if now <= 0.0:
+                return k, _TOUCHING, 0.0, 0.0
+        return last, event, smallest, now
+    follow_tracks(tracks, (clock + last) / COMMAND_RATE, movers)
+    end = clearance_at(path[last, 0], path[last, 1], path[last, 2], footprint, solids)
+    smallest = min(clearance, end)
+    k = 1 + int((now - smallest) / hop)
+    while k < last:
+        follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
+        now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
+        smallest = min(smallest, now)
+        k += 1 + int((now - smallest) / hop)
+    return last, event, smallest, end
+
+
+@njit()
+def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> None:
+    (x, y, yaw), (ahead, left) = state.pose[i], constants.sensor
+    c, s = np.cos(yaw), np.sin(yaw)
+    solids = state.solids[i, : state.counts[i, 0]]
+    x, y = x + c * ahead - s * left, y + s * ahead + c * left
+    cast_rays(x, y, yaw, constants.directions, solids, paper.SENSOR_RANGE, period.ray_distances[i])
+
+
+@njit()
+def cast_rays(
+    x: float, y: float, yaw: float, directions: Array, boxes: Array, sensor_range: float, distances: Array
+) -> None:
+    """Where rays first meet a box: `geometry.ray_distances` as a kernel, one box at a time.
+
+    Args:
+        x: Where the rays start [m].
+        y: Where the rays start [m].
+        yaw: Of the frame that the directions are given in [rad].
+        directions: Unit vectors (m, 2).
+        boxes: Rows (n, 6) of `geometry.as_rows`.
+        sensor_range: What a ray that meets nothing reads [m].
+        distances: Filled with the distances (m,) [m].
+    """
+    distances[:] = sensor_range
+    c, s = np.cos(yaw), np.sin(yaw)
+    for box in boxes:
+        if squared_distance(x, y, box) >= sensor_range * sensor_range:
+            continue
+        dx, dy = x - box[0], y - box[1]
+        start_x, start_y = box[4] * dx + box[5] * dy, box[4] * dy - box[5] * dx
+        # The vehicle's frame turned into the box's.
+        cos_turn, sin_turn = box[4] * c + box[5] * s, box[4] * s - box[5] * c
+        for i in range(len(directions)):
+            ux, uy = directions[i, 0], directions[i, 1]
+            enter_x, leave_x = _slab(start_x, cos_turn * ux - sin_turn * uy, box[2])
+            enter_y, leave_y = _slab(start_y, sin_turn * ux + cos_turn * uy, box[3])
+            enter = max(enter_x, enter_y, 0.0)
+            if enter <= min(leave_x, leave_y) and enter < distances[i]:
+                distances[i] = enter
+
+
+@njit()
+def _slab(start: float, direction: float, half: float) -> tuple[float, float]:
+    """Where a ray enters and leaves the slab from -half to half; an empty interval if it never does."""
+    if direction == 0.0:
+        return (-np.inf, np.inf) if abs(start) <= half else (np.inf, -np.inf)
+    first, second = (-half - start) / direction, (half - start) / direction
+    return min(first, second), max(first, second)
+
+
+@njit()
+def _caster_rates(
+    swivel: float, speed: float, yaw_rate: float, ahead: float, trail: float, radius: float
+) -> tuple[float, float]:
+    """Rates [rad/s] of the swivel angle and of the wheel of a trailing caster that rolls without slip.
+
+    The swivel axis, `ahead` of the axle, moves at (speed, yaw_rate * ahead); the wheel, `trail` behind it along the
+    fork, may not move sideways.
+    """
+    along = speed * np.cos(swivel) + yaw_rate * ahead * np.sin(swivel)
+    across = yaw_rate * ahead * np.cos(swivel) - speed * np.sin(swivel)
+    return across / trail - yaw_rate, along / radius

@@ -1,0 +1,164 @@
+"""From a commanded heading change and speed to wheel speeds: profiles inside the vehicle's limits.
+
+A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached:
+the trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest
+turn within the limits on yaw rate and yaw acceleration. The speed meanwhile goes to what is commanded at the limit on
+acceleration. What a control period cuts short hands its yaw rate and speed on to the next one.
+"""
+
+from dataclasses import dataclass
+from math import copysign, sqrt
+
+import numpy as np
+
+from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
+from nnql_bullet.vehicle.spec import Limits
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A yaw-rate profile: from `start` to `peak` in `rise`, at `peak` for `hold`, to zero in `fall` [rad/s, s]."""
+
+    start: float
+    peak: float
+    rise: float
+    hold: float
+    fall: float
+
+    @property
+    def duration(self) -> float:
+        """Time until the vehicle runs straight again [s]."""
+        return self.rise + self.hold + self.fall
+
+
+def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
+    """The quickest turn by `heading_change` that starts at `yaw_rate` and ends running straight."""
+    return Turn(yaw_rate, *turn_profile(yaw_rate, heading_change, limits.yaw_rate, limits.yaw_acceleration))
+
+
+@njit()
+def turn_profile(
+    yaw_rate: float, heading_change: float, most_rate: float, acceleration: float
+) -> tuple[float, float, float, float]:
+    """Peak, rise, hold and fall of `plan_turn`, as a kernel.
+
+    At acceleration `a`, the ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a; the hold covers the rest.
+    """
+    a = acceleration
+    # The heading that ending this turn at once still covers tells on which side the peak has to be.
+    side = copysign(1.0, heading_change - yaw_rate * abs(yaw_rate) / (2 * a))
+    start, change = side * yaw_rate, side * heading_change
+    peak = min(sqrt(max(a * change + start * start / 2, 0.0)), most_rate)
+    hold = 0.0
+    if peak > 0:
+        hold = max((change - (2 * peak * peak - start * start) / (2 * a)) / peak, 0.0)
+    return side * peak, abs(peak - start) / a, hold, peak / a
+
+
+def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
+    """Yaw rate [rad/s] and heading since the start of the turn [rad] at `times` (n,) [s]."""
+    rates, headings = np.empty(len(times)), np.empty(len(times))
+    sample_profile(turn.start, turn.peak, turn.rise, turn.hold, turn.fall, times, rates, headings)
+    return rates, headings
+
+
+def turn_headings(yaw_rates: Array, heading_changes: Array, limits: Limits, times: Array) -> Array:
+    """Headings since the start of several turns (..., k) [rad] at `times` (k,) [s]: `sample_turn` of each `plan_turn`.
+
+    Args:
+        yaw_rates: At their start (...) [rad/s].
+        heading_changes: (...) [rad]
+        limits: Of the vehicle.
+        times: [s]
+    """
+    yaw_rates, heading_changes = np.broadcast_arrays(yaw_rates, heading_changes)
+    headings: Array = _sample_profiles(
+        yaw_rates.ravel(), heading_changes.ravel(), limits.yaw_rate, limits.yaw_acceleration, times
+    )
+    return headings.reshape(*yaw_rates.shape, len(times))
+
+
+def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
+    """Where a vehicle gets that rolls over arcs, each as the chord along its middle heading.
+
+    Args:
+        yaw: At the start [rad].
+        ways: Of the arcs (m,) [m].
+        turns: Of the arcs (..., m) [rad].
+
+    Returns:
+        Places after each arc, from the start (..., m, 2) [m].
+    """
+    middles = yaw + np.cumsum(turns, axis=-1) - turns / 2
+    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=-1), axis=-2)
+
+
+def ramp_ways(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
+    """What vehicles drive from each time to the next, from 0 on, that go from a speed to another as `sample_ramp` does.
+
+    Args:
+        speeds: At the start (n,) [m/s].
+        goals: To be reached (n,) [m/s].
+        acceleration: Limit, speeding up and slowing down [m/s2].
+        times: (k,) [s]
+
+    Returns:
+        Ways (n, k) [m], by the trapezoidal rule.
+    """
+    times = np.concatenate([[0.0], times])
+    change, start = acceleration * times, speeds[:, None]
+    ramp = np.minimum(np.maximum(goals[:, None], start - change), start + change)
+    return np.asarray((ramp[:, 1:] + ramp[:, :-1]) / 2 * np.diff(times))
+
+
+@njit()
+def sample_profile(
+    start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array
+) -> None:
+    """Fills `rates` and `headings` (n,) as `sample_turn` does, as a kernel."""
+    for i, time in enumerate(times):
+        t = min(time, rise)
+        rate = start + (peak - start) * t / rise if rise > 0 else peak
+        heading = (start + rate) / 2 * t
+        heading += peak * min(max(time - rise, 0.0), hold)
+        t = min(max(time - rise - hold, 0.0), fall)
+        if t > 0:
+            rate = peak * (1 - t / fall)
+            heading += (peak + rate) / 2 * t
+        rates[i], headings[i] = rate, heading
+
+
+@njit()
+def sample_ramp(start: float, goal: float, acceleration: float, times: Array, speeds: Array) -> None:
+    """Fills in the speeds (n,) [m/s] at `times` (n,) [s] of a vehicle that goes from one speed to another and keeps it.
+
+    Args:
+        start: Speed at the start [m/s].
+        goal: Speed to be reached [m/s].
+        acceleration: Limit, speeding up and slowing down [m/s2].
+        times: [s]
+        speeds: To be filled.
+    """
+    for i, time in enumerate(times):
+        change = acceleration * time
+        speeds[i] = min(max(goal, start - change), start + change)
+
+
+@njit()
+def _sample_profiles(
+    yaw_rates: Array, heading_changes: Array, most_rate: float, acceleration: float, times: Array
+) -> Array:
+    """`turn_headings` (n, k) of turns (n,), as a kernel."""
+    headings, rates = np.empty((len(yaw_rates), len(times))), np.empty(len(times))
+    for i in range(len(yaw_rates)):
+        peak, rise, hold, fall = turn_profile(yaw_rates[i], heading_changes[i], most_rate, acceleration)
+        sample_profile(yaw_rates[i], peak, rise, hold, fall, times, rates, headings[i])
+    return headings
+
+
+@njit()
+def wheel_speeds(speed: float, yaw_rate: float, track: float, wheel_radius: float) -> tuple[float, float]:
+    """Left and right wheel speed [rad/s] of a differential drive (Siegwart and Nourbakhsh, Autonomous Robots, 3.2)."""
+    half = yaw_rate * track / 2
+    return (speed - half) / wheel_radius, (speed + half) / wheel_radius

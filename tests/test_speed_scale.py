@@ -1,0 +1,335 @@
+"""Vehicles that stop, turn on the spot and go again: every simulator against closed forms and an integrator."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import fields, replace
+from functools import partial
+from importlib.util import find_spec
+from math import cos, degrees, hypot, radians, sin, sqrt
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from nnql_bullet.env import (
+    ACTIONS,
+    MANOEUVRES,
+    STOP,
+    TOWARD_TARGET,
+    FleetNavigation,
+    Navigation,
+    heading_change,
+    speed_scale,
+)
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.sim.base import Motion, Motions, Sample, Simulator
+from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.sim.local import local_fleet
+from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.limits import braking, braking_rear_load
+from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.source import load_world
+from nnql_bullet.worlds.spec import Patrol, WorldSpec
+
+SPEED, RATE = 2.0, 2.5
+"""Of the drive [m/s], and the shipped vehicle's limit [m/s2]."""
+STOPPING = SPEED**2 / (2 * RATE)
+"""Way to a stand [m]."""
+FRONT = 0.9
+"""Of the footprint, ahead of the axle [m]."""
+MIDDLE = Pose(100.0, 100.0, 0.0)
+NEEDS_MUJOCO = pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
+)
+NAMES = ("kinematic", "bullet", pytest.param("mujoco", marks=NEEDS_MUJOCO))
+
+WorldOf = Callable[..., WorldSpec]
+
+
+def maker(name: str, vehicle: VehicleSpec) -> Callable[[], Simulator]:
+    if name == "kinematic":
+        return partial(KinematicSimulator, vehicle, DriveOptions())
+    return partial(contact_simulator, "mujoco" if name == "mujoco" else "bullet", "fast", vehicle, DriveOptions())
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
+    with closing(maker(request.param, vehicle)()) as made:
+        yield made
+
+
+def drive(simulator: Simulator, world: WorldSpec, commands: list[tuple[float, float]]) -> list[Motion]:
+    """Motions of commands (turn in degrees, speed_scale), up to the first contact."""
+    simulator.reset(world)
+    motions = []
+    for turn, wanted in commands:
+        motions.append(simulator.advance(radians(turn), speed_scale=wanted))
+        if motions[-1].touching:
+            break
+    return motions
+
+
+def way(motions: list[Motion]) -> float:
+    return sum(motion.path_length for motion in motions)
+
+
+class TestStopping:
+    def test_it_stands_after_the_braking_distance(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        first, second, third = motions = drive(simulator, empty_world, [(0, 0)] * 3)
+        assert way(motions) == pytest.approx(STOPPING, rel=0.01)
+        assert simulator.pose().x - MIDDLE.x == pytest.approx(STOPPING, rel=0.01)
+        assert first.speed == pytest.approx(SPEED - RATE * 0.5, rel=0.02)
+        assert [second.speed, third.speed] == pytest.approx([0.0, 0.0], abs=0.01)
+        assert third.path_length < 0.002
+        assert third.wheel_speeds == pytest.approx((0.0, 0.0), abs=0.05)
+        assert [motion.duration for motion in motions] == pytest.approx([0.5] * 3)
+
+    def test_it_goes_again_within_the_same_limit(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        first, second, third = drive(simulator, empty_world, [(0, 0)] * 2 + [(0, 1)] * 3)[2:]
+        assert first.path_length == pytest.approx(RATE * 0.5**2 / 2, rel=0.02)
+        assert first.speed == pytest.approx(RATE * 0.5, rel=0.02)
+        assert first.path_length + second.path_length == pytest.approx(SPEED * 1.0 - STOPPING, rel=0.02)
+        assert (third.speed, third.path_length) == pytest.approx((SPEED, SPEED * 0.5), rel=0.01)
+
+    def test_any_pace_is_kept(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        motions = drive(simulator, empty_world, [(0, 0.5)] * 3)
+        assert motions[-1].speed == pytest.approx(SPEED / 2, rel=0.01)
+        assert motions[-1].path_length == pytest.approx(SPEED / 4, rel=0.01)
+
+    def test_the_drives_own_speed_is_the_pace_if_none_is_given(
+        self, simulator: Simulator, empty_world: WorldSpec
+    ) -> None:
+        turns = (0.4, -0.8, 0.3)
+        simulator.reset(empty_world)
+        plain = [simulator.advance(turn) for turn in turns]
+        simulator.reset(empty_world)
+        assert [simulator.advance(turn, speed_scale=1.0) for turn in turns] == plain
+
+    def test_a_reset_has_it_at_speed_again(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        (plain,) = drive(simulator, empty_world, [(0, 1)])
+        drive(simulator, empty_world, [(60, 0)] * 3)
+        assert drive(simulator, empty_world, [(0, 1)]) == [plain]
+
+    def test_a_trace_shows_it_slow_down(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        trace: list[Sample] = []
+        simulator.reset(empty_world)
+        for _ in range(2):
+            simulator.advance(0.0, trace, 0.0)
+        speeds = np.array([sum(sample.wheel_speeds) / 2 * 0.125 for sample in trace])
+        times = np.array([sample.time for sample in trace])
+        assert speeds == pytest.approx(np.maximum(SPEED - RATE * times, 0.0), abs=0.05)
+
+    @pytest.mark.parametrize("short", [0.02, 0.3, 0.6])
+    def test_a_wall_too_near_is_hit_at_what_is_left_of_the_speed(
+        self, simulator: Simulator, world_of: WorldOf, short: float
+    ) -> None:
+        gap = STOPPING - short
+        wall = OrientedBox(MIDDLE.x + FRONT + gap + 0.5, MIDDLE.y, 0.5, 2.0)
+        motions = drive(simulator, world_of(wall), [(0, 0)] * 4)
+        assert motions[-1].touching
+        took = (SPEED - sqrt(SPEED**2 - 2 * RATE * gap)) / RATE
+        assert sum(motion.duration for motion in motions) == pytest.approx(took, abs=0.04)
+
+    @pytest.mark.parametrize("spare", [0.05, 0.3])
+    def test_a_wall_beyond_the_braking_distance_is_not_touched(
+        self, simulator: Simulator, world_of: WorldOf, spare: float
+    ) -> None:
+        wall = OrientedBox(MIDDLE.x + FRONT + STOPPING + spare + 0.5, MIDDLE.y, 0.5, 2.0)
+        motions = drive(simulator, world_of(wall), [(0, 0)] * 4)
+        assert not motions[-1].touching
+        assert motions[-1].clearance == pytest.approx(spare, abs=0.01)
+
+
+class TestPivot:
+    @pytest.mark.parametrize("turn", [60, -60, 30])
+    def test_on_the_spot_it_turns_by_what_is_asked_for(
+        self, simulator: Simulator, empty_world: WorldSpec, turn: float
+    ) -> None:
+        drive(simulator, empty_world, [(0, 0)] * 3)
+        before, trace = simulator.pose(), list[Sample]()
+        simulator.advance(radians(turn), trace, 0.0)
+        left = radians(turn) - (simulator.pose().yaw - before.yaw)
+        simulator.advance(left, trace, 0.0)
+        simulator.advance(0.0, trace, 0.0)
+        assert degrees(simulator.pose().yaw - before.yaw) == pytest.approx(turn, abs=0.5)
+        assert all(hypot(s.pose.x - before.x, s.pose.y - before.y) < 0.01 for s in trace)
+
+    def test_half_a_second_turns_as_far_as_on_the_way(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        (rolling,) = drive(simulator, empty_world, [(60, 1)])
+        standing = drive(simulator, empty_world, [(0, 0)] * 3 + [(60, 0)])[-1]
+        assert standing.pose.yaw == pytest.approx(rolling.pose.yaw, abs=radians(1.0))
+        assert standing.heading_error == pytest.approx(rolling.heading_error, abs=radians(1.0))
+
+    def test_then_it_goes_where_it_points(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+        drive(simulator, empty_world, [(0, 0)] * 3 + [(60, 0)] * 3)
+        before = simulator.pose()
+        for _ in range(3):
+            simulator.advance(0.0)
+        after = simulator.pose()
+        assert before.yaw > radians(90)
+        gone = np.array([after.x - before.x, after.y - before.y])
+        ahead = np.array([cos(after.yaw), sin(after.yaw)])
+        assert gone @ ahead == pytest.approx(SPEED * 1.5 - STOPPING, abs=0.12)
+
+    @pytest.mark.parametrize(("beside", "touches"), [(0.36, True), (0.41, False)])
+    def test_its_tail_swings_out(self, simulator: Simulator, world_of: WorldOf, beside: float, touches: bool) -> None:
+        """The vehicle's side is 0.325 m from its axle's centre; its rear corner goes round that at 0.382 m."""
+        post = OrientedBox(MIDDLE.x + STOPPING, MIDDLE.y + beside, 0.01, 0.01)
+        motions = drive(simulator, world_of(post), [(0, 0)] * 3 + [(-60, 0)] * 2)
+        assert not motions[2].touching
+        assert motions[-1].touching is touches
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_turns_while_the_speed_changes_follow_the_unicycle(
+    vehicle: VehicleSpec, empty_world: WorldSpec, name: str
+) -> None:
+    """With a yaw acceleration that leaves the drives some torque to brake with."""
+    commands = [(60, 0), (60, 0), (-30, 1), (0, 1), (30, 0.4), (-60, 0), (0, 0), (60, 1)]
+    most_rate, slope = vehicle.limits.yaw_rate, 3.0
+    gentle = replace(vehicle, limits=replace(vehicle.limits, yaw_acceleration=slope))
+    with closing(maker(name, gentle)()) as simulator:
+        motions = drive(simulator, empty_world, commands)
+    state = np.array([MIDDLE.x, MIDDLE.y, 0.0, SPEED, 0.0])
+    for motion, (turn, wanted) in zip(motions, commands, strict=True):
+
+        def derivative(
+            _: float, s: Array, target: float = state[2] + radians(turn), goal: float = SPEED * wanted
+        ) -> list[float]:
+            # The quickest way to a heading: as hard as it goes, up to where ending the turn at once just reaches it.
+            turning = np.clip(1e3 * (target - s[2] - s[4] * abs(s[4]) / (2 * slope)), -slope, slope)
+            turning = 0.0 if abs(s[4]) >= most_rate and turning * s[4] > 0 else turning
+            return [s[3] * cos(s[2]), s[3] * sin(s[2]), s[4], np.clip(1e3 * (goal - s[3]), -RATE, RATE), turning]
+
+        state = solve_ivp(derivative, (0.0, 0.5), state, max_step=1e-3).y[:, -1]
+        near, alike = (0.015, 1.0) if name == "kinematic" else (0.05, 2.0)
+        assert hypot(motion.pose.x - state[0], motion.pose.y - state[1]) < near
+        assert degrees(motion.pose.yaw) == pytest.approx(degrees(state[2]), abs=alike)
+
+
+class TestPatrols:
+    def test_a_standing_vehicle_is_hit_when_the_box_is_there(self, simulator: Simulator, world_of: WorldOf) -> None:
+        """The box comes at 1 m/s from 3 m ahead of where the front comes to stand."""
+        x = MIDDLE.x + STOPPING + FRONT + 3.0 + 0.5
+        patrol = Patrol(OrientedBox(x, 100.0, 0.5, 1.0), (x - 20.0, 100.0), 1.0, 0.0)
+        motions = drive(simulator, replace(world_of(), patrols=(patrol,)), [(0, 0)] * 12)
+        assert motions[-1].touching
+        assert sum(motion.duration for motion in motions) == pytest.approx(3.0, abs=0.03)
+
+    def test_one_that_turns_back_leaves_what_was_left(self, simulator: Simulator, world_of: WorldOf) -> None:
+        x = MIDDLE.x + STOPPING + FRONT + 3.0 + 0.5
+        patrol = Patrol(OrientedBox(x, 100.0, 0.5, 1.0), (x - 2.7, 100.0), 1.0, 0.0)
+        motions = drive(simulator, replace(world_of(), patrols=(patrol,)), [(0, 0)] * 12)
+        assert not motions[-1].touching
+        assert min(motion.clearance for motion in motions) == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["cover_20", "moving"])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSpec, name: str, seed: int) -> None:
+    """It looks only where the clearance may have become the smallest; here it is taken after every command."""
+    world = load_world(name).draw(seed, 0.8)
+    footprint, chance = as_rows((vehicle.footprint,))[0], np.random.default_rng(seed)
+    clock = 0
+    with closing(KinematicFleet(vehicle, DriveOptions(), 1, threads=1)) as fleet:
+        fleet.reset({0: world})
+        for _ in range(60):
+            turn = chance.choice(np.radians([0, 30, 60, -30, -60]), 1)
+            motions, _ = fleet.advance(turn, np.ones(1, np.bool_), chance.choice([0.0, 0.0, 0.4, 1.0], 1))
+            path = fleet.path(0)
+            taken = [
+                clearance_at(*pose, footprint, world.solids_at((clock + k) / COMMAND_RATE))
+                for k, pose in enumerate(path.tolist())
+            ]
+            clock += len(path) - 1
+            assert motions.clearance[0] == pytest.approx(min(taken), abs=1e-9)
+            assert motions.touching[0] == (min(taken) == 0.0)
+            steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+            assert motions.path_length[0] == pytest.approx(steps.sum(), abs=1e-9)
+            assert np.diff(steps, 2) == pytest.approx(0.0, abs=2 * RATE / COMMAND_RATE**2)
+            if motions.touching[0] or motions.at_target[0]:
+                break
+
+
+@pytest.mark.parametrize("kind", [*NAMES, "workers"])
+def test_vehicles_of_a_fleet_go_at_their_own_paces(vehicle: VehicleSpec, world_of: WorldOf, kind: str) -> None:
+    make = maker("bullet" if kind == "workers" else kind, vehicle)
+    if kind == "kinematic":
+        fleet = KinematicFleet(vehicle, DriveOptions(), 3)
+    elif kind == "workers":
+        fleet = WorkerFleet(partial(local_fleet, make), 3, 2)
+    else:
+        fleet = local_fleet(make, 3)
+    chance = np.random.default_rng(4)
+    commands = [(chance.uniform(-1, 1, 3), chance.choice([0.0, 0.5, 1.0], 3)) for _ in range(8)]
+    with closing(fleet), closing(make()) as alone:
+        fleet.reset({i: world_of() for i in range(3)})
+        together = []
+        for turns, speed_scales in commands:
+            motions, _ = fleet.advance(turns, np.ones(3, np.bool_), speed_scales)
+            together.append(replace(motions, **{f.name: getattr(motions, f.name).copy() for f in fields(Motions)}))
+        for i in range(3):
+            alone.reset(world_of())
+            for (turns, speed_scales), motions in zip(commands, together, strict=True):
+                motion = alone.advance(float(turns[i]), speed_scale=float(speed_scales[i]))
+                assert motions.pose[i].tolist() == [motion.pose.x, motion.pose.y, motion.pose.yaw]
+                assert motions.path_length[i] == motion.path_length
+                assert motions.yaw_rate[i] == motion.yaw_rate
+
+
+class TestManoeuvres:
+    def test_they_are_the_same_turns_at_a_stand(self) -> None:
+        actions = np.arange(ACTIONS)
+        for bearing in (0.3, -2.0, 3.0):
+            assert np.array_equal(heading_change(actions + STOP, bearing), heading_change(actions, bearing))
+        assert speed_scale(actions).tolist() == [1.0] * ACTIONS
+        assert speed_scale(actions + STOP).tolist() == [0.0] * ACTIONS
+        assert MANOEUVRES == 2 * ACTIONS
+        assert heading_change(TOWARD_TARGET + STOP, 0.3) == pytest.approx(0.3)
+
+    def test_one_and_many_vehicles_carry_them_out(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
+        actions = [STOP, STOP, TOWARD_TARGET + STOP, TOWARD_TARGET + STOP, TOWARD_TARGET, 1]
+        with (
+            closing(KinematicSimulator(vehicle, DriveOptions())) as one,
+            closing(KinematicFleet(vehicle, DriveOptions(), 2)) as two,
+        ):
+            navigation, many = Navigation(one, TaskOptions()), FleetNavigation(two, TaskOptions())
+            navigation.reset(world_of())
+            many.reset({i: world_of() for i in range(2)})
+            for action in actions:
+                transition = navigation.step(action)
+                both = many.step(np.array([action, 0]))
+                assert both.motions.pose[0].tolist() == [
+                    transition.motion.pose.x,
+                    transition.motion.pose.y,
+                    transition.motion.pose.yaw,
+                ]
+                assert both.motions.path_length[1] == pytest.approx(1.0)
+                if action == TOWARD_TARGET + STOP:
+                    assert transition.motion.path_length < 1e-9
+            assert transition.motion.path_length == pytest.approx(RATE * (1.0**2 - 0.5**2) / 2 - 0.5 * RATE * 0.2**2)
+
+
+class TestTheLimit:
+    def test_grip_and_drives_have_room_for_it_in_the_worst_conditions(self, vehicle: VehicleSpec) -> None:
+        for mass in (0.0, 40.0, 80.0):
+            for friction in (0.5, 0.8):
+                carrying = loaded(vehicle.gripping(friction), deck_load(vehicle, mass))
+                assert braking(carrying).deceleration > 1.05 * vehicle.limits.acceleration
+                assert braking_rear_load(carrying, vehicle.limits.acceleration) > 0.75
+
+    @pytest.mark.parametrize(("friction", "payload"), [(0.5, 0.0), (0.5, 80.0), (0.8, 80.0)])
+    def test_a_loaded_vehicle_stops_in_the_same_way(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, friction: float, payload: float
+    ) -> None:
+        carrying = loaded(vehicle.gripping(friction), deck_load(vehicle, payload))
+        simulator: ContactSimulator = contact_simulator("bullet", "fast", carrying, DriveOptions())
+        with closing(simulator):
+            motions = drive(simulator, empty_world, [(0, 0)] * 3)
+            assert way(motions) == pytest.approx(STOPPING, rel=0.03)
+            assert abs(degrees(simulator.pose().yaw)) < 1.0
