@@ -17,7 +17,7 @@ from nnql_bullet.env import Observation, Transition, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import overridden
+from nnql_bullet.rollout import EpisodeSummary, overridden
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.payload import urdf_text
@@ -85,6 +85,17 @@ class Recording:
             },
             patrols=tuple(Patrol(OrientedBox(**p["box"]), tuple(p["end"]), p["speed"], p["phase"]) for p in patrols),
         )
+
+    @property
+    def summary(self) -> EpisodeSummary:
+        """What the episode came to.
+
+        Raises:
+            UserError: If the recording was written without one, as version 0.1 did.
+        """
+        if "summary" not in self.about:
+            raise UserError("this recording holds no summary; record the drive again")
+        return EpisodeSummary(**self.about["summary"])
 
     @property
     def obstacles(self) -> tuple[OrientedBox, ...]:

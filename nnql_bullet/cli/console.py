@@ -1,5 +1,6 @@
 """Printing: lines, complaints, and the progress of long work."""
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -37,6 +38,25 @@ def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
     err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
     return 2
+
+
+class _Saying(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        say(self.format(record))
+
+
+@contextmanager
+def messages() -> Iterator[None]:
+    """Prints what the library logs for information, on standard output."""
+    logger, handler = logging.getLogger("nnql_bullet"), _Saying()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
 
 
 @contextmanager

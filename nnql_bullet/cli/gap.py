@@ -19,23 +19,23 @@ from nnql_bullet.executors import make_executor
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.task import ENDINGS
 
 
 def gap(
-    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
+    runs: Annotated[list[Path], tyro.conf.arg(metavar="RUN ...")],
     /,
-    against: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "kinematic",
-    sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 100,
-    split: Annotated[SplitName, tyro.conf.arg(help_behavior_hint="")] = "validation",
-    faults: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    against: SimulatorName = "kinematic",
+    sim: EngineName = "bullet",
+    physics: PhysicsName = "reference",
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    split: SplitName = "validation",
+    faults: bool = True,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
 
@@ -98,7 +98,7 @@ def _check(runs: list[Path], world: str | None, sides: tuple[Side, Side], seed: 
     fingerprints = []
     for run in runs:
         for side in sides:
-            experiment, _ = open_policy(run, {"world": world, "simulator": side.simulator})
+            experiment = load_policy(run, {"world": world, "simulator": side.simulator}).experiment
             experiment.simulator.close()
         experiment.world(seed)
         fingerprints.append(fingerprint(experiment))

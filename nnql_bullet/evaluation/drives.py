@@ -19,7 +19,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
@@ -98,7 +98,7 @@ def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Poli
     seeds, frozen = split_seeds(setting.split, worlds), load_frozen()
     tiers: list[Tier] = []
     for file in files:
-        experiment, _ = open_policy(Path(policy.path), {"world": file})
+        experiment = load_policy(Path(policy.path), {"world": file}).experiment
         name, world = experiment.worlds.name, experiment.worlds.file
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
@@ -220,4 +220,4 @@ def film(task: FilmTask) -> Recording:
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
 def _experiment(policy: Policy, world: str, setting: Setting, vehicles: int) -> Experiment:
     changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
-    return open_policy(Path(policy.path), changes)[0]
+    return load_policy(Path(policy.path), changes).experiment

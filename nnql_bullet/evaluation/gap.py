@@ -18,7 +18,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
 
@@ -163,7 +163,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
 def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> Experiment:
     conditions = CONDITIONS[fault] if fault else None
     changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
-    return open_policy(Path(run), changes)[0]
+    return load_policy(Path(run), changes).experiment
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:

@@ -16,7 +16,7 @@ from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
     twice = [path for path in given if given.count(path) > 1]
     if twice:
         raise UserError(f"{twice[0]}: is given twice; give each policy once")
-    opened = [open_policy(path, {}) for path in paths]
-    experiments = [experiment for experiment, _ in opened]
+    opened = [load_policy(path) for path in paths]
+    experiments = [its.experiment for its in opened]
     odd = [path for path, its in zip(given, experiments, strict=True) if its.room != experiments[0].room]
     if odd:
         raise UserError(
@@ -93,20 +93,20 @@ def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
             method=methods[recipe],
             kind=experiment.config.agent.kind,
             seed=experiment.config.seed,
-            episodes=episodes,
+            episodes=its.episodes,
             learned=sum(values.size for values in _learned(experiment).values()),
             about=(getdoc(type(experiment.agent)) or "").partition("\n")[0],
             room=experiment.room,
             fingerprint=fingerprint(experiment),
         )
-        for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
+        for path, name, recipe, its, experiment in zip(given, names, recipes, opened, experiments, strict=True)
     ]
     return [policy for one in bare for policy in ((one, _shielded(one)) if shield else (one,))]
 
 
 def _shielded(policy: Policy) -> Policy:
     """The same in a shield."""
-    experiment, _ = open_policy(Path(policy.path), {"shield": {}})
+    experiment = load_policy(Path(policy.path), {"shield": {}}).experiment
     return replace(
         policy,
         name=f"{policy.name}+shield",
