@@ -70,11 +70,6 @@ class PairTask:
     flips: str
     """Folder for the recordings of drives that ended differently."""
 
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
-
 
 @dataclass(frozen=True, slots=True)
 class Pair:
@@ -133,11 +128,6 @@ class FaultTask:
     side: Side
     fault: str
     """A key of `FAULTS`."""
-
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
 
 
 @dataclass(frozen=True, slots=True)
