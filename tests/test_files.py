@@ -29,18 +29,14 @@ def interrupt(path):
 @pytest.mark.parametrize(("writer", "error"), [(fill_the_disk, OSError), (interrupt, KeyboardInterrupt)])
 def test_failed_write_leaves_the_old_file_and_nothing_beside_it(tmp_path, writer, error):
     path = tmp_path / "a.bin"
+    with pytest.raises(error):
+        write_atomically(path, writer)
+    assert list(tmp_path.iterdir()) == []
     path.write_bytes(b"old")
     with pytest.raises(error):
         write_atomically(path, writer)
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize(("writer", "error"), [(fill_the_disk, OSError), (interrupt, KeyboardInterrupt)])
-def test_failed_first_write_leaves_nothing(tmp_path, writer, error):
-    with pytest.raises(error):
-        write_atomically(tmp_path / "a.bin", writer)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_failed_rename_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch):

@@ -69,11 +69,6 @@ class PairTask:
     flips: str
     """Folder for the recordings of drives that ended differently."""
 
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
-
 
 @dataclass(frozen=True, slots=True)
 class Pair:
@@ -132,11 +127,6 @@ class FaultTask:
     side: Side
     fault: str
     """A key of `CONDITIONS`."""
-
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
 
 
 @dataclass(frozen=True, slots=True)
