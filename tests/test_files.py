@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from nnql_bullet.files import write_atomically, write_text
 
@@ -92,9 +93,9 @@ def test_writers_that_go_by_the_ending_write_where_they_should(tmp_path):
 @pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
 def test_mode_is_that_of_any_new_file(tmp_path, umask, mask, mode):
     umask(mask)
-    path = tmp_path / "a.txt"
-    write_text(path, "text")
-    assert path.stat().st_mode & 0o777 == mode
+    write_text(tmp_path / "a.txt", "text")
+    write_atomically(tmp_path / "a.safetensors", lambda temporary: save_file({"a": np.arange(3)}, temporary))
+    assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {mode}
     assert umask(mask) == mask
 
 
