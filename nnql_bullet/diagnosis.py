@@ -18,7 +18,7 @@ from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
-PATIENCE = 60.0
+PROGRAM_TIMEOUT = 60.0
 """Seconds that a renderer may take to start."""
 
 
@@ -86,7 +86,9 @@ def check_ffmpeg() -> Finding:
     """The encoder that videos need."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
-        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "-version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (RuntimeError, OSError, subprocess.SubprocessError):
         return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
     return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
@@ -98,7 +100,9 @@ def check_chromium() -> Finding:
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
     try:
-        answer = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "--version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return Finding(False, "does not start; only a test of the HTML report needs it", needed=False)
     return Finding(True, answer.stdout.strip().split(" built on")[0])
@@ -106,9 +110,9 @@ def check_chromium() -> Finding:
 
 def check_renderer() -> Finding:
     """EGL where it works, else TinyRenderer, which always does."""
-    if works("egl", PATIENCE):
+    if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")
-    if works("tiny", PATIENCE):
+    if works("tiny", PROGRAM_TIMEOUT):
         return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
 

@@ -46,7 +46,7 @@ COLUMNS = 6
 """Of them, side by side."""
 CLOSE = 4.0
 """Least half side of what is shown enlarged [m]."""
-MARGIN = 1.0
+ARENA_MARGIN = 1.0
 """Around the arena [m]."""
 
 RULES: dict[Group, str] = {
@@ -264,8 +264,8 @@ def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE
     late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
-    half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
-    least, most = half - MARGIN, np.array([world.width, world.depth]) - half + MARGIN
+    half = max(float(np.ptp(late, axis=0).max()) / 2 + ARENA_MARGIN, CLOSE)
+    least, most = half - ARENA_MARGIN, np.array([world.width, world.depth]) - half + ARENA_MARGIN
     return np.clip((late.min(axis=0) + late.max(axis=0)) / 2, least, np.maximum(most, least)), half
 
 
@@ -273,7 +273,11 @@ def _draw_whole(axes: Axes, recording: Recording) -> None:
     world = recording.world
     draw_world(axes, recording, recording.state_time[-1])
     draw_path(axes, recording, 0.6)
-    axes.set(xlim=(-MARGIN, world.width + MARGIN), ylim=(-MARGIN, world.depth + MARGIN), aspect="equal")
+    axes.set(
+        xlim=(-ARENA_MARGIN, world.width + ARENA_MARGIN),
+        ylim=(-ARENA_MARGIN, world.depth + ARENA_MARGIN),
+        aspect="equal",
+    )
 
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:

@@ -14,7 +14,7 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 Positive = Annotated[float, Field(gt=0)]
 Speed = Annotated[float, Field(gt=0, le=1)]
 MOST_TRIES = 20_000
-MARGIN = 0.1
+SWEEP_MARGIN = 0.1
 """Between what a patrol sweeps and what stands still [m]."""
 
 
@@ -64,7 +64,11 @@ class Patrols:
             patrol = self._anywhere(world, rng)
             swept = as_rows((_swept(patrol),))[0]
             inside = 0 < patrol.box.x < world.width and 0 < patrol.box.y < world.depth
-            if inside and clearance(swept, world.solids) >= MARGIN and clearance(swept, keep_free) >= self.clear_radius:
+            if (
+                inside
+                and clearance(swept, world.solids) >= SWEEP_MARGIN
+                and clearance(swept, keep_free) >= self.clear_radius
+            ):
                 patrols.append(patrol)
         raise UserError(
             f"world '{world.name}', seed {world.seed}: no room for {self.count} patrols; "
