@@ -1,7 +1,7 @@
 """What MkDocs calls while it builds the site: generated pages, generated figures, and the check of the README.
 
-In a page, `{{ name argument ... }}` is replaced by what the function of that name gives; a name or an argument that
-does not exist fails the build.
+In a page, `{{ name argument ... }}` is replaced by what the function of that name gives (%20 is a space in an argument);
+a name or an argument that does not exist fails the build.
 
     python scripts/docs_site/hooks.py    # writes the generated table into README.md
 """
@@ -66,7 +66,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     from mkdocs.exceptions import PluginError
 
     def fill(match: re.Match[str]) -> str:
-        name, *arguments = match[1].split()
+        name, *arguments = (word.replace("%20", " ") for word in match[1].split())
         try:
             return str(FUNCTIONS[name](*arguments))
         except (LookupError, TypeError) as error:
