@@ -72,7 +72,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         except (LookupError, TypeError) as error:
             raise PluginError(f"{page.file.src_uri}: {match[0]}: {error}") from None
 
-    return re.sub(r"\{\{ (.+?) \}\}", fill, markdown)
+    return site_results.narrowed(re.sub(r"\{\{ (.+?) \}\}", fill, markdown))
 
 
 def on_pre_build(**_: Any) -> None:

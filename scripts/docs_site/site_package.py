@@ -103,8 +103,11 @@ def _options_section(cls: type, prefix: str, level: int, kind: str | None = None
         key = f"{prefix}{name}"
         if classes:
             below += [(inner, key, len(classes) > 1) for inner in classes]
-        type_text = _type_text(field.annotation, field.metadata)
-        rows.append((f"`{name}`", type_text, _default_text(field), _sentence(docs.get(name, ""))))
+        type_text, meaning = _type_text(field.annotation, field.metadata), _sentence(docs.get(name, ""))
+        if len(classes) > 1:
+            kinds = ", ".join(f"`{_kind_of(inner)}`" for inner in classes)
+            meaning = f"{meaning} Kinds: {kinds}.".strip()
+        rows.append((f"`{name}`", type_text, _default_text(field), meaning))
     parts = []
     if prefix:
         table = prefix.removesuffix(".")
@@ -311,19 +314,22 @@ def api_pages() -> dict[str, tuple[str, str, str]]:
         if not is_module or name in HIDDEN or name.startswith("_"):
             continue
         modules = [path] if path.suffix == ".py" else sorted(path.rglob("*.py"))
-        modules = [module for module in modules if not (module.name == "__init__.py" and not _has_members(module))]
         source = path if path.suffix == ".py" else path / "__init__.py"
         about = (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n\n")[0]
-        parts = [f"# `nnql_bullet.{name}`", *(f"::: {module_name(module)}" for module in modules)]
+        parts = [f"# `nnql_bullet.{name}`", *(f"::: {place}" for module in modules for place in _places(module))]
         if path.suffix != ".py":
             parts.insert(1, _sentence(about))
         pages[name] = (name, _sentence(about), "\n\n".join(parts) + "\n")
     return pages
 
 
-def _has_members(path: Path) -> bool:
+def _places(path: Path) -> list[str]:
+    """What of a module a page shows: all of it; of a package only what it defines itself, not what it passes on."""
+    if path.name != "__init__.py":
+        return [module_name(path)]
     body = ast.parse(path.read_text(encoding="utf-8")).body
-    return any(isinstance(part, (ast.FunctionDef, ast.ClassDef)) for part in body)
+    defined = [part.name for part in body if isinstance(part, (ast.FunctionDef, ast.ClassDef))]
+    return [f"{module_name(path)}.{name}" for name in defined if not name.startswith("_")]
 
 
 def api_index() -> str:

@@ -150,9 +150,17 @@ def section(folder: str, *title: str) -> str:
 def results_list() -> str:
     """A table of the generated reports."""
     rows = [
-        [f"[{title}]({folder}/index.md)", about, f"`--only {part}`"] for folder, (title, about, part) in PAGES.items()
+        [f"[{title}]({folder}/index.md)", about, f"`results.py --only {part}`"]
+        for folder, (title, about, part) in PAGES.items()
     ]
-    return _table([["report", "what it holds", "made by `scripts/results.py`"], ["---"] * 3, *rows])
+    return _table([["report", "what it holds", "made by"], ["---"] * 3, *rows])
+
+
+def narrowed(markdown: str) -> str:
+    """Tables with each interval below its value, so that many columns fit."""
+    value = r"(?<=\| )([-+]?\d+\.\d+) \(([^()|]*\d[^()|]*)\)(?= \|)"
+    lines = markdown.splitlines()
+    return "\n".join(re.sub(value, r"\1 <span class=ci>\2</span>", s) if s.startswith("|") else s for s in lines)
 
 
 def report(folder: str) -> str:
