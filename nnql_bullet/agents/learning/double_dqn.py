@@ -22,8 +22,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
-from nnql_bullet.task import GOES_ON as NO_ENDING
-from nnql_bullet.task import StateProperty
+from nnql_bullet.task import NO_ENDING, StateProperty
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
