@@ -15,11 +15,13 @@ from nnql_bullet.sensing import RAYS, Scan
 from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
 from nnql_bullet.task import (
     ENDINGS,
-    GOES_ON,
+    NO_ENDING,
     REWARD_TERMS,
     StateProperty,
     TaskOptions,
     ending,
+    is_terminal,
+    paper_reward,
     readings_of,
     reward_terms,
     state_property,
@@ -86,6 +88,7 @@ class Navigation:
     def __init__(self, simulator: Simulator, task: TaskOptions) -> None:
         self.simulator = simulator
         self.task = task
+        self._reward = paper_reward(task)
 
     def reset(self, world: WorldSpec) -> Observation:
         """Starts an episode in `world`."""
@@ -102,17 +105,17 @@ class Navigation:
         motion = self.simulator.advance(turn, trace, float(speed_scale(action)))
         s_t = self._observe(motion.pose, motion.yaw_rate, self.simulator.scan(), motion)
         self._steps += 1
-        terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task).tolist()
+        terms = reward_terms(s_tm1, s_t, self.task, self._reward).tolist()
         end = int(ending(s_t.state_property, self._steps, self.task))
         self._observation = s_t
         return Transition(
             s_tm1=s_tm1,
             a_tm1=action,
             r_t=sum(terms),
-            discount_t=float(s_t.state_property in (StateProperty.SAFE, StateProperty.NON_SAFE)),
+            discount_t=float(not is_terminal(s_t.state_property)),
             s_t=s_t,
             terms=dict(zip(REWARD_TERMS, terms, strict=True)),
-            ending=None if end == GOES_ON else ENDINGS[end],
+            ending=None if end == NO_ENDING else ENDINGS[end],
             motion=motion,
         )
 
@@ -186,7 +189,7 @@ class Transitions:
     terms: Array
     """(n, 6) in the order of `task.REWARD_TERMS`."""
     ending: NDArray[np.int64]
-    """Index into `task.ENDINGS`, or `task.GOES_ON` (n,)."""
+    """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     motions: Motions
     active: NDArray[np.bool_]
     """Which vehicles took a step (n,)."""
@@ -198,6 +201,7 @@ class FleetNavigation:
     def __init__(self, fleet: Fleet, task: TaskOptions) -> None:
         self.fleet = fleet
         self.task = task
+        self._reward = paper_reward(task)
         n = fleet.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -245,12 +249,12 @@ class FleetNavigation:
         self._observe(v, m.pose[v], m.yaw_rate[v], ray_distances[v], m.touching[v], m.at_target[v], before)
         s_t = self._observations
         self._steps += active
-        terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task)
+        terms = reward_terms(s_tm1, s_t, self.task, self._reward)
         return Transitions(
             s_tm1=s_tm1,
             a_tm1=actions,
             r_t=terms.sum(axis=-1),
-            discount_t=np.where(s_t.state_property <= StateProperty.NON_SAFE, 1.0, 0.0),
+            discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
             ending=ending(s_t.state_property, self._steps, self.task),

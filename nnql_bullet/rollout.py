@@ -19,7 +19,7 @@ from nnql_bullet.env import (
 )
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.local import as_motions
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -95,7 +95,7 @@ class EpisodeSummary:
     """Time of control periods in which the vehicle did not get on [s]."""
 
 
-STANDS = 0.05
+STANDSTILL_DISTANCE = 0.05
 """A vehicle that gets less far than this in a control period stands [m]."""
 
 
@@ -104,7 +104,7 @@ class Tally:
 
     def __init__(self, size: int) -> None:
         self._world_seed = np.zeros(size, np.int64)
-        self._ending = np.full(size, GOES_ON)
+        self._ending = np.full(size, NO_ENDING)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
         self._overridden, self._stops, self._standing = (
             np.zeros(size, np.int64),
@@ -124,12 +124,12 @@ class Tally:
     @property
     def over(self) -> NDArray[np.bool_]:
         """Whose episodes have ended (n,)."""
-        return np.asarray(self._ending != GOES_ON)
+        return np.asarray(self._ending != NO_ENDING)
 
     def reset(self, vehicle: int, world_seed: int) -> None:
         """A new episode of one vehicle."""
         self._world_seed[vehicle] = world_seed
-        self._ending[vehicle] = GOES_ON
+        self._ending[vehicle] = NO_ENDING
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
@@ -149,7 +149,7 @@ class Tally:
         if overridden is not None:
             self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP)
-        self._standing[on] += np.where(t.motions.path_length[on] < STANDS, t.motions.duration[on], 0.0)
+        self._standing[on] += np.where(t.motions.path_length[on] < STANDSTILL_DISTANCE, t.motions.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.state_property == StateProperty.NON_SAFE)
@@ -274,7 +274,7 @@ def _alone(t: Transition) -> Transitions:
         discount_t=np.array([t.discount_t]),
         s_t=stacked([t.s_t]),
         terms=np.array([list(t.terms.values())]),
-        ending=np.array([ENDINGS.index(t.ending) if t.ending else GOES_ON]),
+        ending=np.array([ENDINGS.index(t.ending) if t.ending else NO_ENDING]),
         motions=as_motions({0: t.motion}, 1),
         active=np.ones(1, np.bool_),
     )

@@ -15,7 +15,7 @@ from nnql_bullet.env import Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty
 
 NAMES = ("0.weight", "0.bias", "2.weight", "2.bias")
 TOWARD = 5
@@ -39,7 +39,7 @@ def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
         discount_t=np.array([discount]),
         s_t=after or observed(AFTER),
         terms=np.zeros((1, len(REWARD_TERMS))),
-        ending=np.array([GOES_ON]),
+        ending=np.array([NO_ENDING]),
         motions=Motions(np.zeros((1, 3)), *np.zeros((5, 1)), *np.zeros((2, 1), np.bool_)),
         active=np.ones(1, np.bool_),
     )

@@ -26,7 +26,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.training.loop import Training
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -57,7 +57,7 @@ def steps(
         discount_t=np.full(n, discount),
         s_t=after,
         terms=np.zeros((n, len(REWARD_TERMS))),
-        ending=np.full(n, GOES_ON),
+        ending=np.full(n, NO_ENDING),
         motions=Motions(np.zeros((n, 3)), *np.zeros((5, n)), *np.zeros((2, n), np.bool_)),
         active=np.ones(n, np.bool_),
     )

@@ -1,8 +1,8 @@
 """`nnql-bullet evaluate`."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
+from json import dumps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -65,7 +65,7 @@ def evaluate(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
-    json_output: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    json: bool = False,
     conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
 ) -> int:
     """Drive several policies through the same worlds, and say how good each is and how sure that is.
@@ -98,7 +98,7 @@ def evaluate(
         clips: Videos of the last seconds of failures, one of each method in each kind of world, that are left in
             DIR/clips; at most so many, default none.
         out: Where the report goes; default runs/evaluate.
-        json_output: Print results.json instead of the table.
+        json: Print results.json instead of the table.
         conditions: Conditions in place of each policy's own.
     """
     if clips < 0:
@@ -116,7 +116,7 @@ def evaluate(
     except KeyboardInterrupt:
         complain(f"interrupted; what is driven so far is kept in {out / 'parts'}: the same command goes on")
         return 130
-    _write(evaluation, films, out, json_output)
+    _write(evaluation, films, out, json)
     _shoot_clips([task for task, _ in films[:clips]], out)
     return 0
 
@@ -184,9 +184,9 @@ def _shoot_clips(tasks: Sequence[FilmTask], out: Path) -> None:
         shoot(film, whole(film.recording)[-round((CLIP + HOLD) * FPS) :], folder / f"{Path(task.name).stem}.mp4")
 
 
-def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out: Path, json_output: bool) -> None:
+def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out: Path, json: bool) -> None:
     found, tests, tasks = rows(evaluation), comparisons(evaluation), [task for task, _ in films]
-    values = json.dumps(report.evaluation_values(evaluation, found, tests, tasks), indent=1)
+    values = dumps(report.evaluation_values(evaluation, found, tests, tasks), indent=1)
     failures = out / "failures"
     failures.mkdir(exist_ok=True)
     clear(failures)
@@ -201,7 +201,7 @@ def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out:
     write_text(out / "episodes.csv", report.episodes_csv(evaluation))
     write_text(out / "evaluation.md", report.evaluation_markdown(evaluation, found, tests, tasks))
     write_text(out / "results.json", values + "\n")
-    if json_output:
+    if json:
         say(values)
         return
     say(f"success in %, {evaluation.setting.title}, {len(evaluation.tiers[0].seeds)} worlds each (95 % intervals)")

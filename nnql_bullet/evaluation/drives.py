@@ -124,11 +124,6 @@ class _BlockTask:
         """How many worlds."""
         return len(self.tier.block(self.first))
 
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.tier.seeds[self.first]
-
 
 class DriveTask(_BlockTask):
     """One policy through some worlds of a tier."""

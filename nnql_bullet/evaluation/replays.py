@@ -24,7 +24,7 @@ class FailedDrive:
 
     @property
     def seed(self) -> int:
-        """See `executors.Task`."""
+        """Seed of the world."""
         return self.film.seed
 
     @property

@@ -13,7 +13,7 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
-from nnql_bullet.task import GOES_ON
+from nnql_bullet.task import NO_ENDING
 
 from .drives import hand_rule
 
@@ -47,7 +47,7 @@ def two_workers_over_one(slices: int, steps: int) -> float:
                 begin = time.perf_counter()
                 for _ in range(steps):
                     ending = navigation.step(hand_rule(navigation.observations.readings)).ending
-                    navigation.reset(worlds(side, (ending != GOES_ON).nonzero()[0].tolist()))
+                    navigation.reset(worlds(side, (ending != NO_ENDING).nonzero()[0].tolist()))
                 spent.append(time.perf_counter() - begin)
             ratios.append(spent[0] / spent[1])
         if (navigations[0].observations.readings != navigations[1].observations.readings).any():
