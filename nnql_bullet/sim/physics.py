@@ -12,6 +12,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.jit import njit
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
