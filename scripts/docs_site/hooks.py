@@ -26,7 +26,7 @@ FUNCTIONS = {
             "success outcome share number success_table shield_table conditions_table difference ablation_success "
             "section results_list",
         ),
-        (site_package, "configuration world_keys robot_keys presets command_line api_index policy_cards"),
+        (site_package, "configuration world_keys robot_keys presets command_line layers api_index policy_cards"),
     )
     for name in names.split()
 }
