@@ -4,7 +4,7 @@ Everything is tested on the split `test`, which nothing is chosen on: in contact
 more of the same worlds, in a shield, and under conditions that nothing was trained with. The ablations of choices are a
 part of it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
 
-    python scripts/results.py                    # as in the README
+    python scripts/results.py                    # as in the documentation
     python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
     python scripts/results.py --only shield      # one part of it
 """
