@@ -62,9 +62,9 @@ def check_rays() -> Finding:
     experiment = Experiment(RunConfig(world="cover_20"))
     simulator, world = experiment.simulator, experiment.world(0)
     simulator.reset(world)
-    sensor = experiment.vehicle.sensor
-    start = world.start
-    origin = (start.x + cos(start.yaw) * sensor[0], start.y + sin(start.yaw) * sensor[0])
+    ahead, left, _ = experiment.vehicle.sensor
+    start, c, s = world.start, cos(world.start.yaw), sin(world.start.yaw)
+    origin = (start.x + c * ahead - s * left, start.y + s * ahead + c * left)
     expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
     off = float(np.abs(simulator.scan().distances - expected).max())
     simulator.close()

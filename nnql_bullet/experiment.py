@@ -35,7 +35,8 @@ from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, SelectionOptions, count_goals
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import WorldSource, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
