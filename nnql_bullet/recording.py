@@ -123,7 +123,7 @@ def load_recording(path: Path) -> Recording:
         UserError: If the file is not one, or is damaged.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:  # noqa: TID251
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays.pop("about")))
         if about.pop("format") != FORMAT:

@@ -20,13 +20,10 @@ def naive_iqm(scores: Sequence[float]) -> float:
     return sum(middle) / len(middle)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 10, 13])
-def test_the_interquartile_mean_leaves_a_quarter_out_on_either_side(count: int) -> None:
-    scores = np.random.default_rng(count).uniform(0, 1, count)
-    assert interquartile_mean(scores) == pytest.approx(naive_iqm(scores.tolist()))
-
-
-def test_one_bad_seed_of_eight_does_not_count() -> None:
+def test_the_interquartile_mean_leaves_a_quarter_out_on_either_side() -> None:
+    for count in range(1, 14):
+        scores = np.random.default_rng(count).uniform(0, 1, count)
+        assert interquartile_mean(scores) == pytest.approx(naive_iqm(scores.tolist()))
     assert interquartile_mean(np.array([0.0, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9])) == pytest.approx(0.9)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, OrientedBox, as_rows, squared_distance
-from nnql_bullet.render.shading import LEAN, Eye, Vector, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.render.shading import LEAN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.visuals import Kind, Shape
 from nnql_bullet.worlds.spec import WorldSpec
 

@@ -15,11 +15,9 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from dataclasses import dataclass, field, fields, replace
 from math import sqrt
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Agent, Overridable
@@ -34,12 +32,11 @@ from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions,
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.shield.recovery import Recovery
 from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
+from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, turning_deceleration
 from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
-
-NonNegative = Annotated[float, Field(ge=0)]
 
 DISTANCE_STEP = 0.1
 """Distance between predicted places along a path [m]."""

@@ -3,15 +3,10 @@
 from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
-from typing import Annotated
-
-from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+from nnql_bullet.types import NonNegative, Positive
 
 
 @options

@@ -11,11 +11,10 @@ from nnql_bullet.env import ACTIONS, STOP, Observations, heading_change, speed_s
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-Bytes = NDArray[np.uint8]
 
 MIRRORED_ACTIONS = np.array([0, 3, 4, 1, 2, 5])
 """The actions (6,) as a vehicle has them that is seen in a mirror: left is right."""
