@@ -59,12 +59,11 @@ def check_drive() -> Finding:
 def check_rays() -> Finding:
     """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
-    world = experiment.world(0)
-    with closing(experiment.simulator) as simulator:
-        _, (found,) = simulator.reset({0: world})
-    start, (forward, left, _) = world.start, experiment.vehicle.sensor
-    c, s = cos(start.yaw), sin(start.yaw)
-    origin = (start.x + c * forward - s * left, start.y + s * forward + c * left)
+    simulator, world = experiment.simulator, experiment.world(0)
+    simulator.reset(world)
+    ahead, left, _ = experiment.vehicle.sensor
+    start, c, s = world.start, cos(world.start.yaw), sin(world.start.yaw)
+    origin = (start.x + c * ahead - s * left, start.y + s * ahead + c * left)
     expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
     off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"

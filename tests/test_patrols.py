@@ -28,7 +28,8 @@ from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import WorldFile, WorldSource, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec, follow_tracks, track_velocities
 

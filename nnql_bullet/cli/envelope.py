@@ -19,7 +19,7 @@ from nnql_bullet.files import write_text
 from nnql_bullet.reports import envelope as report
 from nnql_bullet.reports import stopping
 from nnql_bullet.sim.engines import EngineName, PhysicsName
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 
 def envelope(

@@ -15,7 +15,7 @@ from nnql_bullet.files import write_text
 from nnql_bullet.reports import fidelity as report
 from nnql_bullet.reports.fidelity import Fidelity
 from nnql_bullet.sim.engines import EngineName, PhysicsName
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 REFINEMENTS = (1, 2, 4)
 """Of the time step, for the convergence of the five actions."""
