@@ -1,5 +1,9 @@
-"""The one exception for what a user can put right."""
+"""The exceptions that a caller is meant to catch."""
 
 
 class UserError(Exception):
-    """Bad input: the message is one line that says what is wrong and what to do. The command line exits with 2."""
+    """Raised for bad input. The message is one line that says what is wrong and what to do."""
+
+
+class WorkFailed(Exception):
+    """Raised when a piece of work fails or its process dies. The message is one line that names the piece."""

@@ -1,4 +1,4 @@
-"""One `map` for many independent trainings or evaluations: in this process, in local processes, or on a Ray cluster."""
+"""One `map` for many independent tasks: in this process, in processes of this machine, or on a Ray cluster."""
 
 import multiprocessing
 import os
@@ -22,27 +22,17 @@ GRACE = 5.0
 """Seconds that what is stopped has to end by itself [s]."""
 
 
-class Task(Protocol):
-    """One piece of work: what the function needs to know, the seed included."""
-
-    @property
-    def seed(self) -> int:
-        """All randomness of the task comes from it."""
-
-
 @dataclass(frozen=True, slots=True)
 class TaskError:
     """Why a task has no value."""
 
-    seed: int
-    """Of the task."""
     message: str
     """One line: the exception's type and what it says."""
     traceback: str
     """In full, from the process the task ran in."""
 
 
-T = TypeVar("T", bound=Task)
+T = TypeVar("T")
 V = TypeVar("V")
 
 
@@ -71,24 +61,28 @@ class Executor(Protocol):
         """
 
 
-def make_executor(kind: ExecutorKind, workers: int, address: str | None = None) -> Executor:
-    """The executor of a kind.
+def make_executor(
+    kind: ExecutorKind | None = None, workers: int | None = None, address: str | None = None
+) -> Executor:
+    """Makes an executor.
 
     Args:
-        kind: One after another in this process, in processes of this machine, or on Ray.
-        workers: Tasks that run at a time; always one in this process.
+        kind: "inline" runs tasks one after another in this process, "processes" in processes of this machine, "ray" on
+            Ray. By default inline with one worker and processes with more.
+        workers: Tasks that run at a time; by default as many as the machine has cores. Inline always runs one.
         address: HOST:PORT of a running Ray cluster; without it, Ray is started on this machine.
 
     Raises:
         UserError: If there is no worker, Ray is not installed or does not answer, or another kind is given an address.
     """
+    workers = os.cpu_count() or 1 if workers is None else workers
     if workers < 1:
         raise UserError(f"workers must be at least 1, not {workers}")
     if kind == "ray":
         return RayExecutor(workers, address)
     if address is not None:
-        raise UserError(f"the executor '{kind}' takes no address: leave it out, or choose 'ray'")
-    return InlineExecutor() if kind == "inline" else ProcessExecutor(workers)
+        raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
+    return InlineExecutor() if (kind or ("inline" if workers == 1 else "processes")) == "inline" else ProcessExecutor(workers)
 
 
 _Attempt = tuple[V | None, TaskError | None]
@@ -236,7 +230,7 @@ def _outcome(future: Future[_Attempt[V]], index: int, task: T) -> Outcome[T, V]:
     try:
         return Outcome(index, task, *future.result())
     except Exception as error:
-        return Outcome(index, task, None, _describe(error, task.seed))
+        return Outcome(index, task, None, _describe(error))
 
 
 def _attempt(function: Callable[[T], V], task: T) -> _Attempt[V]:
@@ -246,12 +240,12 @@ def _attempt(function: Callable[[T], V], task: T) -> _Attempt[V]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too
-        return None, _describe(error, task.seed)
+        return None, _describe(error)
 
 
-def _describe(error: BaseException, seed: int) -> TaskError:
+def _describe(error: BaseException) -> TaskError:
     message = " ".join("".join(traceback.format_exception_only(error)).split())
-    return TaskError(seed, message, "".join(traceback.format_exception(error)))
+    return TaskError(message, "".join(traceback.format_exception(error)))
 
 
 def _prepare_worker() -> None:
