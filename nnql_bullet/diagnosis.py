@@ -11,8 +11,9 @@ import imageio_ffmpeg
 import numpy as np
 
 from nnql_bullet import paper
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import ray_distances
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works

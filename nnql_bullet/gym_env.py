@@ -30,7 +30,9 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, as_numbers
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
+from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty

@@ -15,9 +15,9 @@ from typing import Any
 
 from nnql_bullet import assets
 from nnql_bullet.cli import main as nnql_bullet
+from nnql_bullet.commands import preset_of
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.evaluation.statistics import Share
-from nnql_bullet.experiment import preset_of
 from nnql_bullet.runs import POLICY, open_policy
 
 FOLDER = Path(assets.__file__).parent / "_data" / "policies"

@@ -11,7 +11,9 @@ import pytest
 
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, TrainingOptions, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
+from nnql_bullet.run_config import RunConfig, TrainingOptions
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedFleet, turned
 from nnql_bullet.sim.kinematic import KinematicFleet

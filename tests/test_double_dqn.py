@@ -29,9 +29,10 @@ from nnql_bullet.env import (
     stacked,
 )
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
 from nnql_bullet.sim.base import Fleet, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicFleet

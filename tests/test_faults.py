@@ -11,9 +11,10 @@ import pytest
 
 from nnql_bullet.env import FleetNavigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Conditions, Experiment, RunConfig, changed
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose
 from nnql_bullet.rollout import run_episode, run_episodes
+from nnql_bullet.run_config import Conditions, RunConfig, changed
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults, degraded
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
@@ -61,7 +62,10 @@ class TestDegraded:
 class TestSimulatorsSeenThroughFaults:
     def test_one_and_a_fleet_see_the_same(self, vehicle: VehicleSpec, small_world: Path, faults: SensorFaults) -> None:
         config = RunConfig(
-            world=str(small_world), simulator="kinematic", conditions=Conditions(sensors=faults), vehicles=3
+            world=str(small_world),
+            simulator="kinematic",
+            conditions=Conditions(sensor_noise=faults.noise, dead_sector=faults.dead_sector),
+            vehicles=3,
         )
         experiment = Experiment(config)
         worlds = [experiment.world(seed) for seed in range(4)]
@@ -180,8 +184,8 @@ class TestConditions:
         [
             ({"wheel_friction": 0.0}, "conditions.wheel_friction"),
             ({"payload": -1.0}, "conditions.payload"),
-            ({"sensors": {"dead_sector": 8}}, "conditions.sensors.dead_sector"),
-            ({"sensors": {"noise": -0.1}}, "conditions.sensors.noise"),
+            ({"dead_sector": 8}, "conditions.dead_sector"),
+            ({"sensor_noise": -0.1}, "conditions.sensor_noise"),
             ({"friction": 0.5}, "unknown key 'conditions.friction'"),
         ],
     )

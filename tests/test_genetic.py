@@ -27,8 +27,9 @@ from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Fleet, WorkerDied
@@ -413,7 +414,7 @@ class TestCommandLine:
         assert not (tmp_path / "run").exists()
 
     def test_its_preset_gives_it_time(self) -> None:
-        from nnql_bullet.experiment import load_config
+        from nnql_bullet.presets import load_config
 
         assert load_config("genetic", {}).episodes == 20_000
         assert load_config("genetic", {"episodes": 7}).episodes == 7

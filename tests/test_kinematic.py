@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nnql_bullet.env import stacked
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at, ray_distances
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator, _caster_rates, cast_rays

@@ -18,8 +18,9 @@ from shapely import Point, Polygon
 
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, ray_distances
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.contact import ContactSimulator

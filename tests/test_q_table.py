@@ -22,7 +22,8 @@ from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Observation, Observations, Transitions, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motions
 from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty, TaskOptions

@@ -28,10 +28,10 @@ from nnql_bullet.agents.rules.vfh import (
 from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns
 from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, Observations, heading_change, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import load_config
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, wrap_angle
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import scan_clearances
+from nnql_bullet.presets import load_config
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty

@@ -20,7 +20,8 @@ from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import FleetNavigation, Observation, Observations, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Fleet, WorkerDied

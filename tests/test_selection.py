@@ -19,8 +19,10 @@ from nnql_bullet.cli import main
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.ablation import AblationTask, Counts, train_and_test
-from nnql_bullet.experiment import Experiment, changed, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episode
+from nnql_bullet.run_config import changed
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
 from nnql_bullet.task import ENDINGS

@@ -32,13 +32,15 @@ from nnql_bullet.env import (
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
-from nnql_bullet.experiment import Experiment, RunConfig, load_config
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions
+from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import EpisodeSummary, overridden, run_episode, run_episodes
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles
 from nnql_bullet.shield.recovery import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Recovery
 from nnql_bullet.shield.shield import Shield, ShieldOptions

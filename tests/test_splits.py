@@ -8,7 +8,8 @@ import pytest
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import BLOCK, FROZEN, SPLITS, block_hash, check_frozen, load_frozen, split_seeds
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import TRAINING_WORLDS
 
 SHIPPED = sorted(path.stem for path in Path(assets.folder("worlds")).glob("*.toml"))

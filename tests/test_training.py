@@ -26,9 +26,10 @@ from nnql_bullet.agents import LearningAgent
 from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.env import FleetNavigation, Navigation, Observations, Transition, Transitions, stacked
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
 from nnql_bullet.sim.faults import FaultyFleet, SensorFaults

@@ -20,9 +20,11 @@ from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.statistics import RESAMPLES, Share, seeds_share
 from nnql_bullet.evaluation.studies import Factor, Study, Variant
-from nnql_bullet.experiment import Experiment, RunConfig, SimulatorName, changed, load_config
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
+from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
+from nnql_bullet.run_config import RunConfig, SimulatorName, changed
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from nnql_bullet.experiment import PRESETS
+from nnql_bullet.config import departures, to_values
+from nnql_bullet.presets import PRESETS
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ def _agent(**values: Any) -> dict[str, Any]:
 
 
 _DEFAULT: dict[str, Any] = {}
+_LITERAL = departures(to_values(PRESETS["literal"]), to_values(PRESETS["paper"]))
 
 
 def _variants(*pairs: tuple[str, Mapping[str, Any]]) -> tuple[Variant, ...]:
@@ -251,7 +253,7 @@ _PAPER = (
         "letter",
         "all open points at once",
         "-",
-        _variants(("preset paper", _DEFAULT), ("preset literal", PRESETS["literal"])),
+        _variants(("preset paper", _DEFAULT), ("preset literal", _LITERAL)),
     ),
 )
 

@@ -239,7 +239,7 @@ def evaluation_values(
         "split": e.setting.split,
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,
-        "departures": asdict(e.setting.departures),
+        "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "endings": list(ENDINGS),
         "policies": [asdict(policy) for policy in e.policies],
         "tiers": [

@@ -21,12 +21,13 @@ from markupsafe import Markup, escape
 from PIL import Image
 
 from nnql_bullet import __version__
-from nnql_bullet.config import to_values, write_toml
+from nnql_bullet.commands import preset_of
+from nnql_bullet.config import departures, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Share
-from nnql_bullet.experiment import load_config, preset_of
+from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
@@ -328,23 +329,10 @@ def _recipe_files(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, str]:
     """The TOML of recipes that no preset gives, by the name of its file: what departs from the preset `paper`."""
     paper = to_values(load_config("paper", {}))
     return {
-        _recipe_file(policy): write_toml(_departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
+        _recipe_file(policy): write_toml(departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
         for run, policy in pairs
         if not preset_of(run.config)
     }
-
-
-def _departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
-    """What has to be laid over `base` (see `config.merged`) to have the values."""
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        old = base.get(key)
-        if isinstance(value, Mapping) and isinstance(old, Mapping) and value.get("kind") == old.get("kind"):
-            if inner := _departures(value, old):
-                found[key] = inner
-        elif value != old:
-            found[key] = value
-    return found
 
 
 def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:

@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 from unittest.mock import patch
 from xml.etree import ElementTree
 
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose, wrap_angle
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import OBSTACLE, BulletSimulator
 from nnql_bullet.sim.bullet import bullet as pybullet

@@ -8,7 +8,8 @@ from pathlib import Path
 from statistics import median
 
 from nnql_bullet.env import FleetNavigation
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
