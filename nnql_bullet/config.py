@@ -149,6 +149,8 @@ def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[An
         if tagged:
             members = tagged
             continue
+        if isinstance(part, str) and " " in part:  # the tag of a union
+            continue
         keys.append(str(part))
         if isinstance(part, str):  # a number counts the items of an array
             fields = [member.__dataclass_fields__[part] for member in members if part in member.__dataclass_fields__]

@@ -3,8 +3,8 @@
 `Navigation` is one vehicle, whose every movement can be followed; `FleetNavigation` is many, as arrays.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -192,12 +192,17 @@ class Transitions:
     """Which vehicles took a step (n,)."""
 
 
+Reward = Callable[[Transitions], Array]
+"""Rewards (n,) of the transitions of n vehicles, in place of the paper's."""
+
+
 class FleetNavigation:
     """Episodes of many vehicles in lockstep, in whatever fleet it is given."""
 
-    def __init__(self, fleet: Fleet, task: TaskOptions) -> None:
+    def __init__(self, fleet: Fleet, task: TaskOptions, reward: Reward | None = None) -> None:
         self.fleet = fleet
         self.task = task
+        self._reward = reward
         n = fleet.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -246,7 +251,7 @@ class FleetNavigation:
         s_t = self._observations
         self._steps += active
         terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task)
-        return Transitions(
+        t = Transitions(
             s_tm1=s_tm1,
             a_tm1=actions,
             r_t=terms.sum(axis=-1),
@@ -257,6 +262,7 @@ class FleetNavigation:
             motions=m,
             active=active,
         )
+        return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
 
     def _observe(
         self,

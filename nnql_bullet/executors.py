@@ -61,9 +61,7 @@ class Executor(Protocol):
         """
 
 
-def make_executor(
-    kind: ExecutorKind | None = None, workers: int | None = None, address: str | None = None
-) -> Executor:
+def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, address: str | None = None) -> Executor:
     """Makes an executor.
 
     Args:
@@ -82,7 +80,11 @@ def make_executor(
         return RayExecutor(workers, address)
     if address is not None:
         raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
-    return InlineExecutor() if (kind or ("inline" if workers == 1 else "processes")) == "inline" else ProcessExecutor(workers)
+    return (
+        InlineExecutor()
+        if (kind or ("inline" if workers == 1 else "processes")) == "inline"
+        else ProcessExecutor(workers)
+    )
 
 
 _Attempt = tuple[V | None, TaskError | None]

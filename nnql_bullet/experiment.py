@@ -24,7 +24,7 @@ from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
 from nnql_bullet.vehicle.spec import load_vehicle
-from nnql_bullet.worlds.source import WorldSource, load_world
+from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 PATH_MARGIN = 0.15
@@ -34,8 +34,18 @@ PATH_MARGIN = 0.15
 class Experiment:
     """The objects of one run, made when first asked for."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, agent: Agent | None = None) -> None:
+        """Reads vehicle and world.
+
+        Args:
+            config: The configuration.
+            agent: An agent in place of the one that the configuration describes.
+
+        Raises:
+            UserError: If vehicle or world cannot be read.
+        """
         self.config = config
+        self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = self._source(config.world)
 
@@ -44,11 +54,11 @@ class Experiment:
         """Half width of the path that every world has for the vehicle [m]."""
         return self.vehicle.clear_radius + PATH_MARGIN
 
-    def _source(self, name: str) -> WorldSource:
-        source, sensor_height = load_world(name), self.vehicle.sensor_height
-        if source.file.obstacle_height <= sensor_height:
+    def _source(self, name: str | World) -> World:
+        source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if source.obstacle_height <= sensor_height:
             raise UserError(
-                f"world '{source.name}': obstacles of {source.file.obstacle_height:g} m do not reach up to the sensor "
+                f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
@@ -75,7 +85,7 @@ class Experiment:
         sources = [self._source(name) for name in dict.fromkeys(names)]
         return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
 
-    def _drawn(self, source: WorldSource, seed: int) -> WorldSpec:
+    def _drawn(self, source: World, seed: int) -> WorldSpec:
         if seed < 0:
             raise UserError(f"world seed {seed}: world seeds are not negative")
         world = source.draw(seed, self.room)
@@ -91,7 +101,7 @@ class Experiment:
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
-    def _training_sources(self) -> list[WorldSource]:
+    def _training_sources(self) -> list[World]:
         return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
@@ -141,8 +151,8 @@ class Experiment:
 
     @cached_property
     def agent(self) -> Agent:
-        """The agent, untrained."""
-        return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+        """The agent that was given, or the untrained one that the configuration describes."""
+        return self._given or make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Agent:

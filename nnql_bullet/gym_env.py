@@ -28,10 +28,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, as_numbers
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, Reward, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
+from nnql_bullet.rollout import alone
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
@@ -50,9 +51,9 @@ def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
 
 
 def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray[np.float32]]:
-    file = experiment.worlds.file
+    world = experiment.worlds
     low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
-    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(file.width, file.depth), pi, MOST_YAW_RATE]
+    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(world.width, world.depth), pi, MOST_YAW_RATE]
     bounds = np.array([low, high], dtype=np.float32)
     return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
 
@@ -74,17 +75,19 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
 
-    def __init__(self, config: RunConfig | str = "paper", **changes: Any) -> None:
+    def __init__(self, config: RunConfig | str = "paper", reward: Reward | None = None, **changes: Any) -> None:
         """Sets up the simulator.
 
         Args:
             config: A run's configuration, a preset's name or a TOML file.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
 
         Raises:
             UserError: If a key or value is wrong.
         """
         self._experiment = _experiment(config, changes)
+        self._reward = reward
         self.observation_space = _observation_space(self._experiment)
         self.action_space = gymnasium.spaces.Discrete(ACTIONS)
 
@@ -108,7 +111,8 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             **dict(zip(_REWARDS, t.terms.values(), strict=True)),
         }
         over = t.ending in ("goal", "collision")
-        return _vectors(t.s_t, self.observation_space), t.r_t, over, t.ending == "timeout", info
+        r_t = t.r_t if self._reward is None else float(self._reward(alone(t))[0])
+        return _vectors(t.s_t, self.observation_space), r_t, over, t.ending == "timeout", info
 
     @property
     def simulator(self) -> Simulator:
@@ -134,7 +138,12 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
-        self, num_envs: int, config: RunConfig | str = "paper", workers: int | None = None, **changes: Any
+        self,
+        num_envs: int,
+        config: RunConfig | str = "paper",
+        workers: int | None = None,
+        reward: Reward | None = None,
+        **changes: Any,
     ) -> None:
         """Sets up the vehicles.
 
@@ -142,6 +151,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             num_envs: How many.
             config: A run's configuration, a preset's name or a TOML file.
             workers: Processes (contact physics) or threads (kinematic model) that share them; one a core if not given.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
 
         Raises:
@@ -154,7 +164,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         fleet = self._experiment.fleet(workers)
-        self._navigation = FleetNavigation(fleet, self._experiment.config.task)
+        self._navigation = FleetNavigation(fleet, self._experiment.config.task, reward)
         self._generators = [np_random()[0] for _ in range(num_envs)]
         self._over = np.zeros(num_envs, np.bool_)
 

@@ -221,7 +221,7 @@ def run_episode(
         transition = navigation.step(action, watcher.trace if watcher else None)
         if watcher:
             watcher.on_step(transition)
-        tally.add(_alone(transition), overridden(policy, 1))
+        tally.add(alone(transition), overridden(policy, 1))
         observation = transition.s_t
     return tally.summary(0)
 
@@ -265,7 +265,7 @@ def finished_episodes(
         tally.add(navigation.step(actions, active), overridden(policy, n))
 
 
-def _alone(t: Transition) -> Transitions:
+def alone(t: Transition) -> Transitions:
     """A step of one vehicle as that of a fleet of one."""
     return Transitions(
         s_tm1=stacked([t.s_tm1]),

@@ -166,7 +166,6 @@ class TestEveryExecutor:
         assert [outcome.task for outcome in found] == jobs
         assert [outcome.value for outcome in found if not outcome.error] == [draw(Job(seed)) for seed in (0, 2, 7, 8)]
         errors = [outcome.error for outcome in found if outcome.error]
-        assert [error.seed for error in errors] == [1, 3, 4, 5, 6]
         assert errors[0].message == "ValueError: bad world"
         assert errors[2].message.endswith("CannotBeUnpickled: two lines")
         assert errors[4].message == "SystemExit: 3"
@@ -190,7 +189,6 @@ class TestOutside:
         found = outcomes(outside, draw_or_die, jobs)
         assert [outcome.value for outcome in found if not outcome.error] == [draw(Job(seed)) for seed in (0, 2, 4, 5)]
         errors = [outcome.error for outcome in found if outcome.error]
-        assert [error.seed for error in errors] == [1, 3]
         assert all("\n" not in error.message for error in errors)
         started = sorted(path.name.partition("-")[0] for path in tmp_path.iterdir())
         assert started == [str(job.seed) for job in jobs], "some task was run twice"
@@ -206,7 +204,6 @@ class TestOutside:
     def test_a_value_that_cannot_be_sent_is_its_tasks_error(self, outside: Executor) -> None:
         (found,) = outside.map(open_file, [Job(7)])
         assert found.error is not None
-        assert found.error.seed == 7
         assert "pickle" in found.error.traceback
 
 
@@ -245,7 +242,7 @@ class TestRay:
         assert len(set(nodes)) == 2
         assert set(nodes) == {path.name for path in tmp_path.iterdir()}
         assert found[2].error is not None
-        assert (found[2].error.seed, found[2].error.message) == (2, "ValueError: bad world")
+        assert found[2].error.message == "ValueError: bad world"
 
     def test_uses_the_ray_that_is_connected_and_leaves_it_so(self, ray: Any, cluster: str) -> None:
         ray.init(cluster, log_to_driver=False, logging_level="ERROR")

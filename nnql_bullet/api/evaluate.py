@@ -22,7 +22,7 @@ from nnql_bullet.evaluation.drives import (
 )
 from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, run_kept
-from nnql_bullet.evaluation.policies import Policy, PolicyLike, executor_for, open_policies
+from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
 from nnql_bullet.files import write_text
@@ -33,6 +33,7 @@ from nnql_bullet.reports.failures import clear
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty

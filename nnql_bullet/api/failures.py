@@ -36,6 +36,11 @@ class FailureResults:
         """A record for each failure; `pandas.DataFrame(rows)` takes them."""
         return report.failure_records(self.failures)
 
+    @property
+    def sentence(self) -> str:
+        """The number of failures, and how many of them were driven again."""
+        return report.counted(self.failures)
+
     def table(self) -> str:
         """Number of failures of each method in each group; empty without failures."""
         return text_table(*report.count_table(self.failures)) if self.failures.replays else ""

@@ -9,12 +9,13 @@ from typing import Any
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
-from nnql_bullet.evaluation.policies import PolicyLike, executor_for, open_policies
+from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.source import World
@@ -29,7 +30,7 @@ class GapResults:
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """A flat record for each pair of drives and each drive under conditions; `pandas.DataFrame(rows)` takes them."""
+        """A flat record for each drive; `pandas.DataFrame(rows)` takes them."""
         return report.gap_records(self.gap)
 
     def table(self) -> str:
@@ -99,7 +100,7 @@ def gap(
     """
     if against == simulator:
         raise UserError(f"against: '{against}' is the simulator itself; give another one")
-    seeds = split_seeds(split, n_worlds)
+    seeds, world = split_seeds(split, n_worlds), str(world) if isinstance(world, Path) else world
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
@@ -112,7 +113,8 @@ def gap(
     trials = [drive for drive in drives if isinstance(drive, Trial)]
     prints = tuple(policy.fingerprint for policy in opened)
     names = tuple(policy.path for policy in opened)
-    results = GapResults(Gap(names, prints, world and str(world), split, seeds, first, second, pairs, trials))
+    shown = world.name if isinstance(world, World) else world
+    results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials))
     if out is not None:
         results.save(out)
     return results

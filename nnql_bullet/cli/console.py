@@ -1,7 +1,7 @@
 """Printing: lines, complaints, and the progress of long work."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
 
@@ -29,17 +29,15 @@ def say(text: str) -> None:
     out.print(text, markup=False)
 
 
-def say_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output, its columns as wide as they have to be."""
-    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
-    for line in (header, *rows):
-        say("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip())
-
-
 def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
     err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
     return 2
+
+
+def items(text: str | None) -> list[str]:
+    """The parts of a list with commas."""
+    return [item.strip() for item in (text or "").split(",") if item.strip()]
 
 
 @contextmanager
@@ -77,7 +75,7 @@ class _Lines:
         time = monotonic()
         if now.what != self._what:
             self._what, self._first, self._begin, self._last = now.what, now.done, time, time
-        if time - self._last < LINE_EVERY and now.done < now.total or now.done == self._first:
+        if (time - self._last < LINE_EVERY and now.done < now.total) or now.done == self._first:
             return
         self._last = time
         left = (time - self._begin) / (now.done - self._first) * (now.total - now.done)

@@ -2,21 +2,21 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
-from nnql_bullet.cli import driving
-from nnql_bullet.cli.console import say
-from nnql_bullet.cli.filming import film_of, shoot, whole
+from nnql_bullet import driving
+from nnql_bullet.cli.conditions import asked_conditions
+from nnql_bullet.cli.console import progress, say
+from nnql_bullet.driving import RECORDING, drive_folder
+from nnql_bullet.render.filming import render
 from nnql_bullet.render.window import watch
-from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.runs import drives_folder
 from nnql_bullet.sim.engines import PhysicsName
 
 BEST = Path("double_dqn")
-"""Of the shipped policies."""
+"""The best of the shipped policies."""
 
 
 def drive(
@@ -72,23 +72,22 @@ def drive(
         gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
         json_output: Print one JSON object instead of text.
     """
-    conditions = driving.asked_conditions(friction, payload, noise, dead_sector)
-    changes: dict[str, Any] = {"world": world, "simulator": sim, "physics": physics, "shield": {} if shield else None}
-    changes["conditions"] = conditions
-    recording, summary = driving.drive(run, seed, changes)
-    name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else []), *(["shield"] if shield else [])]
-    name += [
-        f"{what.replace('_', '-')}-{value:g}" for what, value in (conditions.changes if conditions else {}).items()
-    ]
-    folder = out or drives_folder(run) / "-".join(name)
+    conditions = asked_conditions(friction, payload, noise, dead_sector)
+    recording = driving.drive(
+        run, world=world, seed=seed, simulator=sim, physics=physics, shield=shield, conditions=conditions
+    )
+    folder = out or drive_folder(run, recording.world.name, seed, sim, shield, conditions)
     folder.mkdir(parents=True, exist_ok=True)
-    recording.save(folder / driving.RECORDING)
-    draw_trajectory(recording, folder / "trajectory.png")
+    files = {"recording": folder / RECORDING, "picture": folder / "trajectory.png"}
+    recording.save(files["recording"])
+    recording.plot(files["picture"])
     if video:
-        film = film_of(folder / driving.RECORDING)
-        shoot(film, whole(film.recording), folder / "trajectory.mp4")
+        files["video"] = folder / "trajectory.mp4"
+        with progress() as show:
+            render(files["recording"], files["video"], workers=None, on_progress=show)
     if gui:
         watch(recording)
+    summary = recording.summary
     result = {
         "ending": summary.ending,
         "steps": summary.steps,
@@ -97,19 +96,14 @@ def drive(
         "smallest_clearance": summary.clearance,
         "seed": seed,
         "world": recording.world.name,
-        "recording": str(folder / driving.RECORDING),
-        "picture": str(folder / "trajectory.png"),
-        **({"video": str(folder / "trajectory.mp4")} if video else {}),
     }
     if json_output:
-        say(json.dumps(result))
-    else:
-        say(
-            f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
-            f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
-        )
-        say(f"picture: {result['picture']}")
-        say(f"recording: {result['recording']}")
-        if video:
-            say(f"video: {result['video']}")
+        say(json.dumps(result | {what: str(path) for what, path in files.items()}))
+        return 0
+    say(
+        f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
+        f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
+    )
+    for what, path in files.items():
+        say(f"{what}: {path}")
     return 0

@@ -20,11 +20,12 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, Run, open_run
+from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, Run, load_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
+from nnql_bullet.work import Progress
 
 SAVE_EVERY = 5.0
 """Seconds from one checkpoint to the next."""
@@ -89,7 +90,8 @@ def train(
         given = [flag for flag, value in fixed.items() if value is not None] + ["--overwrite"] * overwrite
         if given:
             raise UserError(f"{given[0]} cannot go with --resume: a run goes on as it was configured")
-        run, state = open_run(resume, episodes)
+        run = load_run(resume, episodes)
+        state = run.state
         if run.is_over:
             say(f"{run.folder} has its {run.config.episodes} episodes already; give more with --episodes")
             return 0
@@ -151,7 +153,8 @@ def _run(run: Run, agent: Trainable, training: Trainer) -> bool:
     total, begin = run.config.episodes, time.monotonic()
     recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
     steps, saved, selection = 0, begin, run.config.training.selection
-    with _interrupts() as interrupted, progress("training", total, len(run.episodes)) as show:
+    with _interrupts() as interrupted, progress() as show:
+        show(Progress("training", len(run.episodes), total))
         try:
             for episode in training.episodes():
                 run.episodes.append(episode)
@@ -161,7 +164,11 @@ def _run(run: Run, agent: Trainable, training: Trainer) -> bool:
                 steps += episode.summary.steps
                 done, now = len(run.episodes), time.monotonic()
                 success, rate = sum(recent) / len(recent), steps / (now - begin)
-                show(done, f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s")
+                show(
+                    Progress(
+                        "training", done, total, f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s"
+                    )
+                )
                 if interrupted() or done == total or now - saved >= SAVE_EVERY:
                     run.save(agent, training)
                     saved = now

@@ -82,7 +82,7 @@ def render(
             write_picture(Path(sheet), contact_sheet(moments, drawn))
 
 
-def render_ending(recording: Path, video: Path, seconds: float, size: tuple[int, int], workers: int | None) -> None:
+def render_ending(recording: Path, video: Path, seconds: float, size: tuple[int, int], workers: int | None = 1) -> None:
     """Draws the last seconds of a recording as a video with a split picture.
 
     Raises:

@@ -127,6 +127,18 @@ class VehicleSpec:
     """Limit of each drive [N m]."""
     payload: Payload | None = None
     """What it carries; counted in `mass`, the centre of mass and `yaw_inertia`."""
+    source: str = ""
+    """The shipped robot or TOML file that it was read from."""
+
+    @staticmethod
+    def load(name: "str | Path | VehicleSpec") -> "VehicleSpec":
+        """Reads a shipped robot or a TOML file; see `load_vehicle`."""
+        return load_vehicle(name)
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "VehicleSpec":
+        """Reads a robot's TOML file and its URDF; see `load_vehicle`."""
+        return load_vehicle(path)
 
     @property
     def sensor_height(self) -> float:
@@ -154,23 +166,39 @@ class VehicleSpec:
         return hypot(self.footprint.half_length, self.footprint.half_width)
 
 
-def load_vehicle(name: str) -> VehicleSpec:
+def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     """Reads a robot's TOML and its URDF.
 
     Args:
-        name: A shipped robot's name or a path to a TOML file.
+        vehicle: A shipped robot's name or a path to a TOML file; a vehicle is returned as it is.
 
     Raises:
         UserError: If either file is missing, malformed, or describes no such vehicle.
     """
+    if isinstance(vehicle, VehicleSpec):
+        return vehicle
+    name = str(vehicle)
     path = assets.find("robots", name)
     robot = parse(RobotFile, read_toml(path), str(path))
     urdf_path = path.parent / robot.urdf
     urdf = _load_urdf(urdf_path)
     try:
-        return _spec(path.stem, urdf_path, robot, urdf)
+        return replace(_spec(path.stem, urdf_path, robot, urdf), source=name)
     except _Unfit as error:
         raise UserError(f"{urdf_path}: {error}") from None
+
+
+def robot_name(vehicle: str | Path | VehicleSpec) -> str:
+    """The name or TOML file of a vehicle, for a configuration.
+
+    Raises:
+        UserError: If the vehicle is not, or no longer, what a file says.
+    """
+    if not isinstance(vehicle, VehicleSpec):
+        return str(vehicle)
+    if not vehicle.source or load_vehicle(vehicle.source) != vehicle:
+        raise UserError(f"vehicle '{vehicle.name}' differs from its file; write a TOML file for it")
+    return vehicle.source
 
 
 class _Unfit(Exception):
