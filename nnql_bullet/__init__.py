@@ -10,6 +10,7 @@
 Every name is imported when it is first used. Gymnasium knows the environment as `nnql_bullet/Tricycle-v0`.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
+_ENVIRONMENT = "nnql_bullet/Tricycle-v0"
 _HOMES = {
     "Conditions": "run_config",
     "Progress": "work",
@@ -76,6 +78,21 @@ __all__ = [
     "resume",
     "train",
 ]
+
+
+def register() -> None:
+    """Makes `nnql_bullet/Tricycle-v0` known to Gymnasium, which calls this when it is imported."""
+    registration = import_module("gymnasium.envs.registration")
+    if _ENVIRONMENT not in registration.registry:
+        registration.register(
+            id=_ENVIRONMENT,
+            entry_point="nnql_bullet.gym_env:TricycleEnv",
+            vector_entry_point="nnql_bullet.gym_env:TricycleVectorEnv",
+        )
+
+
+if "gymnasium.envs.registration" in sys.modules:  # Gymnasium was imported before, perhaps without its plugins
+    register()
 
 
 def __getattr__(name: str) -> Any:

@@ -546,11 +546,11 @@ def test_a_policy_is_driven_first(
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--size", "161x90"], "--size: give WIDTHxHEIGHT, even numbers from 64 to 7680, not '161x90'"),
+        (["--size", "161x90"], "size: give width and height as even numbers from 64 to 7680, not 161x90"),
         (["--size", "big"], "not 'big'"),
-        (["--fps", "0"], "--fps: must be between 1 and 240"),
-        (["--speed", "-1"], "--speed: must be above 0"),
-        (["--workers", "0"], "--workers: must be at least 1"),
+        (["--fps", "0"], "fps: must be between 1 and 240"),
+        (["--speed", "-1"], "speed: must be above 0"),
+        (["--workers", "0"], "workers must be at least 1"),
         (["--begin", "20"], "nothing is between"),
         (["--world", "paper"], "this is a recording"),
         (["--out", "a.avi"], "ends in .mp4 or .gif"),
