@@ -56,11 +56,11 @@ def drive(
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
     """
-    loaded = load_policy(policy)
-    asked: dict[str, Any] = {"simulator": simulator, "physics": physics, "conditions": conditions}
+    asked: dict[str, Any] = {"shield": {} if shield else None, **changes}
+    asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked["robot"] = None if vehicle is None else robot_name(vehicle)
-    loaded = loaded.changed({**changes, **asked} | ({"shield": changes.get("shield", {})} if shield else {}))
+    loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     recorder = Recorder(experiment.vehicle, experiment.policy)
     summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)

@@ -168,8 +168,7 @@ class Experiment:
             UserError: If it is a rule.
         """
         if not isinstance(self.agent, Trainable):
-            kind = self.config.agent.kind
-            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet drive {kind}")
+            raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 
     @property

@@ -120,6 +120,15 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
     return parse(RunConfig, merged(to_values(config), changes), "configuration")
 
 
+def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
+    """Conditions with some values; None if there are none.
+
+    Raises:
+        UserError: If a key or value is wrong.
+    """
+    return changed(RunConfig(), conditions=values).conditions if values else None
+
+
 def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Renames the keys of a configuration that version 0.1 wrote."""
     new = copy.deepcopy(dict(values))

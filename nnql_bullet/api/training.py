@@ -1,7 +1,6 @@
 """`train` and `resume`: an agent learns, and leaves a run folder."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +58,10 @@ def train(
         UserError: If a key or value is wrong, or the folder holds something; nothing is written then.
         WorkerDied: If a worker process is gone; a checkpoint is written before.
     """
-    resolved = changed(config, **changes) if isinstance(config, RunConfig) else load_config(str(config), changes)
-    if isinstance(resolved.world, str | Path):
-        resolved = replace(resolved, world=str(resolved.world))
+    if changes.get("world") is not None:  # takes the place of a mix of worlds
+        changes["training"] = {"worlds": [], **changes.get("training", {})}
+    asked = {key: str(value) if isinstance(value, Path) else value for key, value in changes.items()}
+    resolved = changed(config, **asked) if isinstance(config, RunConfig) else load_config(str(config), asked)
     name = "run" if isinstance(config, RunConfig) else Path(config).stem
     folder = Path("runs") / f"{name}-{resolved.seed}" if out is None else Path(out)
     return _with_curve(

@@ -12,18 +12,18 @@ from nnql_bullet.run_config import SimulatorName
 
 
 def ablate(
-    preset: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PRESET", help_behavior_hint="")] = "paper",
+    preset: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "paper",
     /,
-    seeds: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "kinematic",
-    only: Annotated[str | None, tyro.conf.arg(metavar="FACTOR,...", help_behavior_hint="")] = None,
-    episodes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    vehicles: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 64,
-    worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 300,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    executor: Annotated[ExecutorKind, tyro.conf.arg(help_behavior_hint="")] = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    sim: SimulatorName = "kinematic",
+    only: Annotated[str | None, tyro.conf.arg(metavar="FACTOR,...")] = None,
+    episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    vehicles: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
+    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 300,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    executor: ExecutorKind = "processes",
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Regenerate the evidence for every factor that a preset is made of.
 

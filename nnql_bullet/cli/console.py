@@ -1,5 +1,6 @@
 """Printing: lines, complaints, and the progress of long work."""
 
+import logging
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,6 +39,25 @@ def complain(text: str) -> int:
 def items(text: str | None) -> list[str]:
     """The parts of a list with commas."""
     return [item.strip() for item in (text or "").split(",") if item.strip()]
+
+
+class _Saying(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        say(self.format(record))
+
+
+@contextmanager
+def messages() -> Iterator[None]:
+    """Prints what the library logs for information, on standard output."""
+    logger, handler = logging.getLogger("nnql_bullet"), _Saying()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
 
 
 @contextmanager

@@ -11,11 +11,11 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 
 
 def envelope(
-    robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = "tricycle",
-    sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tricycle",
+    sim: EngineName = "bullet",
+    physics: PhysicsName = "reference",
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Measure what a vehicle can follow, and how far it runs until it stands.
 

@@ -1,17 +1,19 @@
 """`nnql-bullet evaluate`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import tyro
 
 from nnql_bullet.api import evaluate as api
-from nnql_bullet.cli.conditions import asked_conditions
 from nnql_bullet.cli.console import complain, items, progress, say
+from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
-from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
@@ -19,27 +21,22 @@ COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10"
 
 
 def evaluate(
-    policies: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...", help_behavior_hint="")],
+    policies: Annotated[list[Path], tyro.conf.arg(metavar="POLICY ...")],
     /,
-    split: Annotated[SplitName, tyro.conf.arg(help_behavior_hint="")] = "validation",
-    worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 100,
-    cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...", help_behavior_hint="")] = None,
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...", help_behavior_hint="")] = None,
-    sim: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
-    shield: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
-    friction: Annotated[float | None, tyro.conf.arg(metavar="MU", help_behavior_hint="")] = None,
-    payload: Annotated[float | None, tyro.conf.arg(metavar="KG", help_behavior_hint="")] = None,
-    noise: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None,
-    dead_sector: Annotated[int | None, tyro.conf.arg(metavar="0..7", help_behavior_hint="")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    executor: Annotated[ExecutorKind, tyro.conf.arg(help_behavior_hint="")] = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
-    clips: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 0,
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = Path("runs/evaluate"),
-    json_output: Annotated[
-        bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json", help_behavior_hint="")
-    ] = False,
+    split: SplitName = "validation",
+    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...")] = None,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...")] = None,
+    sim: SimulatorName = "bullet",
+    physics: PhysicsName = "reference",
+    shield: bool = False,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    executor: ExecutorKind = "processes",
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
+    clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
+    json_output: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
 ) -> int:
     """Drive several policies through the same worlds, and say how good each is and how sure that is.
 
@@ -54,7 +51,7 @@ def evaluate(
         nnql-bullet evaluate straight hand_rule look_ahead --sim kinematic
         nnql-bullet evaluate runs/paper-0 runs/paper-1 hand_rule --cover 5,10
         nnql-bullet evaluate runs/paper-0 straight --world traps,aisles,moving --worlds 50 --split test
-        nnql-bullet evaluate double_dqn --shield --friction 0.5 --payload 80
+        nnql-bullet evaluate double_dqn --shield --conditions.wheel-friction 0.5 --conditions.payload 80
 
     Args:
         policies: Run folders, policy files, rules by name, or TOML files that configure a rule.
@@ -65,10 +62,6 @@ def evaluate(
         sim: Contact physics (bullet, the default, or mujoco) or the kinematic model (kinematic).
         physics: Settings of contact physics; default reference, the more exact.
         shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
-        friction: Of the wheels against the ground, instead of the vehicle's own.
-        payload: On the middle of the deck [kg].
-        noise: Standard deviation of each ray [m].
-        dead_sector: A sensor that sees nothing, untold; 0 is the front, counted counter-clockwise.
         workers: Pieces that run at a time; default one a core. The result does not depend on it.
         executor: Where they run: processes of this machine (default), this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
@@ -76,6 +69,7 @@ def evaluate(
             DIR/clips; at most so many, default none.
         out: Where the report goes; default runs/evaluate.
         json_output: Print results.json instead of the table.
+        conditions: Conditions in place of each policy's own.
     """
     files = _files(cover, world)
     try:
@@ -87,7 +81,7 @@ def evaluate(
                 n_worlds=worlds,
                 simulator=sim,
                 physics=physics,
-                conditions=asked_conditions(friction, payload, noise, dead_sector),
+                conditions=conditions_of(conditions),
                 shield=shield,
                 executor=executor,
                 workers=workers,

@@ -10,12 +10,10 @@ from nnql_bullet.cli.console import progress, say
 
 
 def failures(
-    results: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULTS", help_behavior_hint="")] = Path(
-        "runs/evaluate"
-    ),
+    results: Annotated[Path, tyro.conf.arg(metavar="RESULTS")] = Path("runs/evaluate"),
     /,
-    most: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 5,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
+    most: Annotated[int, tyro.conf.arg(metavar="N")] = 5,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
 ) -> int:
     """Drive the failures of an evaluation again, and sort them by how they failed.
 

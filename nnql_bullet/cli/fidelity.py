@@ -11,10 +11,10 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 
 
 def fidelity(
-    robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = "tricycle",
-    sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tricycle",
+    sim: EngineName = "bullet",
+    physics: PhysicsName = "reference",
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Hold an engine's physics against mechanics on paper. Exits 1 if a quantity is out of tolerance.
 

@@ -13,17 +13,17 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 
 
 def gap(
-    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
+    runs: Annotated[list[Path], tyro.conf.arg(metavar="RUN ...")],
     /,
-    against: Annotated[SimulatorName, tyro.conf.arg(help_behavior_hint="")] = "kinematic",
-    sim: Annotated[EngineName, tyro.conf.arg(help_behavior_hint="")] = "bullet",
-    physics: Annotated[PhysicsName, tyro.conf.arg(help_behavior_hint="")] = "reference",
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    worlds: Annotated[int, tyro.conf.arg(metavar="N", help_behavior_hint="")] = 100,
-    split: Annotated[SplitName, tyro.conf.arg(help_behavior_hint="")] = "validation",
-    faults: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
+    against: SimulatorName = "kinematic",
+    sim: EngineName = "bullet",
+    physics: PhysicsName = "reference",
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    split: SplitName = "validation",
+    faults: bool = True,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
     """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
 

@@ -16,24 +16,22 @@ from nnql_bullet.render.video import VideoFormat
 
 
 def render(
-    recording: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING|RUN|RULE", help_behavior_hint="")
-    ],
+    recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING|RUN|RULE")],
     /,
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    camera: Annotated[CameraName, tyro.conf.arg(help_behavior_hint="")] = "chase",
-    size: Annotated[str, tyro.conf.arg(metavar="WxH", help_behavior_hint="")] = f"{SIZE[0]}x{SIZE[1]}",
-    fps: Annotated[float, tyro.conf.arg(metavar="F", help_behavior_hint="")] = FPS,
-    speed: Annotated[float, tyro.conf.arg(metavar="X", help_behavior_hint="")] = 1.0,
-    begin: Annotated[float, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0.0,
-    end: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
-    renderer: Annotated[Literal["auto"] | RendererName, tyro.conf.arg(help_behavior_hint="")] = "auto",
-    format: Annotated[VideoFormat | None, tyro.conf.arg(help_behavior_hint="")] = None,
-    frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png", help_behavior_hint="")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    seed: Annotated[int | None, tyro.conf.arg(metavar="S")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    camera: CameraName = "chase",
+    size: Annotated[str, tyro.conf.arg(metavar="WxH")] = f"{SIZE[0]}x{SIZE[1]}",
+    fps: Annotated[float, tyro.conf.arg(metavar="F")] = FPS,
+    speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
+    begin: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
+    end: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    renderer: Literal["auto"] | RendererName = "auto",
+    format: VideoFormat | None = None,
+    frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
 ) -> int:
     """Draw a recorded drive as a video: what was recorded, without simulating anything again.
 

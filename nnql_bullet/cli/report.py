@@ -16,11 +16,11 @@ from nnql_bullet.runs import load_run
 
 
 def report(
-    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
+    runs: Annotated[list[Path], tyro.conf.arg(metavar="RUN ...")],
     /,
-    evaluation: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    gap: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    evaluation: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    gap: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
     """Put all that is known of some runs into one HTML file, which needs no network and can be sent to anybody.
 
