@@ -1,8 +1,9 @@
-"""What `doctor` checks: that the parts this package stands on do here what they should."""
+"""Checks of `doctor`: whether the libraries and programs that this package needs work on this machine."""
 
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import cos, hypot, sin
@@ -19,21 +20,21 @@ from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
 PATIENCE = 60.0
-"""Seconds that a renderer may take to start."""
+"""Time that a renderer may take to start [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found: that it is well, or what to do."""
+    """Result of a check."""
 
     ok: bool
     text: str
     needed: bool = True
-    """Whether the package is of no use without it."""
+    """Whether the package cannot be used without it."""
 
 
 def check_pybullet() -> Finding:
-    """PyBullet with NumPy support, which its fast image path needs."""
+    """Checks PyBullet, and that it was built with NumPy, which its fast pictures need."""
     found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
@@ -41,41 +42,38 @@ def check_pybullet() -> Finding:
 
 
 def check_drive() -> Finding:
-    """Four seconds straight ahead at 2 m/s."""
+    """Drives for four seconds straight ahead at 2 m/s."""
     experiment = Experiment(RunConfig(world="empty"))
-    simulator = experiment.simulator
-    world = experiment.world(0)
-    simulator.reset(world)
-    periods = 8
-    for _ in range(periods):
-        simulator.advance(0.0)
-    reached = simulator.pose()
-    simulator.close()
+    world, periods = experiment.world(0), 8
+    with closing(experiment.simulator) as simulator:
+        simulator.reset({0: world})
+        for _ in range(periods):
+            motion, _ = simulator.advance(np.zeros(1))
     expected = periods * experiment.config.drive.decision_period * experiment.config.drive.speed
     ahead = (world.start.x + expected * cos(world.start.yaw), world.start.y + expected * sin(world.start.yaw))
-    off = hypot(reached.x - ahead[0], reached.y - ahead[1])
+    off = hypot(*(motion.pose[0, :2] - ahead))
     text = f"{expected:g} m straight ahead in contact physics, {1000 * off:.1f} mm off"
     return Finding(off < 0.02, text if off < 0.02 else f"{text}: more than 20 mm; report this with your machine's name")
 
 
 def check_rays() -> Finding:
-    """The 72 rays against the analytic distance to the same boxes."""
+    """Compares the 72 rays with the analytic distance to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
-    simulator, world = experiment.simulator, experiment.world(0)
-    simulator.reset(world)
-    sensor = experiment.vehicle.sensor
-    start = world.start
-    origin = (start.x + cos(start.yaw) * sensor[0], start.y + sin(start.yaw) * sensor[0])
+    world = experiment.world(0)
+    with closing(experiment.simulator) as simulator:
+        _, (found,) = simulator.reset({0: world})
+    start, (forward, left, _) = world.start, experiment.vehicle.sensor
+    c, s = cos(start.yaw), sin(start.yaw)
+    origin = (start.x + c * forward - s * left, start.y + s * forward + c * left)
     expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
-    off = float(np.abs(simulator.scan().distances - expected).max())
-    simulator.close()
+    off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
 
 
 def check_mujoco() -> Finding:
-    """The second engine of contact physics."""
+    """Checks whether the second engine of contact physics is installed."""
     try:
         return Finding(True, f"mujoco {version('mujoco')}")
     except PackageNotFoundError:
@@ -83,7 +81,7 @@ def check_mujoco() -> Finding:
 
 
 def check_ffmpeg() -> Finding:
-    """The encoder that videos need."""
+    """Checks the encoder that videos need."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
         answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
@@ -93,7 +91,7 @@ def check_ffmpeg() -> Finding:
 
 
 def check_chromium() -> Finding:
-    """The browser that a test opens the HTML report in."""
+    """Checks the browser in which a test opens the HTML report."""
     program = shutil.which("chromium")
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
@@ -105,7 +103,7 @@ def check_chromium() -> Finding:
 
 
 def check_renderer() -> Finding:
-    """EGL where it works, else TinyRenderer, which always does."""
+    """Checks the renderers: EGL where it works, else TinyRenderer."""
     if works("egl", PATIENCE):
         return Finding(True, "EGL (hardware or Mesa)")
     if works("tiny", PATIENCE):

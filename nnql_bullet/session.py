@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from nnql_bullet.agents import Agent, Trainable
-from nnql_bullet.env import FleetNavigation, Reward
+from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
@@ -119,8 +119,8 @@ class _Session:
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
         with _one_thread():
-            with closing(experiment.training_fleet(self.workers)) as fleet:
-                trainer = experiment.trainer(FleetNavigation(fleet, config.task, self.reward))
+            with closing(experiment.new_training_simulator(self.workers)) as simulator:
+                trainer = experiment.trainer(Navigation(simulator, config.task, self.reward))
                 if run.state:
                     agent.load_state_dict(run.state.learned)
                     trainer.load_state_dict(run.state.under_way)

@@ -88,8 +88,8 @@ def fidelity(
     """
     spec, report_to = load_vehicle(vehicle), on_progress or silent
     bench = Bench(spec, simulator, physics)
-    with bench.simulator() as running:  # an engine that is not installed shows here
-        time_step = running.time_step
+    with bench.open_engine() as engine:  # an engine that is not installed shows here
+        time_step = engine.time_step
     total, done = 2 * len(PROBES) + len(REFINEMENTS), count(1)
     measured, halved, actions = [], [], []
     report_to(Progress("probing", 0, total))
@@ -182,7 +182,7 @@ def envelope(
     """
     spec = load_vehicle(vehicle)
     bench = Bench(spec, simulator, physics)
-    with bench.simulator():  # an engine that is not installed shows here
+    with bench.open_engine():  # an engine that is not installed shows here
         pass
     where, slices = make_executor(executor, workers), envelope_slices(spec)
     turns = run_all(where, "turns", measure_turn, envelope_tasks(bench, slices), on_progress=on_progress)
