@@ -59,8 +59,9 @@ def check_drive() -> Finding:
 def check_rays() -> Finding:
     """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
-    simulator, world = experiment.simulator, experiment.world(0)
-    simulator.reset(world)
+    world = experiment.world(0)
+    with closing(experiment.simulator) as simulator:
+        _, (found,) = simulator.reset({0: world})
     ahead, left, _ = experiment.vehicle.sensor
     start, c, s = world.start, cos(world.start.yaw), sin(world.start.yaw)
     origin = (start.x + c * ahead - s * left, start.y + s * ahead + c * left)

@@ -3,8 +3,8 @@
 All arrays have a leading n, which may be 1.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,13 +106,18 @@ class Transition:
     """Whether the vehicle took a step (n,)."""
 
 
+Reward = Callable[[Transition], Array]
+"""Rewards (n,) of the transitions of n vehicles, in place of the paper's."""
+
+
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
-    def __init__(self, simulator: Simulator, task: TaskOptions) -> None:
+    def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
         self.simulator = simulator
         self.task = task
-        self._reward = paper_reward(task)
+        self._terms = paper_reward(task)
+        self._reward = reward
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -168,8 +173,8 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
-        terms = reward_terms(s_tm1, s_t, self.task, self._reward)
-        return Transition(
+        terms = reward_terms(s_tm1, s_t, self.task, self._terms)
+        t = Transition(
             s_tm1=s_tm1,
             a_tm1=actions,
             r_t=terms.sum(axis=-1),
@@ -181,6 +186,7 @@ class Navigation:
             motion=motion,
             active=active,
         )
+        return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
 
     def _observed(
         self,

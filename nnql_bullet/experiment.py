@@ -23,7 +23,7 @@ from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
 from nnql_bullet.vehicle.urdf import load_vehicle
-from nnql_bullet.worlds.source import WorldSource, load_world
+from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 PATH_MARGIN = 0.15
@@ -33,8 +33,18 @@ PATH_MARGIN = 0.15
 class Experiment:
     """The objects of one run, made when first asked for."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, agent: Agent | None = None) -> None:
+        """Reads vehicle and world.
+
+        Args:
+            config: The configuration.
+            agent: An agent in place of the one that the configuration describes.
+
+        Raises:
+            UserError: If vehicle or world cannot be read.
+        """
         self.config = config
+        self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = self._source(config.world)
 
@@ -43,11 +53,11 @@ class Experiment:
         """Half width of the path that every world has for the vehicle [m]."""
         return self.vehicle.clear_radius + PATH_MARGIN
 
-    def _source(self, name: str) -> WorldSource:
-        source, sensor_height = load_world(name), self.vehicle.sensor_height
-        if source.file.obstacle_height <= sensor_height:
+    def _source(self, name: str | World) -> World:
+        source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if source.obstacle_height <= sensor_height:
             raise UserError(
-                f"world '{source.name}': obstacles of {source.file.obstacle_height:g} m do not reach up to the sensor "
+                f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
@@ -74,7 +84,7 @@ class Experiment:
         sources = [self._source(name) for name in dict.fromkeys(names)]
         return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
 
-    def _drawn(self, source: WorldSource, seed: int) -> WorldSpec:
+    def _drawn(self, source: World, seed: int) -> WorldSpec:
         if seed < 0:
             raise UserError(f"world seed {seed}: world seeds are not negative")
         world = source.draw(seed, self.room)
@@ -90,7 +100,7 @@ class Experiment:
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
-    def _training_sources(self) -> list[WorldSource]:
+    def _training_sources(self) -> list[World]:
         return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
@@ -135,8 +145,8 @@ class Experiment:
 
     @cached_property
     def agent(self) -> Agent:
-        """The agent, untrained."""
-        return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+        """The agent that was given, or the untrained one that the configuration describes."""
+        return self._given or make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Agent:
@@ -152,8 +162,7 @@ class Experiment:
             UserError: If it is a rule.
         """
         if not isinstance(self.agent, Trainable):
-            kind = self.config.agent.kind
-            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet drive {kind}")
+            raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 
     @property

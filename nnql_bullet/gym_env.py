@@ -28,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Transition, as_numbers
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Reward, Transition, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
@@ -50,9 +50,9 @@ def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
 
 
 def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray[np.float32]]:
-    file = experiment.worlds.file
+    world = experiment.worlds
     low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
-    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(file.width, file.depth), pi, MOST_YAW_RATE]
+    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(world.width, world.depth), pi, MOST_YAW_RATE]
     bounds = np.array([low, high], dtype=np.float32)
     return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
 
@@ -88,18 +88,19 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
 
-    def __init__(self, config: RunConfig | str = "paper", **changes: Any) -> None:
+    def __init__(self, config: RunConfig | str = "paper", reward: Reward | None = None, **changes: Any) -> None:
         """Makes the simulator.
 
         Args:
             config: A run's configuration, a preset's name or a TOML file.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
 
         Raises:
             UserError: If a key or value is wrong.
         """
         self._experiment = _experiment(config, changes)
-        self._navigation = self._experiment.navigation
+        self._navigation = Navigation(self._experiment.simulator, self._experiment.config.task, reward)
         self.observation_space = _observation_space(self._experiment)
         self.action_space = gymnasium.spaces.Discrete(ACTIONS)
 
@@ -148,7 +149,12 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
-        self, num_envs: int, config: RunConfig | str = "paper", workers: int | None = None, **changes: Any
+        self,
+        num_envs: int,
+        config: RunConfig | str = "paper",
+        workers: int | None = None,
+        reward: Reward | None = None,
+        **changes: Any,
     ) -> None:
         """Makes the vehicles.
 
@@ -156,6 +162,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             num_envs: Number of vehicles.
             config: A run's configuration, a preset's name or a TOML file.
             workers: Number of processes (contact physics) or threads (kinematic model), one a core by default.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
 
         Raises:
@@ -167,7 +174,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self.single_action_space = gymnasium.spaces.Discrete(ACTIONS)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._navigation = Navigation(self._experiment.new_simulator(workers), self._experiment.config.task)
+        simulator = self._experiment.new_simulator(workers)
+        self._navigation = Navigation(simulator, self._experiment.config.task, reward)
         self._generators = [np_random()[0] for _ in range(num_envs)]
         self._over = np.zeros(num_envs, np.bool_)
 

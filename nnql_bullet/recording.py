@@ -18,7 +18,7 @@ from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import overridden
+from nnql_bullet.rollout import EpisodeSummary, overridden
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
@@ -88,6 +88,17 @@ class Recording:
         )
 
     @property
+    def summary(self) -> EpisodeSummary:
+        """What the episode came to.
+
+        Raises:
+            UserError: If the recording was written without one, as version 0.1 did.
+        """
+        if "summary" not in self.about:
+            raise UserError("this recording holds no summary; record the drive again")
+        return EpisodeSummary(**self.about["summary"])
+
+    @property
     def obstacles(self) -> tuple[OrientedBox, ...]:
         """The world's boxes that stand still."""
         return self.world.obstacles
@@ -106,7 +117,37 @@ class Recording:
         """The vehicle's footprint in its own frame."""
         return OrientedBox(**self.about["vehicle"]["footprint"])
 
-    def save(self, path: Path) -> None:
+    @staticmethod
+    def load(path: Path | str) -> "Recording":
+        """Reads a recording.
+
+        Raises:
+            UserError: If the file is not one, or is damaged.
+        """
+        return load_recording(Path(path))
+
+    def plot(self, path: Path | str) -> None:
+        """Draws the path through the world and the clearance over time as a picture (.png)."""
+        from nnql_bullet.reports.plots import draw_trajectory
+
+        draw_trajectory(self, Path(path))
+
+    def render(self, path: Path | str, **values: Any) -> None:
+        """Draws the drive as a video.
+
+        Args:
+            path: The file, .mp4 or .gif.
+            **values: Further arguments of `render.filming.render`: camera, size, fps, speed, begin, end, workers, ...
+
+        Raises:
+            UserError: If an argument is out of range, or a renderer or encoder is missing.
+            WorkFailed: If drawing fails.
+        """
+        from nnql_bullet.render.filming import render
+
+        render(self, path, **values)
+
+    def save(self, path: Path | str) -> None:
         """Writes the file atomically.
 
         Raises:
@@ -114,7 +155,7 @@ class Recording:
         """
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "about"}
         about = np.array(json.dumps({"format": FORMAT, **self.about}))
-        write_atomically(path, lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
+        write_atomically(Path(path), lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
 
 
 def load_recording(path: Path) -> Recording:

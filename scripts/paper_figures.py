@@ -24,12 +24,13 @@ from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.env import Navigation, Transition
-from nnql_bullet.experiment import Experiment, load_config
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, Pose, moved
+from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.runs import CHECKPOINT, Run, open_policy, open_run
+from nnql_bullet.runs import CHECKPOINT, Run, load_policy, load_run
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import TaskOptions
@@ -79,18 +80,18 @@ class Told:
 def train(folder: Path, seed: int) -> None:
     """Trains, or goes on from the last recorded episode, and records the episodes of Fig. 5."""
     if (folder / CHECKPOINT).exists():
-        run, state = open_run(folder, None)
+        run = load_run(folder)
     else:
-        run, state = Run(folder, load_config("paper", {"seed": seed}), []), None
+        run = Run(folder, load_config("paper", {"seed": seed}))
         run.create(overwrite=True)
     config = run.config
     with closing(Experiment(config).new_simulator(workers=1)) as simulator:
         experiment = Experiment(config)
         navigation = Noting(simulator, config.task)
         learner, training = experiment.trainable, experiment.trainer(navigation)
-        if state:
-            learner.load_state_dict(state.learned)
-            training.load_state_dict(state.under_way)
+        if run.state:
+            learner.load_state_dict(run.state.learned)
+            training.load_state_dict(run.state.under_way)
         episodes = zip(range(len(run.episodes), config.episodes), training.episodes(), strict=False)
         for _, episode in track(episodes, "training", total=config.episodes, completed=len(run.episodes)):
             run.episodes.append(episode)
@@ -125,7 +126,7 @@ def record(
 
 def drive(folder: Path, file: str, seed: int) -> Recording:
     """Drives what was learned, greedily, as `nnql-bullet drive` does."""
-    experiment, _ = open_policy(folder, {"world": file, "physics": "reference"})
+    experiment = load_policy(folder, {"world": file, "physics": "reference"}).experiment
     recorder = Recorder(experiment.vehicle, experiment.agent)
     run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
     return recorder.recording(version=__version__)

@@ -146,12 +146,12 @@ def _train_to(trial: Trial, method: Method, episodes: int | None) -> None:
 def draw_learning(trials: Sequence[Trial], path: Path) -> None:
     """How fast methods that learn from every step come to succeed."""
     from nnql_bullet.reports.plots import draw_success
-    from nnql_bullet.runs import open_run
+    from nnql_bullet.runs import load_run
 
     recipes: dict[str, dict[str, list[TrainingEpisode]]] = {}
     for trial in trials:
         if trial.method in LEARNING_FROM_STEPS:
-            recipes.setdefault(trial.method, {})[trial.run.name] = open_run(trial.run, None)[0].episodes
+            recipes.setdefault(trial.method, {})[trial.run.name] = load_run(trial.run).episodes
     draw_success(recipes, path)
 
 

@@ -476,7 +476,7 @@ class TestRefusals:
         assert "nnql-bullet evaluate" in self.refused(run_cli, snapshot)
 
     def test_too_few(self, here: Path, run_cli: RunCli, snapshot: Snapshot) -> None:
-        assert "--most must be at least 1, not 0" in self.refused(run_cli, snapshot, "sorted", "--most", 0)
+        assert "most must be at least 1, not 0" in self.refused(run_cli, snapshot, "sorted", "--most", 0)
 
     @pytest.mark.parametrize(
         ("file", "text"),

@@ -503,11 +503,11 @@ class TestCommandLine:
 PROGRAM = """
 import sys
 
-import nnql_bullet.cli.train
+import nnql_bullet.session
 from nnql_bullet.cli import main
 
 if __name__ == "__main__":
-    nnql_bullet.cli.train.SAVE_EVERY = 0.05
+    nnql_bullet.session.SAVE_EVERY = 0.05
     sys.exit(main(sys.argv[1:]))
 """
 

@@ -110,6 +110,41 @@ class Rule(NoMemory):
         return np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
 
 
+@runtime_checkable
+class Decider(Protocol):
+    """The least that an object needs to drive. It may have `reset` and `action_values` of `Agent` too."""
+
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """Actions (n,) for vehicles 0 to n - 1, one of `paper.TURNS` or of the manoeuvres of `env` each."""
+
+
+class Custom(Rule):
+    """An object of somebody else as an agent."""
+
+    def __init__(self, decider: Decider) -> None:
+        self.decider = decider
+
+    @property
+    def name(self) -> str:
+        """Name of the object's class."""
+        return type(self.decider).__name__
+
+    def reset(self, vehicle: int, world_seed: int) -> None:
+        """Tells the object that a vehicle is put into a world, if it listens to that."""
+        if hasattr(self.decider, "reset"):
+            self.decider.reset(vehicle, world_seed)
+
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """The object's actions (n,)."""
+        return np.asarray(self.decider.act(observations), np.int64)
+
+    def action_values(self, observations: Observation) -> Array:
+        """The object's values of the five turns (n, 5); NaN if it has none."""
+        if hasattr(self.decider, "action_values"):
+            return np.asarray(self.decider.action_values(observations))
+        return super().action_values(observations)
+
+
 class TurnChooser(NoMemory, ABC):
     """The parts of an agent that values the paper's five turns, and is asked in non-safe states only (III.C)."""
 

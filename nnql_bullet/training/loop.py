@@ -90,7 +90,7 @@ class Training:
             self._squared_errors[:], self._updates[:] = arrays["squared_errors"], arrays["updates"]
             self._actions[:, : arrays["actions"].shape[1]] = arrays["actions"]
         except (KeyError, ValueError, IndexError, TypeError):
-            raise UserError(f"this is not the state of a training with --vehicles {len(self._vehicles)}") from None
+            raise UserError(f"this is not the state of a training with {len(self._vehicles)} vehicles") from None
         for vehicle in np.flatnonzero(self._episode != _NONE).tolist():
             self._begin(vehicle)
         self._put_into_worlds()

@@ -111,6 +111,20 @@ class VehicleSpec:
     """Torque limit of each drive [N m]."""
     payload: Payload | None = None
     """The load, which `mass`, the centre of mass and `yaw_inertia` include."""
+    source: str = ""
+    """The shipped robot or TOML file that it was read from."""
+
+    @staticmethod
+    def load(name: "str | Path | VehicleSpec") -> "VehicleSpec":
+        """Reads a shipped robot or a TOML file; see `urdf.load_vehicle`."""
+        from nnql_bullet.vehicle.urdf import load_vehicle
+
+        return load_vehicle(name)
+
+    @staticmethod
+    def from_toml(path: str | Path) -> "VehicleSpec":
+        """Reads a robot's TOML file and its URDF; see `urdf.load_vehicle`."""
+        return VehicleSpec.load(path)
 
     @property
     def sensor_height(self) -> float:

@@ -1,6 +1,7 @@
 """Reads a vehicle from its TOML and URDF."""
 
 import logging
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -27,23 +28,39 @@ class RobotFile:
     sensor: SensorMount
 
 
-def load_vehicle(name: str) -> VehicleSpec:
+def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     """Reads a vehicle from its TOML and URDF.
 
     Args:
-        name: The name of a shipped robot or a path to a TOML file.
+        vehicle: The name of a shipped robot or a path to a TOML file; a vehicle is returned as it is.
 
     Raises:
         UserError: If either file is missing or malformed, or the URDF has not two driven wheels and a caster.
     """
+    if isinstance(vehicle, VehicleSpec):
+        return vehicle
+    name = str(vehicle)
     path = assets.find("robots", name)
     robot = parse(RobotFile, read_toml(path), str(path))
     urdf_path = path.parent / robot.urdf
     urdf = _load_urdf(urdf_path)
     try:
-        return _spec(path.stem, urdf_path, robot, urdf)
+        return replace(_spec(path.stem, urdf_path, robot, urdf), source=name)
     except _Unfit as error:
         raise UserError(f"{urdf_path}: {error}") from None
+
+
+def robot_name(vehicle: str | Path | VehicleSpec) -> str:
+    """The name or TOML file of a vehicle, for a configuration.
+
+    Raises:
+        UserError: If the vehicle is not, or no longer, what a file says.
+    """
+    if not isinstance(vehicle, VehicleSpec):
+        return str(vehicle)
+    if not vehicle.source or load_vehicle(vehicle.source) != vehicle:
+        raise UserError(f"vehicle '{vehicle.name}' differs from its file; write a TOML file for it")
+    return vehicle.source
 
 
 class _Unfit(Exception):
