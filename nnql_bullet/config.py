@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -126,7 +126,7 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
     name = ".".join(keys)
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
-        valid = sorted({key for member in members for key in member.__dataclass_fields__})
+        valid = sorted({field.name for member in members for field in fields(member)})
         return f"unknown key '{name}'; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"key '{name}' is missing"
