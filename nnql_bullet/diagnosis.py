@@ -12,7 +12,7 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import ray_distances
+from nnql_bullet.geometry import placed, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
@@ -63,10 +63,8 @@ def check_rays() -> Finding:
     experiment = Experiment(RunConfig(world="cover_20"))
     simulator, world = experiment.simulator, experiment.world(0)
     simulator.reset(world)
-    sensor = experiment.vehicle.sensor
-    start = world.start
-    origin = (start.x + cos(start.yaw) * sensor[0], start.y + sin(start.yaw) * sensor[0])
-    expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
+    origin = placed(world.start, *experiment.vehicle.sensor[:2])
+    expected = ray_distances(origin, ray_angles() + world.start.yaw, world.solids, paper.SENSOR_RANGE)
     off = float(np.abs(simulator.scan().distances - expected).max())
     simulator.close()
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
