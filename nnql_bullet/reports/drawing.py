@@ -28,7 +28,7 @@ from nnql_bullet.colours import (
     TARGET,
     VEHICLE,
 )
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
 from nnql_bullet.recording import Recording
@@ -92,10 +92,9 @@ def legend_entries(**labels: str) -> list[Line2D | Patch]:
 
 
 def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch] | None = None) -> None:
-    """Draws a legend under all axes; without handles it shows every label of the figure once."""
-    if handles is None:
-        handles = figure.axes[0].get_legend_handles_labels()[0]
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    """Draws a legend under all axes; without handles it shows the labels of the first ones."""
+    shown = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
+    figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
 def draw_world(axes: Axes, recording: Recording, time: float) -> None:
@@ -175,7 +174,11 @@ def without_ticks(axes: Axes) -> None:
 
 
 def draw_endings(
-    axes: Axes, names: Sequence[str], shares: Sequence[Mapping[str, Share]], success: Sequence[Share], digits: int = 0
+    axes: Axes,
+    names: Sequence[str],
+    shares: Sequence[Mapping[str, Estimate]],
+    success: Sequence[Estimate],
+    digits: int = 0,
 ) -> None:
     """Draws stacked bars of how drives ended, with the interval of success and its number.
 

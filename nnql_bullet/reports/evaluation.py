@@ -15,7 +15,7 @@ from nnql_bullet import __version__
 from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.document import Commands, Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
@@ -34,7 +34,7 @@ from nnql_bullet.reports.tables import csv_text, finite
 from nnql_bullet.task import ENDINGS
 
 
-def success(row: Row) -> Share:
+def success(row: Row) -> Estimate:
     """What is shown as a method's success: over training seeds where there are several, else over drives."""
     return row.over_seeds or row.outcomes["goal"]
 

@@ -25,7 +25,7 @@ from nnql_bullet.evaluation.gap import (
     outcome_matrix,
     success_p_value,
 )
-from nnql_bullet.evaluation.statistics import share
+from nnql_bullet.evaluation.statistics import proportion
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, table
@@ -49,7 +49,7 @@ def gap_report(gap: Gap) -> Report:
     first, second = gap.first.name, gap.second.name
     matrix = outcome_matrix(gap.pairs)
     total, same = int(matrix.sum()), int(np.trace(matrix))
-    goals = [share(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
+    goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
     lead: list[Block] = [
         f"{', '.join(gap.runs)}; {f'world {gap.world}, ' if gap.world else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
         f"{total} pairs of drives. nnql-bullet {__version__}.",
@@ -313,7 +313,7 @@ def _policy_row(run: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
     first = sum(pair.first.ending == "goal" for pair in pairs)
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
-    return run, share(first, len(pairs)), share(second, len(pairs)), f"{alike} of {len(pairs)}"
+    return run, proportion(first, len(pairs)), proportion(second, len(pairs)), f"{alike} of {len(pairs)}"
 
 
 def _fault_row(row: FaultRow) -> tuple[object, ...]:

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
-from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.env import STOP
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox
-from nnql_bullet.env import STOP
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
 from nnql_bullet.sensing import ray_angles
