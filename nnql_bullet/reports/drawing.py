@@ -78,7 +78,8 @@ def finish_axes(
     axes.set_title(title, fontsize=size, color=INK)
     if grid != "none":
         axes.grid(axis=grid, color=GRID, lw=0.8)
-    axes.spines[list(hidden)].set_visible(False)
+    for name in hidden:
+        axes.spines[name].set_visible(False)
 
 
 def legend_entries(**labels: str) -> list[Line2D | Patch]:
