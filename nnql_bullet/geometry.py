@@ -66,16 +66,16 @@ def distance(pose: Pose, x: float, y: float) -> float:
     return hypot(x - pose.x, y - pose.y)
 
 
+def placed(pose: Pose, x: float, y: float) -> tuple[float, float]:
+    """The point (x, y) [m], given in the frame of `pose`, in the world."""
+    c, s = cos(pose.yaw), sin(pose.yaw)
+    return pose.x + c * x - s * y, pose.y + s * x + c * y
+
+
 def moved(box: OrientedBox, pose: Pose) -> OrientedBox:
     """Transforms a box from the frame of `pose` into the world."""
-    c, s = cos(pose.yaw), sin(pose.yaw)
-    return OrientedBox(
-        pose.x + c * box.x - s * box.y,
-        pose.y + s * box.x + c * box.y,
-        box.half_length,
-        box.half_width,
-        wrap_angle(pose.yaw + box.yaw),
-    )
+    x, y = placed(pose, box.x, box.y)
+    return OrientedBox(x, y, box.half_length, box.half_width, wrap_angle(pose.yaw + box.yaw))
 
 
 def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
