@@ -151,12 +151,15 @@ def keys(cls: Any, table: str = "", kind: str = "") -> Iterator[Key]:
     for base in reversed(cls.__mro__[:-1]):
         abouts |= abouts_of(base)
     for field in fields(cls):
-        groups = _options_in(field.type)
+        # A table that may be given by its name is a key with that name.
+        named = str in _leaves(field.type)
+        groups = [] if named else _options_in(field.type)
         for group in groups:
             yield from keys(group, f"{table}{field.name}.", _tags(group)[0] if len(groups) > 1 else "")
         if not groups:
             default = None if field.default is MISSING else field.default
-            plain, text = _plain(field.type), type_text(field.type)
+            plain = _plain(field.type)
+            text = type_text(plain if named else field.type)
             yield Key(table + field.name, kind, plain, text, default, abouts.get(field.name, ""))
 
 
@@ -166,6 +169,13 @@ def abouts_of(what: Any) -> dict[str, str]:
     return {its.arg_name: " ".join((its.description or "").split()) for its in found}
 
 
+def _leaves(annotation: Any) -> list[Any]:
+    """The types that a type is made of."""
+    if get_origin(annotation) is Annotated:
+        return _leaves(get_args(annotation)[0])
+    return [leaf for part in get_args(annotation) for leaf in _leaves(part)] or [annotation]
+
+
 def _plain(annotation: Any) -> Any:
     """A type without bounds and without None."""
     if get_origin(annotation) is Annotated:
@@ -173,6 +183,8 @@ def _plain(annotation: Any) -> Any:
     members = [member for member in get_args(annotation) if member is not NoneType]
     if NoneType in get_args(annotation):
         return _plain(members[0])
+    if get_origin(annotation) is not tuple and str in map(_plain, members):
+        return str
     if get_origin(annotation) is tuple:
         return tuple[tuple(map(_plain, members))]  # type: ignore[misc]
     return annotation
@@ -218,7 +230,7 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
     name = ".".join(path)
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
-        valid = sorted({key for member in members for key in member.__dataclass_fields__})
+        valid = sorted({field.name for member in members for field in fields(member)})
         close = nearest(name, (key.name for key in keys(cls) if key.name != name))
         hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
         return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"
@@ -242,6 +254,8 @@ def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[An
         tagged = [member for member in members if part in _tags(member)] if len(members) > 1 else []
         if tagged:
             members = tagged
+            continue
+        if isinstance(part, str) and " " in part:  # the tag of a union
             continue
         keys.append(str(part))
         if isinstance(part, str):  # a number counts the items of an array

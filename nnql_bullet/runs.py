@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
+from nnql_bullet.agents.base import Custom, Decider
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -159,7 +160,13 @@ class LoadedPolicy:
         """What drives, in a few words."""
         config = self.experiment.config
         kind = config.agent.kind
-        label = kind if kind in RULES else f"{kind}, {self.episodes} episodes"
+        label = (
+            self.name
+            if isinstance(self.experiment.agent, Custom)
+            else kind
+            if kind in RULES
+            else f"{kind}, {self.episodes} episodes"
+        )
         return f"{label} + shield" if config.shield else label
 
     def changed(self, changes: Mapping[str, Any]) -> "LoadedPolicy":
@@ -168,23 +175,34 @@ class LoadedPolicy:
         Raises:
             UserError: If a key or value is wrong.
         """
-        experiment = Experiment(changed(self.experiment.config, **changes))
+        config, agent = changed(self.experiment.config, **changes), self.experiment.agent
+        if isinstance(agent, Custom):
+            return LoadedPolicy(self.name, Experiment(config, agent), self.episodes)
+        experiment = Experiment(config)
         if isinstance(self.experiment.agent, Trainable):
             experiment.trainable.load_state_dict(self.experiment.agent.state_dict())
         return LoadedPolicy(self.name, experiment, self.episodes)
 
 
-def load_policy(policy: str | Path, changes: Mapping[str, Any] = MappingProxyType({})) -> LoadedPolicy:
+PolicyLike = str | Path | LoadedPolicy | Decider
+"""A policy by its path or name, one that `load_policy` returned, or an object of your own."""
+
+
+def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyType({})) -> LoadedPolicy:
     """Loads what a run has learned, or a rule.
 
     Args:
         policy: A run folder, a policy file, the name of a shipped policy or of a rule, or a TOML file that configures
-            a rule.
+            a rule. An object of your own, which has a method `act`, gets the configuration of the preset `paper`.
         changes: Nested values laid over the configuration that it was trained with (see `config.merged`).
 
     Raises:
         UserError: If there is no such policy, or a value is wrong.
     """
+    if isinstance(policy, LoadedPolicy):
+        return policy.changed(changes)
+    if not isinstance(policy, str | Path):
+        return _own_policy(policy, changes)
     name, path = str(policy), Path(policy)
     if _is_configured(path):
         config = changed(load_config(name, {}), **changes)
@@ -199,6 +217,18 @@ def load_policy(policy: str | Path, changes: Mapping[str, Any] = MappingProxyTyp
     experiment = Experiment(changed(parse(RunConfig, migrated(weights.config), str(file)), **changes))
     experiment.trainable.load_state_dict(weights.arrays)
     return LoadedPolicy(name, experiment, weights.episodes)
+
+
+def _own_policy(policy: Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
+    """An object of the caller as a policy.
+
+    Raises:
+        UserError: If it cannot act, or a value is wrong.
+    """
+    if not isinstance(policy, Decider):
+        raise UserError(f"{type(policy).__name__} is no policy: it has no method act(observations)")
+    agent = policy if isinstance(policy, Custom) else Custom(policy)
+    return LoadedPolicy(agent.name, Experiment(changed(RunConfig(), **changes), agent), 0)
 
 
 def drives_folder(policy: Path) -> Path:

@@ -10,46 +10,33 @@ from pathlib import Path
 
 import torch
 
-from nnql_bullet.agents import Trainable
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.agents import Agent, Trainable
+from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
+from nnql_bullet.work import OnProgress, Progress, silent
 
 SAVE_EVERY = 5.0
 """Time from one checkpoint to the next [s]."""
 RECENT = 100
-"""Episodes that the success of `Progress` is taken over."""
+"""Last episodes that the reported success is the mean of."""
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """State of a training after an episode."""
-
-    episodes: int
-    """Finished so far."""
-    total: int
-    """Asked for in all."""
-    success: float
-    """Share of goals among the last episodes."""
-    recent: int
-    """Number of these last episodes."""
-    steps_per_second: float
-    """Decisions of all vehicles per second, since the training was started or resumed."""
 
 
 def train(
     config: RunConfig,
     out: Path,
     *,
+    agent: Agent | None = None,
+    reward: Reward | None = None,
     workers: int | None = None,
     overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
+    on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
     """Trains an agent and leaves a run folder.
@@ -59,6 +46,8 @@ def train(
     Args:
         config: The configuration.
         out: Run folder to create.
+        agent: An agent in place of the one that the configuration describes.
+        reward: A reward in place of the paper's.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; one a core by
             default. The result does not depend on it.
         overwrite: Whether to start anew in a folder that holds a run already.
@@ -73,15 +62,17 @@ def train(
         WorkerDied: If a worker process is gone; a checkpoint is written before.
         OSError: If a file cannot be written; the last checkpoint is then whole.
     """
-    return _Session(Run(out, config), workers, on_progress, stop).go(lambda run: run.create(overwrite))
+    return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(lambda run: run.create(overwrite))
 
 
 def resume(
     folder: Path,
     episodes: int | None = None,
     *,
+    agent: Agent | None = None,
+    reward: Reward | None = None,
     workers: int | None = None,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
+    on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
     """Continues a run from its last checkpoint, bit for bit as if it had never stopped.
@@ -91,6 +82,8 @@ def resume(
     Args:
         folder: The run folder.
         episodes: Episodes to train in all; by default as many as the run has been configured for.
+        agent: See `train`.
+        reward: See `train`.
         workers: See `train`.
         on_progress: See `train`.
         stop: See `train`.
@@ -104,7 +97,7 @@ def resume(
         OSError: If a file cannot be written; the last checkpoint is then whole.
     """
     run = load_run(folder, episodes)
-    return run if run.is_over else _Session(run, workers, on_progress, stop).go(Run.save_config)
+    return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
 
 
 @dataclass(frozen=True)
@@ -112,20 +105,22 @@ class _Session:
     """A training that goes on until it is over or stopped."""
 
     run: Run
+    agent: Agent | None
+    reward: Reward | None
     workers: int | None
-    on_progress: Callable[[Progress], None]
+    on_progress: OnProgress
     stop: Callable[[], bool]
 
     def go(self, prepare: Callable[[Run], None]) -> Run:
         """Trains, and selects the policy; `prepare` makes the folder ready when everything has been checked."""
         run, config = self.run, self.run.config
-        experiment = Experiment(config)
+        experiment = Experiment(config, self.agent)
         agent = experiment.trainable
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
         with _one_thread():
-            with closing(experiment.training_fleet(self.workers)) as fleet:
-                trainer = experiment.trainer(FleetNavigation(fleet, config.task))
+            with closing(experiment.new_training_simulator(self.workers)) as simulator:
+                trainer = experiment.trainer(Navigation(simulator, config.task, self.reward))
                 if run.state:
                     agent.load_state_dict(run.state.learned)
                     trainer.load_state_dict(run.state.under_way)
@@ -147,6 +142,7 @@ class _Session:
         total, selection = run.config.episodes, run.config.training.selection
         recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
         steps, saved = 0, begin
+        self.on_progress(Progress("training", len(run.episodes), total))
         try:
             for episode in trainer.episodes():
                 run.episodes.append(episode)
@@ -156,7 +152,8 @@ class _Session:
                 steps += episode.summary.steps
                 done, now = len(run.episodes), time.monotonic()
                 rate = steps / max(now - begin, 1e-9)
-                self.on_progress(Progress(done, total, sum(recent) / len(recent), len(recent), rate))
+                note = f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s"
+                self.on_progress(Progress("training", done, total, note))
                 over = done == total or self.stop()
                 if over or now - saved >= SAVE_EVERY:
                     run.save(agent, trainer)

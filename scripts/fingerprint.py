@@ -164,7 +164,7 @@ def contact(quick: bool) -> Iterable[tuple[str, str]]:
 
 
 def _driven(case: Case) -> str:
-    from nnql_bullet.env import FleetNavigation
+    from nnql_bullet.env import Navigation
     from nnql_bullet.rollout import run_episode, run_episodes
     from nnql_bullet.runs import load_policy
 
@@ -174,8 +174,8 @@ def _driven(case: Case) -> str:
         experiment = load_policy(Path(case.policy), changes).experiment
         worlds = [experiment.world(seed) for seed in case.seeds]
         if case.simulator == "kinematic":
-            with closing(experiment.fleet(1)) as fleet:
-                navigation = FleetNavigation(fleet, experiment.config.task)
+            with closing(experiment.new_simulator(1)) as simulator:
+                navigation = Navigation(simulator, experiment.config.task)
                 summaries = run_episodes(navigation, worlds, experiment.policy)
         else:
             summaries = [run_episode(experiment.navigation, one, experiment.policy) for one in worlds]
@@ -241,7 +241,7 @@ def fidelity(quick: bool) -> Iterable[tuple[str, str]]:
     """What every probe measures and expects."""
     from nnql_bullet.fidelity.probe import Bench
     from nnql_bullet.fidelity.probes import run_probes
-    from nnql_bullet.vehicle.spec import load_vehicle
+    from nnql_bullet.vehicle.urdf import load_vehicle
 
     vehicle = load_vehicle("tricycle")
     for engine, physics in SETTINGS[1:2] if quick else SETTINGS:

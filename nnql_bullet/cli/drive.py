@@ -8,18 +8,17 @@ from typing import Annotated, Any
 
 import tyro
 
-from nnql_bullet.cli.console import say
-from nnql_bullet.cli.filming import film_of, shoot, whole
+from nnql_bullet import driving
+from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.driving import RECORDING, drive_folder
-from nnql_bullet.driving import drive as drive_policy
+from nnql_bullet.render.filming import render
 from nnql_bullet.render.window import watch
-from nnql_bullet.reports.plots import draw_trajectory
 from nnql_bullet.run_config import Conditions, RunConfig, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
 
 BEST = Path("double_dqn")
-"""Of the shipped policies."""
+"""The best of the shipped policies."""
 
 
 def drive(
@@ -74,7 +73,7 @@ def drive(
         keys: Other keys of the configuration.
     """
     asked, in_shield = conditions_of(conditions), shield or "shield" in keys
-    recording = drive_policy(
+    recording = driving.drive(
         policy,
         world=world,
         seed=seed,
@@ -86,11 +85,13 @@ def drive(
     )
     folder = out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked)
     folder.mkdir(parents=True, exist_ok=True)
-    recording.save(folder / RECORDING)
-    draw_trajectory(recording, folder / "trajectory.png")
+    files = {"recording": folder / RECORDING, "picture": folder / "trajectory.png"}
+    recording.save(files["recording"])
+    recording.plot(files["picture"])
     if video:
-        film = film_of(folder / RECORDING)
-        shoot(film, whole(film.recording), folder / "trajectory.mp4")
+        files["video"] = folder / "trajectory.mp4"
+        with progress() as show:
+            render(files["recording"], files["video"], workers=None, on_progress=show)
     if gui:
         watch(recording)
     summary = recording.summary
@@ -102,17 +103,14 @@ def drive(
         "smallest_clearance": summary.clearance,
         "seed": seed,
         "world": recording.world.name,
-        "recording": str(folder / RECORDING),
-        "picture": str(folder / "trajectory.png"),
-        **({"video": str(folder / "trajectory.mp4")} if video else {}),
     }
     if json:
-        say(dumps(result))
+        say(dumps(result | {what: str(path) for what, path in files.items()}))
         return 0
     say(
         f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
         f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
     )
-    for what in ("picture", "recording", *(["video"] if video else [])):
-        say(f"{what}: {result[what]}")
+    for what, path in files.items():
+        say(f"{what}: {path}")
     return 0

@@ -1,53 +1,23 @@
 """`nnql-bullet evaluate`."""
 
-import os
-from collections.abc import Mapping, Sequence
-from json import dumps
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
 
 import tyro
 
-from nnql_bullet.cli.console import complain, say, say_table
-from nnql_bullet.cli.failures import clear
-from nnql_bullet.cli.filming import FPS, film_of, shoot, whole
+from nnql_bullet.api import evaluate as api
+from nnql_bullet.cli.console import complain, items, progress, say
 from nnql_bullet.cli.flags import KeyFlags
-from nnql_bullet.cli.work import run_all, run_kept
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import (
-    FilmTask,
-    Setting,
-    Tier,
-    draw_tiers,
-    drive,
-    drive_tasks,
-    film,
-    survey,
-    survey_tasks,
-)
-from nnql_bullet.evaluation.metrics import Evaluation, comparisons, rows
-from nnql_bullet.evaluation.parts import Parts
-from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.executors import Executor, ExecutorKind, make_executor
-from nnql_bullet.experiment import Experiment
-from nnql_bullet.files import write_text
-from nnql_bullet.recording import Recording
-from nnql_bullet.render.film import HOLD
-from nnql_bullet.reports import evaluation as report
-from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
-from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
-from nnql_bullet.worlds.paths import Difficulty
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
 """Percent of the arena under boxes, and the shipped world."""
-CLIP = 12.0
-"""How long before its end a clip of a failure begins [s]."""
-CLIP_SIZE = (960, 540)
-"""[pixels]"""
 
 
 def evaluate(
@@ -101,109 +71,46 @@ def evaluate(
         json: Print results.json instead of the table.
         conditions: Conditions in place of each policy's own.
     """
-    if clips < 0:
-        raise UserError(f"--clips: must not be negative, not {clips}")
     files = _files(cover, world)
-    setting = Setting(split, sim, physics, conditions_of(conditions))
-    where = make_executor(executor, workers or os.cpu_count() or 1, address)
-    opened = open_policies(policies, shield)
-    _check_engine(opened[0], setting)
-    tiers = draw_tiers(files, setting, worlds, opened[0])
-    out.mkdir(parents=True, exist_ok=True)
     try:
-        evaluation = _driven(where, opened, tiers, setting, Parts(out / "parts"))
-        films = _filmed(where, evaluation)
+        with progress() as show:
+            results = api.evaluate(
+                policies,
+                worlds=files,
+                split=split,
+                n_worlds=worlds,
+                simulator=sim,
+                physics=physics,
+                conditions=conditions_of(conditions),
+                shield=shield,
+                executor=executor,
+                workers=workers,
+                address=address,
+                out=out,
+                clips=clips,
+                on_progress=show,
+            )
     except KeyboardInterrupt:
         complain(f"interrupted; what is driven so far is kept in {out / 'parts'}: the same command goes on")
         return 130
-    _write(evaluation, films, out, json)
-    _shoot_clips([task for task, _ in films[:clips]], out)
+    if json:
+        say((out / "results.json").read_text(encoding="utf-8").rstrip())
+        return 0
+    e = results.evaluation
+    say(f"success in %, {e.setting.title}, {len(e.tiers[0].seeds)} worlds each (95 % intervals)")
+    say(results.table())
+    say(f"report: {out / 'evaluation.md'}")
     return 0
 
 
 def _files(cover: str | None, world: str | None) -> list[str]:
-    """The world files that are asked for.
+    """The worlds that are asked for.
 
     Raises:
         UserError: If there is no such cover.
     """
-    covers = _items(cover) if cover is not None else [] if world else ["5", "10", "15"]
+    covers = items(cover) if cover is not None else [] if world else ["5", "10", "15"]
     unknown = [one for one in covers if one not in COVERS]
     if unknown:
         raise UserError(f"--cover: there are worlds with {', '.join(COVERS)} percent, not '{unknown[0]}'")
-    return [*(COVERS[one] for one in covers), *_items(world or "")]
-
-
-def _items(text: str) -> list[str]:
-    return [item.strip() for item in text.split(",") if item.strip()]
-
-
-def _check_engine(policy: Policy, setting: Setting) -> None:
-    """An engine that is not there, and conditions that cannot be, show before anything is driven."""
-    experiment: Experiment = load_policy(Path(policy.path), setting.changes).experiment
-    experiment.simulator.close()
-
-
-def _driven(
-    executor: Executor, policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting, parts: Parts
-) -> Evaluation:
-    """Everything that is not there yet is driven."""
-    difficulties: dict[str, list[Difficulty]] = {tier.name: [] for tier in tiers}
-    surveys = survey_tasks(policies[0], tiers, setting)
-    for task, found in zip(surveys, run_kept(executor, "worlds", survey, surveys, parts, Difficulty), strict=True):
-        difficulties[task.tier.name] += found
-    drives: dict[tuple[str, str], list[EpisodeSummary]] = {}
-    tasks = drive_tasks(policies, tiers, setting)
-    pieces = run_kept(executor, "driving", drive, tasks, parts, EpisodeSummary)
-    for one, summaries in zip(tasks, pieces, strict=True):
-        drives.setdefault((one.policy.name, one.tier.name), []).extend(summaries)
-    return Evaluation(setting, policies, tiers, difficulties, drives)
-
-
-def _filmed(executor: Executor, e: Evaluation) -> list[tuple[FilmTask, Recording]]:
-    """The first drive of each method in each tier that failed, recorded."""
-    tasks: dict[tuple[str, str], FilmTask] = {}
-    for policy in e.policies:
-        for tier in e.tiers:
-            for summary in e.drives[policy.name, tier.name]:
-                if summary.ending != "goal":
-                    task = FilmTask(policy, tier, e.setting, summary.world_seed)
-                    tasks.setdefault((policy.method, tier.name), task)
-    chosen = list(tasks.values())
-    return list(zip(chosen, run_all(executor, "failures", film, chosen), strict=True))
-
-
-def _shoot_clips(tasks: Sequence[FilmTask], out: Path) -> None:
-    """Draws how recorded failures ended."""
-    folder = out / "clips"
-    for old in folder.glob("*.mp4"):
-        old.unlink()
-    for task in tasks:
-        folder.mkdir(exist_ok=True)
-        film = film_of(out / "failures" / task.name, "split", CLIP_SIZE)
-        shoot(film, whole(film.recording)[-round((CLIP + HOLD) * FPS) :], folder / f"{Path(task.name).stem}.mp4")
-
-
-def _write(evaluation: Evaluation, films: list[tuple[FilmTask, Recording]], out: Path, json: bool) -> None:
-    found, tests, tasks = rows(evaluation), comparisons(evaluation), [task for task, _ in films]
-    values = dumps(report.evaluation_values(evaluation, found, tests, tasks), indent=1)
-    failures = out / "failures"
-    failures.mkdir(exist_ok=True)
-    clear(failures)
-    for task, recording in films:
-        recording.save(failures / task.name)
-    for name in ("cover.png", "failures.png"):
-        (out / name).unlink(missing_ok=True)
-    report.draw_outcomes(evaluation, found, out / "outcomes.png")
-    report.draw_cover(evaluation, found, out / "cover.png")
-    report.draw_failures(films, out / "failures.png")
-    write_text(out / "results.csv", report.results_csv(found))
-    write_text(out / "episodes.csv", report.episodes_csv(evaluation))
-    write_text(out / "evaluation.md", report.evaluation_markdown(evaluation, found, tests, tasks))
-    write_text(out / "results.json", values + "\n")
-    if json:
-        say(values)
-        return
-    say(f"success in %, {evaluation.setting.title}, {len(evaluation.tiers[0].seeds)} worlds each (95 % intervals)")
-    say_table(*report.success_table(evaluation, found))
-    say(f"report: {out / 'evaluation.md'}")
+    return [*(COVERS[one] for one in covers), *items(world)]

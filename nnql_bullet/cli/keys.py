@@ -2,11 +2,12 @@
 
 import json
 
-from nnql_bullet.cli.console import say_table
+from nnql_bullet.cli.console import say
 from nnql_bullet.config import Key, to_values
 from nnql_bullet.config import keys as keys_of
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import load_config
+from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import RunConfig
 
 
@@ -31,7 +32,7 @@ def keys(table: str = "", /, config: str = "paper") -> int:
     if not shown:
         raise UserError(f"no key begins with '{table}'")
     rows = [(key.name, key.type_text, values.get(key.name, _value(key)), key.about) for key in shown]
-    say_table(("key", "type", config, "meaning"), rows)
+    say(text_table(("key", "type", config, "meaning"), rows))
     return 0
 
 

@@ -7,8 +7,7 @@ from inspect import getdoc
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import complain, messages, say
-from nnql_bullet.cli.work import WorkFailed
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.sim.base import WorkerDied
 
 VERBS = (

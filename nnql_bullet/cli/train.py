@@ -9,17 +9,14 @@ from typing import Annotated, Any
 
 import tyro
 
+from nnql_bullet.api import training as api
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import load_config
-from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
-from nnql_bullet.session import Progress
-from nnql_bullet.session import resume as resume_run
-from nnql_bullet.session import train as train_run
 from nnql_bullet.sim.base import WorkerDied
 
 
@@ -77,17 +74,18 @@ def train(
         resolved = load_config(config or "paper", {**keys, **mix})
         folder, total = out or Path("runs") / f"{Path(config or 'paper').stem}-{resolved.seed}", resolved.episodes
     died: WorkerDied | None = None
-    with _interrupts() as interrupted, _shown(total) as show:
+    with _interrupts() as interrupted, progress() as show:
         try:
             if resume is not None:
-                resume_run(folder, total, workers=workers, on_progress=show, stop=interrupted)
+                api.resume(folder, total, workers=workers, on_progress=show, stop=interrupted)
             else:
-                train_run(resolved, folder, workers=workers, overwrite=overwrite, on_progress=show, stop=interrupted)
+                api.train(
+                    resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=show, stop=interrupted
+                )
         except WorkerDied as error:
             died = error
     run = load_run(folder)
     if run.episodes:
-        draw_learning_curve(run.episodes, folder / LEARNING_CURVE)
         say(f"learning curve: {folder / LEARNING_CURVE}")
     if run.is_over:
         if run.config.training.selection:
@@ -100,15 +98,6 @@ def train(
         return 1
     say(stopped)
     return 130
-
-
-@contextmanager
-def _shown(total: int) -> Iterator[Callable[[Progress], None]]:
-    """Shows the progress of a training."""
-    with progress("training", total) as show:
-        yield lambda p: show(
-            p.episodes, f"success {p.success:4.0%} of last {p.recent}  {p.steps_per_second:.0f} steps/s"
-        )
 
 
 @contextmanager
