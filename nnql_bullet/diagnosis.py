@@ -1,4 +1,4 @@
-"""What `doctor` checks: that the parts this package stands on do here what they should."""
+"""Checks of the installation for `doctor`: whether the engines, the encoder and the renderers work here."""
 
 import shutil
 import subprocess
@@ -18,22 +18,22 @@ from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
-PATIENCE = 60.0
-"""Seconds that a renderer may take to start."""
+PROGRAM_TIMEOUT = 60.0
+"""Longest time that a program or renderer may take to answer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found: that it is well, or what to do."""
+    """Result of a check, with what to do if it failed."""
 
     ok: bool
     text: str
     needed: bool = True
-    """Whether the package is of no use without it."""
+    """Whether the package needs it to work at all."""
 
 
 def check_pybullet() -> Finding:
-    """PyBullet with NumPy support, which its fast image path needs."""
+    """Checks that PyBullet has NumPy support, which its fast images need."""
     found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
@@ -41,7 +41,7 @@ def check_pybullet() -> Finding:
 
 
 def check_drive() -> Finding:
-    """Four seconds straight ahead at 2 m/s."""
+    """Drives four seconds straight ahead and compares the place with the expected one."""
     experiment = Experiment(RunConfig(world="empty"))
     simulator = experiment.simulator
     world = experiment.world(0)
@@ -59,7 +59,7 @@ def check_drive() -> Finding:
 
 
 def check_rays() -> Finding:
-    """The 72 rays against the analytic distance to the same boxes."""
+    """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
     simulator, world = experiment.simulator, experiment.world(0)
     simulator.reset(world)
@@ -75,7 +75,7 @@ def check_rays() -> Finding:
 
 
 def check_mujoco() -> Finding:
-    """The second engine of contact physics."""
+    """Checks that MuJoCo, the second engine of contact physics, is installed."""
     try:
         return Finding(True, f"mujoco {version('mujoco')}")
     except PackageNotFoundError:
@@ -83,32 +83,36 @@ def check_mujoco() -> Finding:
 
 
 def check_ffmpeg() -> Finding:
-    """The encoder that videos need."""
+    """Checks that ffmpeg, which encodes videos, starts."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
-        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "-version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (RuntimeError, OSError, subprocess.SubprocessError):
         return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
     return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
 
 
 def check_chromium() -> Finding:
-    """The browser that a test opens the HTML report in."""
+    """Checks that Chromium starts, in which a test opens the HTML report."""
     program = shutil.which("chromium")
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
     try:
-        answer = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "--version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return Finding(False, "does not start; only a test of the HTML report needs it", needed=False)
     return Finding(True, answer.stdout.strip().split(" built on")[0])
 
 
 def check_renderer() -> Finding:
-    """EGL where it works, else TinyRenderer, which always does."""
-    if works("egl", PATIENCE):
+    """Checks that EGL or TinyRenderer draws a picture."""
+    if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")
-    if works("tiny", PATIENCE):
+    if works("tiny", PROGRAM_TIMEOUT):
         return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
 

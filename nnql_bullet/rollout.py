@@ -95,7 +95,7 @@ class EpisodeSummary:
     """Time of control periods in which the vehicle did not get on [s]."""
 
 
-STANDS = 0.05
+STANDSTILL_DISTANCE = 0.05
 """A vehicle that gets less far than this in a control period stands [m]."""
 
 
@@ -149,7 +149,7 @@ class Tally:
         if overridden is not None:
             self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP)
-        self._standing[on] += np.where(t.motions.path_length[on] < STANDS, t.motions.duration[on], 0.0)
+        self._standing[on] += np.where(t.motions.path_length[on] < STANDSTILL_DISTANCE, t.motions.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.state_property == StateProperty.NON_SAFE)

@@ -305,7 +305,7 @@ class TestEnd:
     def test_who_does_not_end_by_itself_is_killed(
         self, monkeypatch: pytest.MonkeyPatch, world_of: Callable[..., WorldSpec]
     ) -> None:
-        monkeypatch.setattr(workers, "PATIENCE", 0.2)
+        monkeypatch.setattr(workers, "EXIT_TIMEOUT", 0.2)
         fleet = WorkerFleet(FakeFleet, 2, 2)
         fleet._send(0, ("reset", worlds_named(world_of, "hang")))
         os.kill(pids(fleet)[1], signal.SIGSTOP)

@@ -28,7 +28,7 @@ RAMP = 1 / 3
 HEADINGS = (0.0, radians(60.0), radians(75.0))
 """From which a turn is tried; the worst counts [rad]. Friction with axes fixed in the world grips worse in some
 directions than in others: PyBullet's worst at the last two, for a turn to the left."""
-SETTLING = 0.25
+SETTLE_TIME = 0.25
 """Run straight before the turn [s]."""
 
 HEADING_TOLERANCE = radians(1.0)
@@ -215,7 +215,7 @@ def _followed(simulator: ContactSimulator, case: Case, heading: float) -> Follow
     simulator.reset(open_ground(start=replace(MIDDLE, yaw=heading)))
     rolling = case.speed / vehicle.wheel_radius
     simulator.command_wheels(rolling, rolling)
-    simulator.run(SETTLING)
+    simulator.run(SETTLE_TIME)
     begin = simulator.pose()
     turn, after = follow_turn(simulator, case.heading_change), follow_turn(simulator, 0.0)
     forces = forces_by_command(turn, SAMPLE_EVERY)

@@ -27,8 +27,8 @@ from nnql_bullet.sim.contact import (
     ContactSimulator,
     LinkDynamics,
     Quaternion,
-    Vector,
 )
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.bullet import bullet, silenced
-from nnql_bullet.sim.contact import Vector
+from nnql_bullet.types import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
 

@@ -17,6 +17,7 @@ from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
 from nnql_bullet.jit import njit
 from nnql_bullet.sensing import Scan, ray_angles, scan_from
 from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, whole_steps
 from nnql_bullet.vehicle.profiles import plan_turn, sample_ramp, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -25,7 +26,6 @@ from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 CONTACT_MARGIN = 0.0005
 """How far apart things may be that an engine takes for touching [m]."""
 
-Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""
 

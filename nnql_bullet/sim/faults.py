@@ -13,6 +13,7 @@ from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sensing import RAYS_PER_SECTOR, Scan, scan_from
 from nnql_bullet.sim.base import Fleet, Motion, Motions, Sample, Simulator
+from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -21,7 +22,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 class SensorFaults:
     """What is wrong with the sensors."""
 
-    noise: Annotated[float, Field(ge=0)] = 0.0
+    noise: NonNegative = 0.0
     """Standard deviation of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """The sensor that sees nothing, whatever is there; 0 is the front, counted counter-clockwise."""

@@ -25,7 +25,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion, Vector
+from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
