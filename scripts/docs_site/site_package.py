@@ -341,7 +341,9 @@ def layers() -> str:
     (layered,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
     pages, rows = api_pages(), []
     for number, layer in enumerate(layered, 1):
-        for name in (part.strip() for part in layer.split("|")):
+        for name in (part.strip(" ()") for part in layer.split("|")):
+            if not _source(name).is_file():  # a layer in brackets may be missing
+                continue
             module = f"[`{name}`](../reference/api/{name}.md)" if name in pages else f"`{name}`"
             rows.append((str(number), module, _about(name)))
     return _table(("layer", "module", "what it is"), rows)
@@ -349,9 +351,13 @@ def layers() -> str:
 
 def _about(name: str) -> str:
     """The first sentence of a module's or folder's docstring."""
+    text = ast.get_docstring(ast.parse(_source(name).read_text(encoding="utf-8"))) or ""
+    return _sentence(text.partition("\n\n")[0])
+
+
+def _source(name: str) -> Path:
     path = PACKAGE / f"{name}.py"
-    source = path if path.is_file() else PACKAGE / name / "__init__.py"
-    return _sentence((ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n\n")[0])
+    return path if path.is_file() else PACKAGE / name / "__init__.py"
 
 
 def api_index() -> str:
