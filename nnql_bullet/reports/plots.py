@@ -33,6 +33,7 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recording
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.worlds.spec import WorldSpec
 
 DPI = 150
 """Of pictures."""
@@ -147,22 +148,32 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
     save_figure(figure, path)
 
 
-def draw_world(axes: Axes, recording: Recording, time: float) -> None:
-    """Arena, boxes, start and target, to scale; what moves where it was then [s], and its track from end to end."""
-    world = recording.about["world"]
-    width, depth = world["width"], world["depth"]
+def draw_map(world: WorldSpec, path: Path) -> None:
+    """Draws a world from above, with moving boxes where they start."""
+    figure = Figure(figsize=(6.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    draw_world(axes, world, 0.0)
+    axes.set(xlim=(-2, world.width + 2), ylim=(-2, world.depth + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set_title(f"{world.name}, seed {world.seed}", fontsize=10, color=INK)
+    save_figure(figure, path)
+
+
+def draw_world(axes: Axes, drawn: Recording | WorldSpec, time: float) -> None:
+    """Draws a world to scale, with moving boxes where they are at a time [s] and their tracks."""
+    world = drawn if isinstance(drawn, WorldSpec) else drawn.world
+    width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc="#f8f9fa", ec=BOX_EDGE, lw=2.5))
-    for box in recording.obstacles:
+    for box in world.obstacles:
         axes.add_patch(Polygon(box.corners(), fc=BOX, ec=BOX_EDGE, lw=0.8))
-    for patrol in recording.patrols:
+    for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
         for box in (patrol.box, at_end):
             axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
         axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
-    axes.add_patch(Circle(world["target"], world["target_radius"], fc="#ffe3e3", ec=COLLISION, lw=1.6))
-    axes.plot(*world["target"], "+", color=COLLISION, ms=7)
-    axes.plot(world["start"]["x"], world["start"]["y"], "o", color=INK, ms=5, zorder=5)
+    axes.add_patch(Circle(world.target, world.target_radius, fc="#ffe3e3", ec=COLLISION, lw=1.6))
+    axes.plot(*world.target, "+", color=COLLISION, ms=7)
+    axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
 
 
 def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:
