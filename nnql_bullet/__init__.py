@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
     from nnql_bullet.api.failures import failures
-    from nnql_bullet.api.fidelity import envelope, fidelity
+    from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.driving import drive
@@ -43,11 +43,11 @@ _HOMES = {
     "WorkFailed": "errors",
     "World": "worlds.source",
     "ablate": "api.ablate",
+    "check_fidelity": "api.fidelity",
     "drive": "driving",
     "envelope": "api.fidelity",
     "evaluate": "api.evaluate",
     "failures": "api.failures",
-    "fidelity": "api.fidelity",
     "gap": "api.gap",
     "load_policy": "runs",
     "load_run": "runs",
@@ -66,11 +66,11 @@ __all__ = [
     "WorkFailed",
     "World",
     "ablate",
+    "check_fidelity",
     "drive",
     "envelope",
     "evaluate",
     "failures",
-    "fidelity",
     "gap",
     "load_policy",
     "load_run",

@@ -23,7 +23,7 @@ from rich.progress import track
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, NON_SAFE, SAFE, VEHICLE
-from nnql_bullet.env import FleetNavigation, Navigation, Transitions, heading_change
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose, moved
 from nnql_bullet.presets import load_config

@@ -19,7 +19,7 @@ from nnql_bullet.run_config import RunConfig
 
 EXAMPLES = [name for name in nb.__all__ if "Example:" in (getattr(nb, name).__doc__ or "")]
 WITHOUT_EXAMPLE = {"Conditions", "Progress", "Recording", "UserError", "Vehicle", "WorkFailed", "envelope", "load_run"}
-SLOW = {"fidelity"}
+SLOW = {"check_fidelity"}
 
 
 def fresh(code: str) -> str:
@@ -31,7 +31,7 @@ def fresh(code: str) -> str:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty folder to work in, which is silent."""
+    """An empty folder to work in."""
     monkeypatch.chdir(tmp_path)
     yield tmp_path
 
@@ -206,7 +206,7 @@ def test_a_policy_that_learned_on_is_loaded_again(here: Path) -> None:
     few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 4, "out": "run"}
     before = nb.train("paper", episodes=4, **few).policy
     nb.resume("run", 8)
-    with pytest.raises(nb.UserError, match="run: has changed since it was loaded"):
+    with pytest.raises(nb.UserError, match="run: is not what is saved there; load it again"):
         nb.evaluate(before, worlds=["cover_10"], n_worlds=1, simulator="kinematic")
 
 

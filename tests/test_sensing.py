@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, scan_from, sector_readings
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, sector_readings
 
 
 def wrapped(angles):
@@ -39,14 +39,6 @@ def test_front_and_front_sides_are_named_as_they_lie():
     assert centres[[FRONT, FRONT_LEFT, FRONT_RIGHT]] == pytest.approx([0, pi / 4, -pi / 4], abs=1e-12)
 
 
-@given(st.lists(st.floats(0, 10), min_size=72, max_size=72))
-@settings(max_examples=50, deadline=None)
-def test_a_sector_reads_the_smallest_of_its_rays(distances):
-    scan = scan_from(np.array(distances))
-    assert scan.readings.tolist() == [min(distances[9 * k : 9 * k + 9]) for k in range(8)]
-    assert scan.distances.tolist() == distances
-
-
 @given(st.lists(st.lists(st.floats(0, 10), min_size=72, max_size=72), min_size=1, max_size=4))
 @settings(max_examples=50, deadline=None)
 def test_sectors_of_many_vehicles_are_those_of_each(rows):
@@ -60,4 +52,4 @@ def test_one_near_ray_changes_one_sector_alone(ray):
     distances[ray] = 1.5
     expected = np.full(8, 10.0)
     expected[round(float(ray_angles()[ray]) / (pi / 4)) % 8] = 1.5
-    assert scan_from(distances).readings.tolist() == expected.tolist()
+    assert sector_readings(distances).tolist() == expected.tolist()

@@ -9,7 +9,6 @@ from typing import Literal
 
 import gymnasium
 
-from nnql_bullet.env import FleetNavigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 
