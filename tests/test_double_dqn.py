@@ -22,9 +22,8 @@ from nnql_bullet.config import parse
 from nnql_bullet.env import (
     MANOEUVRES,
     TOWARD_TARGET,
-    FleetNavigation,
+    Navigation,
     Observation,
-    Observations,
     heading_change,
     stacked,
 )
@@ -35,7 +34,7 @@ from nnql_bullet.mapping import grid_map
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
 from nnql_bullet.sim.base import Fleet, WorkerDied
-from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -328,13 +327,13 @@ def random_manoeuvres(decisions: int) -> NDArray[np.int64]:
 def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     """Poses, observations and the target, at every decision of four vehicles that turn about and stop by chance."""
     experiment = Experiment(RunConfig(world="empty", simulator="kinematic"))
-    fleet = KinematicFleet(vehicle, DriveOptions(), 4)
-    navigation = FleetNavigation(fleet, TaskOptions())
+    fleet = KinematicSimulator(vehicle, DriveOptions(), 4)
+    navigation = Navigation(fleet, TaskOptions())
     world = replace(experiment.world(0), start=replace(experiment.world(0).start, x=50.0, y=50.0))
     navigation.reset({i: world for i in range(4)})
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
     for actions in random_manoeuvres(25):
-        drive.append((poses, navigation.observations, np.array(world.target)))
+        drive.append((poses, navigation.observation, np.array(world.target)))
         poses = navigation.step(actions).motions.pose.copy()
     fleet.close()
     return drive
@@ -388,7 +387,7 @@ class TestFrames:
         assert as_bytes(np.array([-1.0, 1.0])).tolist() == [0, 255]
 
     def test_looking_leaves_the_memory_as_it_was(
-        self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
+        self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observation, Any]]
     ) -> None:
         maker = FrameMaker(24, 3, True, vehicle, DriveOptions())
         memory = maker.nothing(4)
@@ -420,8 +419,8 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
             seed=seed, vehicles=vehicles, simulator="kinematic", world=str(small_world), task=task, agent=SMALL
         )
         experiment = Experiment(config)
-        fleets.append(experiment.training_fleet(1))
-        return experiment, experiment.trainer(FleetNavigation(fleets[-1], task))
+        fleets.append(experiment.new_training_simulator(1))
+        return experiment, experiment.trainer(Navigation(fleets[-1], task))
 
     yield make
     for fleet in fleets:
@@ -429,7 +428,7 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
 
 
 def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
-    vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
+    vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observation, Any]]
 ) -> None:
     """One of another mind does as it likes; another is told to do that, and then the first one comes to its senses."""
     one, other, untold = (DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3))

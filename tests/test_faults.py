@@ -9,15 +9,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose
 from nnql_bullet.rollout import run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, RunConfig, changed
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults, degraded
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.faults import FaultySimulator, SensorFaults, degraded
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded, urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
@@ -69,7 +69,7 @@ class TestSimulatorsSeenThroughFaults:
         )
         experiment = Experiment(config)
         worlds = [experiment.world(seed) for seed in range(4)]
-        many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent)
+        many = run_episodes(Navigation(experiment.new_simulator(), config.task), worlds, experiment.agent)
         alone = [run_episode(experiment.navigation, world, experiment.agent) for world in worlds]
         assert many == alone
 
@@ -79,9 +79,9 @@ class TestSimulatorsSeenThroughFaults:
         simulator = FaultySimulator(KinematicSimulator(vehicle, DriveOptions()), faults)
         simulator.reset(world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0)))
         first = simulator.scan()
-        assert (simulator.scan().distances == first.distances).all()
+        assert (simulator.scan() == first.distances).all()
         simulator.advance(0.3)
-        assert (simulator.scan().distances != first.distances).any()
+        assert (simulator.scan() != first.distances).any()
 
     def test_the_vehicle_itself_moves_as_before(
         self, vehicle: VehicleSpec, empty_world: WorldSpec, faults: SensorFaults
@@ -96,8 +96,8 @@ class TestSimulatorsSeenThroughFaults:
     def test_what_a_fleet_hands_out_is_its_own(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
     ) -> None:
-        inner = KinematicFleet(vehicle, DriveOptions(), 2)
-        fleet = FaultyFleet(inner, faults)
+        inner = KinematicSimulator(vehicle, DriveOptions(), 2)
+        fleet = FaultySimulator(inner, faults)
         world = world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0))
         _, seen = fleet.reset({0: world, 1: replace(world, seed=1)})
         _, true = inner.reset({0: world, 1: replace(world, seed=1)})
@@ -136,9 +136,9 @@ class TestPayload:
             loaded(loaded(vehicle, self.LOAD), self.LOAD)
 
     def test_the_wheels_carry_it_by_the_lever_rule(
-        self, simulator_of: Callable[..., BulletSimulator], vehicle: VehicleSpec, empty_world: WorldSpec
+        self, engine_of: Callable[..., BulletEngine], vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
-        simulator = simulator_of("reference", loaded(vehicle, self.LOAD))
+        simulator = engine_of("reference", loaded(vehicle, self.LOAD))
         simulator.place(empty_world, empty_world.start, 0.0)
         simulator.command_wheels(0.0, 0.0)
         simulator.run(2.0)
@@ -151,7 +151,7 @@ class TestPayload:
         self, vehicle: VehicleSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-        simulator = BulletSimulator(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
+        simulator = BulletEngine(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
         assert list(tmp_path.iterdir())
         simulator.close()
         assert not list(tmp_path.iterdir())
@@ -169,12 +169,12 @@ class TestConditions:
         assert experiment.vehicle.payload == Payload(40.0, experiment.vehicle.footprint.x, 0.55)
 
     def test_a_slippery_floor_lets_the_vehicle_drift_wide(
-        self, vehicle: VehicleSpec, empty_world: WorldSpec, simulator_of: Callable[..., BulletSimulator]
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, engine_of: Callable[..., BulletEngine]
     ) -> None:
         ends = []
         for friction in (0.8, 0.3):
             slippery = Conditions(wheel_friction=friction).applied_to(vehicle)
-            simulator = simulator_of("reference", slippery, decision_period=1.0)
+            simulator = engine_of("reference", slippery, decision_period=1.0)
             simulator.reset(empty_world)
             ends.append(simulator.advance(1.0).pose)
         assert hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y) > 0.1

@@ -14,7 +14,7 @@ import pytest
 
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
-from nnql_bullet.env import TOWARD_TARGET, Navigation, Observations
+from nnql_bullet.env import TOWARD_TARGET, Navigation, Observation
 from nnql_bullet.evaluation.causes import apart, explain, parting, period_errors
 from nnql_bullet.evaluation.gap import Pair, differences, divergence, outcome_matrix, success_p_value
 from nnql_bullet.evaluation.statistics import mcnemar, proportion
@@ -22,7 +22,7 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -36,7 +36,7 @@ def recorded(simulator: Simulator, world: WorldSpec, actions: list[int]) -> Reco
     """A drive that takes these decisions, then goes straight on."""
     waiting = iter(actions)
 
-    def policy(observations: Observations) -> np.ndarray[Any, Any]:
+    def policy(observations: Observation) -> np.ndarray[Any, Any]:
         return np.array([next(waiting, STRAIGHT)])
 
     recorder = Recorder(simulator.vehicle, Nnql(NnqlOptions(), 0))
@@ -45,8 +45,8 @@ def recorded(simulator: Simulator, world: WorldSpec, actions: list[int]) -> Reco
     return recorder.recording()
 
 
-def contact(vehicle: VehicleSpec) -> BulletSimulator:
-    return BulletSimulator(vehicle, DriveOptions(), PHYSICS["reference"])
+def contact(vehicle: VehicleSpec) -> BulletEngine:
+    return BulletEngine(vehicle, DriveOptions(), PHYSICS["reference"])
 
 
 def slippery(vehicle: VehicleSpec, friction: float) -> VehicleSpec:

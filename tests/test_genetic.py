@@ -25,7 +25,7 @@ from nnql_bullet.agents.learning.genetic import (
 )
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.config import parse
-from nnql_bullet.env import FleetNavigation, Navigation, Observation, Observations, stacked
+from nnql_bullet.env import Navigation, Observation, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
@@ -51,7 +51,7 @@ def same(one: Arrays, other: Arrays) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
-def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observations:
+def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
     return stacked([Observation(row, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for row in readings])
 
 
@@ -94,8 +94,8 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
             agent=options,
         )
         experiment = Experiment(config)
-        fleets.append(experiment.fleet(1))
-        navigation = FleetNavigation(fleets[-1], config.task)
+        fleets.append(experiment.new_simulator(1))
+        navigation = Navigation(fleets[-1], config.task)
         assert isinstance(experiment.agent, Genetic)
         return Parts(experiment, experiment.agent, experiment.trainer(navigation))
 
@@ -149,7 +149,7 @@ def driven_alone(
     """An episode by one genome alone, and the share of the way that it was nearer when it last decided."""
     seen = []
 
-    def policy(observations: Observations) -> NDArray[np.int64]:
+    def policy(observations: Observation) -> NDArray[np.int64]:
         seen.append(float(observations.target_distance[0]))
         if observations.state_property[0] == StateProperty.SAFE:
             return np.array([5])
@@ -342,9 +342,9 @@ class TestGoingOn:
     def test_after_a_death(self, parts: Callable[..., Parts], monkeypatch: pytest.MonkeyPatch) -> None:
         whole = stops(parts(), 20)
         made, calls = parts(), []
-        real = FleetNavigation.step
+        real = Navigation.step
 
-        def step(self: FleetNavigation, *args: Any) -> Any:
+        def step(self: Navigation, *args: Any) -> Any:
             calls.append(args)
             if len(calls) == 100:
                 raise WorkerDied("worker 1 of 1 died")
@@ -352,7 +352,7 @@ class TestGoingOn:
 
         done = []
         with monkeypatch.context() as patch:
-            patch.setattr(FleetNavigation, "step", step)
+            patch.setattr(Navigation, "step", step)
             with pytest.raises(WorkerDied):
                 for episode in made.training.episodes():
                     done.append(episode)

@@ -12,8 +12,8 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator, _caster_rates, cast_rays
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.kinematic import KinematicSimulator, _caster_rates, cast_rays
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
@@ -24,7 +24,7 @@ EMPTY = WorldSpec("empty", 0, 100.0, 100.0, (), Pose(50.0, 50.0, 0.0), (95.0, 95
 @pytest.fixture(scope="module")
 def pair(vehicle):
     drive = DriveOptions(decision_period=1.0)
-    kinematic, contact = KinematicSimulator(vehicle, drive), BulletSimulator(vehicle, drive, PHYSICS["reference"])
+    kinematic, contact = KinematicSimulator(vehicle, drive), BulletEngine(vehicle, drive, PHYSICS["reference"])
     yield kinematic, contact
     contact.close()
 
@@ -61,7 +61,7 @@ def test_readings_agree_with_contact_physics_on_random_worlds(vehicle, seed):
     world = load_world("cover_20").draw(seed, 0.8)
     kinematic, contact = (
         KinematicSimulator(vehicle, DriveOptions()),
-        BulletSimulator(vehicle, DriveOptions(), PHYSICS["fast"]),
+        BulletEngine(vehicle, DriveOptions(), PHYSICS["fast"]),
     )
     for simulator in (kinematic, contact):
         simulator.reset(world)
@@ -94,7 +94,7 @@ def test_no_clearance_between_two_commands_is_missed(vehicle, seed):
     command."""
     world = load_world("cover_20").draw(seed, 0.8)
     footprint, turns = as_rows((vehicle.footprint,))[0], np.random.default_rng(seed)
-    fleet = KinematicFleet(vehicle, DriveOptions(), 1, threads=1)
+    fleet = KinematicSimulator(vehicle, DriveOptions(), 1, threads=1)
     fleet.reset({0: world})
     for _ in range(60):
         motions, _ = fleet.advance(turns.choice(np.radians([0, 30, 60, -30, -60]), 1), np.ones(1, np.bool_))

@@ -23,7 +23,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.base import Motion, Sample, Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -244,7 +244,7 @@ def head_on(gap: float, speed: float, ahead: float = 30.0) -> Patrol:
 
 
 def drive(simulator: Simulator, world: WorldSpec, turns: Sequence[float]) -> list[Motion]:
-    """Motions up to the first contact, or the target."""
+    """Motion up to the first contact, or the target."""
     simulator.reset(world)
     motions = []
     for turn in turns:
@@ -322,14 +322,14 @@ class TestContact:
         contact.place(world, MIDDLE, 0.0)
         contact.run(4.0)
         beams = ray_distances((100.0 + VEHICLE.sensor[0], 100.0), ANGLES, world.solids_at(4.0), 10.0)
-        assert contact.scan().distances == pytest.approx(beams, abs=2e-3)
+        assert contact.scan() == pytest.approx(beams, abs=2e-3)
 
     @pytest.mark.parametrize("physics", list(PHYSICS))
     def test_in_bullet_a_hit_is_as_hard_as_it_is_fast(
         self, vehicle: VehicleSpec, world_of: WorldOf, physics: str
     ) -> None:
         """A vehicle that floats takes over the speed of what hits it, and the momentum that takes."""
-        with closing(BulletSimulator(vehicle, DriveOptions(), PHYSICS[physics])) as simulator:
+        with closing(BulletEngine(vehicle, DriveOptions(), PHYSICS[physics])) as simulator:
             simulator.place(with_patrols(world_of(), head_on(0.1, 0.8)), MIDDLE, 0.0, ground=False)
             simulator.set_gravity((0.0, 0.0, 0.0))
             simulator.lock_joints()
@@ -385,7 +385,7 @@ class TestRays:
             beside = [ray_distances((x, y), ANGLES + pose.yaw + nudge, solids, 10.0) for nudge in (-1e-3, 0.0, 1e-3)]
             # In a turn the chassis leans by less than a milliradian; a ray that slips past a corner is not compared.
             steady = np.ptp(beside, axis=0) < 0.2
-            assert simulator.scan().distances[steady] == pytest.approx(beside[1][steady], abs=4e-3)
+            assert simulator.scan()[steady] == pytest.approx(beside[1][steady], abs=4e-3)
             compared += int(np.sum(beside[1][steady] < 9.9))
             motion = simulator.advance(turn)
             time, turn = time + motion.duration, float(generator.uniform(-1.0, 1.0))
@@ -413,7 +413,7 @@ class TestKinematicModelAndPhysics:
         drives = []
         with (
             closing(KinematicSimulator(vehicle, DriveOptions())) as kinematic,
-            closing(BulletSimulator(vehicle, DriveOptions(), PHYSICS["reference"])) as bullet,
+            closing(BulletEngine(vehicle, DriveOptions(), PHYSICS["reference"])) as bullet,
         ):
             for simulator in (kinematic, bullet):
                 simulator.reset(world)
@@ -439,7 +439,7 @@ class TestKinematicModelAndPhysics:
         motions = []
         with (
             closing(KinematicSimulator(vehicle, DriveOptions(decision_period=1.0))) as kinematic,
-            closing(BulletSimulator(vehicle, DriveOptions(decision_period=1.0), PHYSICS["reference"])) as bullet,
+            closing(BulletEngine(vehicle, DriveOptions(decision_period=1.0), PHYSICS["reference"])) as bullet,
         ):
             for simulator in (kinematic, bullet):
                 motions.append(drive(simulator, world, np.radians([60.0, -60.0, 30.0]).tolist()))
@@ -458,8 +458,8 @@ class TestFreshStart:
 
         def seen(world: WorldSpec) -> list[Any]:
             simulator.reset(world)
-            first = simulator.scan().distances.tolist()
-            return [first, *((simulator.advance(turn), simulator.scan().distances.tolist()) for turn in self.TURNS)]
+            first = simulator.scan().tolist()
+            return [first, *((simulator.advance(turn), simulator.scan().tolist()) for turn in self.TURNS)]
 
         once = seen(world)
         for other in (world_of(), with_patrols(world_of(), *traffic(np.random.default_rng(4))), world):
@@ -473,7 +473,7 @@ class TestFreshStart:
         looks: list[Array] = []
 
         def look() -> None:
-            looks.append(contact.scan().distances)
+            looks.append(contact.scan())
 
         contact.reset(world)
         assert [contact.advance(turn, look=look) for turn in self.TURNS[: len(plain)]] == plain

@@ -26,7 +26,7 @@ from nnql_bullet.agents.rules.vfh import (
     turning_limits,
 )
 from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, Observations, heading_change, stacked
+from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, heading_change, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, wrap_angle
 from nnql_bullet.mapping.point_cloud import point_cloud
@@ -67,12 +67,12 @@ def make(vehicle: VehicleSpec) -> Make:
 
 def observed(
     rays: Array = NOTHING, bearing: float = 0.0, yaw_rate: float = 0.0, state: StateProperty = StateProperty.NON_SAFE
-) -> Observations:
+) -> Observation:
     """What one vehicle sees."""
     return stacked([Observation(sector_readings(rays), 50.0, bearing, yaw_rate, state, rays)])
 
 
-def action(agent: Agent, observations: Observations) -> int:
+def action(agent: Agent, observations: Observation) -> int:
     """Of one vehicle."""
     (chosen,) = agent.act(observations).tolist()
     return int(chosen)
@@ -125,7 +125,7 @@ def test_scan_points_are_on_what_the_rays_met(vehicle: VehicleSpec, world_of: Ca
     box, start = OrientedBox(105.0, 102.0, 2.0, 1.0, 0.4), Pose(100.0, 100.0, 0.3)
     simulator = KinematicSimulator(vehicle, DRIVE)
     simulator.reset(world_of(box, start=start))
-    distances = simulator.scan().distances
+    distances = simulator.scan()
     points = point_cloud(distances, vehicle.sensor)
     assert points.shape == (RAYS, 2)
     assert np.array_equal(np.isnan(points).all(axis=1), distances == paper.SENSOR_RANGE)

@@ -18,7 +18,7 @@ from safetensors.numpy import load_file
 from nnql_bullet.agents.base import LearningAgent, Trainable
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
-from nnql_bullet.env import FleetNavigation, Observation, Observations, stacked
+from nnql_bullet.env import Navigation, Observation, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
@@ -40,7 +40,7 @@ def same(one: Arrays, other: Arrays) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
-def observed(rows: NDArray[np.float64]) -> Observations:
+def observed(rows: NDArray[np.float64]) -> Observation:
     """Vehicles of which the environment tells these numbers (n, 11)."""
     return stacked([Observation(r[:8], r[8], r[9], r[10], StateProperty.NON_SAFE, np.full(RAYS, 10.0)) for r in rows])
 
@@ -51,11 +51,11 @@ def numbers(count: int) -> NDArray[np.float64]:
 
 
 @pytest.fixture
-def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any, FleetNavigation]]]:
+def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any, Navigation]]]:
     """Makes trainings in the small world, on the kinematic model."""
     fleets: list[Fleet] = []
 
-    def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any, FleetNavigation]:
+    def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any, Navigation]:
         config = RunConfig(
             seed=seed,
             vehicles=vehicles,
@@ -65,8 +65,8 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any, Fl
             agent=SMALL,
         )
         experiment = Experiment(config)
-        fleets.append(experiment.fleet(1))
-        navigation = FleetNavigation(fleets[-1], config.task)
+        fleets.append(experiment.new_simulator(1))
+        navigation = Navigation(fleets[-1], config.task)
         return experiment, experiment.trainer(navigation), navigation
 
     yield make
@@ -148,7 +148,7 @@ class TestVehicles:
     def test_they_do_what_single_environments_do(self, parts: Callable[..., Any], small_world: Path) -> None:
         """Each episode again, in the Gymnasium environment of one vehicle."""
         experiment, _, navigation = parts()
-        vehicles = sb3.FleetVecEnv(navigation, experiment.training_world)
+        vehicles = sb3.VehiclesVecEnv(navigation, experiment.training_world)
         generator = np.random.default_rng(1)
         seen = [[observation] for observation in vehicles.reset()]
         done: list[list[int]] = [[] for _ in range(3)]

@@ -23,10 +23,8 @@ from nnql_bullet.env import (
     ACTIONS,
     STOP,
     TOWARD_TARGET,
-    FleetNavigation,
     Navigation,
     Observation,
-    Observations,
     Transition,
     stacked,
 )
@@ -55,7 +53,7 @@ from nnql_bullet.shield.shield import Shield, ShieldOptions
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import turning_deceleration
@@ -77,13 +75,13 @@ RunCli = Callable[..., tuple[int, str, str]]
 class Wilful(Rule):
     """Chooses by a function of what it sees; its values are NaN or a fixed row."""
 
-    def __init__(self, choose: Callable[[Observations], NDArray[np.int64]], values: Array | None = None) -> None:
+    def __init__(self, choose: Callable[[Observation], NDArray[np.int64]], values: Array | None = None) -> None:
         self._choose, self._values = choose, values
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         return self._choose(observations)
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         nothing = super().action_values(observations)
         return nothing if self._values is None else np.broadcast_to(self._values, nothing.shape)
 
@@ -92,7 +90,7 @@ def always(action: int, values: Array | None = None) -> Wilful:
     return Wilful(lambda o: np.full(len(o.yaw_rate), action), values)
 
 
-def suicidal(o: Observations) -> NDArray[np.int64]:
+def suicidal(o: Observation) -> NDArray[np.int64]:
     """Toward whatever is nearest ahead."""
     bearings = np.angle(np.exp(1j * ray_angles()))
     ahead = np.where(np.abs(bearings) < pi / 2, o.ray_distances, inf)
@@ -330,7 +328,7 @@ class TestMemory:
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         class Remembering(Wilful):
-            def act(self, observations: Observations) -> NDArray[np.int64]:
+            def act(self, observations: Observation) -> NDArray[np.int64]:
                 wanted.append(int(super().act(observations)[0]))
                 return np.array(wanted[-1:])
 
@@ -366,8 +364,8 @@ class TestMemory:
         worlds = [load_world(name).draw(seed, 0.8) for name in ("cover_20", "moving") for seed in (1, 2)]
         task = TaskOptions(max_steps=60)
         alone = [run_episode(Navigation(kinematic, task), world, around(Wilful(suicidal))) for world in worlds]
-        with closing(KinematicFleet(vehicle, DRIVE, 6)) as fleet:  # two have nothing to do
-            together = run_episodes(FleetNavigation(fleet, task), worlds, around(Wilful(suicidal)))
+        with closing(KinematicSimulator(vehicle, DRIVE, 6)) as fleet:  # two have nothing to do
+            together = run_episodes(Navigation(fleet, task), worlds, around(Wilful(suicidal)))
         for one, other in zip(alone, together, strict=True):
             expected, found = asdict(one), asdict(other)
             assert found.pop("terms") == pytest.approx(expected.pop("terms"))
@@ -447,11 +445,11 @@ class TestNewcomers:
         world = load_world("cover_20").draw(seed, 0.8)
         kinematic.reset(world)
         chance = np.random.default_rng(seed)
-        before, then, found = kinematic.scan().distances, kinematic.pose(), 0
+        before, then, found = kinematic.scan(), kinematic.pose(), 0
         for _ in range(40):
             if kinematic.advance(float(chance.choice(paper.TURNS))).touching:
                 break
-            now, rays = kinematic.pose(), kinematic.scan().distances
+            now, rays = kinematic.pose(), kinematic.scan()
             c, s = cos(then.yaw), sin(then.yaw)
             dx, dy = now.x - then.x, now.y - then.y
             moved = np.array([c * dx + s * dy, c * dy - s * dx, now.yaw - then.yaw])

@@ -17,17 +17,16 @@ from nnql_bullet.env import (
     MANOEUVRES,
     STOP,
     TOWARD_TARGET,
-    FleetNavigation,
     Navigation,
     heading_change,
     speed_scale,
 )
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
-from nnql_bullet.sim.base import Motion, Motions, Sample, Simulator
+from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
-from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.limits import braking, braking_rear_load
@@ -64,7 +63,7 @@ def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[
 
 
 def drive(simulator: Simulator, world: WorldSpec, commands: list[tuple[float, float]]) -> list[Motion]:
-    """Motions of commands (turn in degrees, speed_scale), up to the first contact."""
+    """Motion of commands (turn in degrees, speed_scale), up to the first contact."""
     simulator.reset(world)
     motions = []
     for turn, wanted in commands:
@@ -236,7 +235,7 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
     world = load_world(name).draw(seed, 0.8)
     footprint, chance = as_rows((vehicle.footprint,))[0], np.random.default_rng(seed)
     clock = 0
-    with closing(KinematicFleet(vehicle, DriveOptions(), 1, threads=1)) as fleet:
+    with closing(KinematicSimulator(vehicle, DriveOptions(), 1, threads=1)) as fleet:
         fleet.reset({0: world})
         for _ in range(60):
             turn = chance.choice(np.radians([0, 30, 60, -30, -60]), 1)
@@ -260,9 +259,9 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
 def test_vehicles_of_a_fleet_go_at_their_own_paces(vehicle: VehicleSpec, world_of: WorldOf, kind: str) -> None:
     make = maker("bullet" if kind == "workers" else kind, vehicle)
     if kind == "kinematic":
-        fleet = KinematicFleet(vehicle, DriveOptions(), 3)
+        fleet = KinematicSimulator(vehicle, DriveOptions(), 3)
     elif kind == "workers":
-        fleet = WorkerFleet(partial(local_fleet, make), 3, 2)
+        fleet = WorkerSimulator(partial(local_fleet, make), 3, 2)
     else:
         fleet = local_fleet(make, 3)
     chance = np.random.default_rng(4)
@@ -272,7 +271,7 @@ def test_vehicles_of_a_fleet_go_at_their_own_paces(vehicle: VehicleSpec, world_o
         together = []
         for turns, speed_scales in commands:
             motions, _ = fleet.advance(turns, np.ones(3, np.bool_), speed_scales)
-            together.append(replace(motions, **{f.name: getattr(motions, f.name).copy() for f in fields(Motions)}))
+            together.append(replace(motions, **{f.name: getattr(motions, f.name).copy() for f in fields(Motion)}))
         for i in range(3):
             alone.reset(world_of())
             for (turns, speed_scales), motions in zip(commands, together, strict=True):
@@ -296,9 +295,9 @@ class TestManoeuvres:
         actions = [STOP, STOP, TOWARD_TARGET + STOP, TOWARD_TARGET + STOP, TOWARD_TARGET, 1]
         with (
             closing(KinematicSimulator(vehicle, DriveOptions())) as one,
-            closing(KinematicFleet(vehicle, DriveOptions(), 2)) as two,
+            closing(KinematicSimulator(vehicle, DriveOptions(), 2)) as two,
         ):
-            navigation, many = Navigation(one, TaskOptions()), FleetNavigation(two, TaskOptions())
+            navigation, many = Navigation(one, TaskOptions()), Navigation(two, TaskOptions())
             navigation.reset(world_of())
             many.reset({i: world_of() for i in range(2)})
             for action in actions:

@@ -25,15 +25,15 @@ from safetensors.numpy import load_file
 
 from nnql_bullet.agents import LearningAgent
 from nnql_bullet.agents.learning.nnql import Nnql
-from nnql_bullet.env import FleetNavigation, Navigation, Observations, Transition, Transitions, stacked
+from nnql_bullet.env import Navigation, Observation, Transition, stacked
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
-from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
-from nnql_bullet.sim.faults import FaultyFleet, SensorFaults
+from nnql_bullet.sim.base import Fleet, Motion, WorkerDied
+from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import Training, TrainingEpisode
@@ -77,9 +77,9 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
             task=TaskOptions(max_steps=max_steps),
         )
         experiment = Experiment(config)
-        fleets.append(experiment.fleet(1))
+        fleets.append(experiment.new_simulator(1))
         inner, learner = fleet(fleets[-1]), agent(experiment.learning_agent)
-        navigation = FleetNavigation(inner, config.task)
+        navigation = Navigation(inner, config.task)
         return Parts(experiment, learner, inner, Training(learner, navigation, experiment.training_world, config.seed))
 
     yield make
@@ -103,13 +103,13 @@ class Spy:
         """What `learn` gave, by episode."""
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         self.asked.append(episodes.tolist())
         self.uniforms.append(uniforms.tolist())
         return self._agent.act_exploring(observations, episodes, uniforms)
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         errors = self._agent.learn(transitions)
         for episode, error in zip(self.asked[-1], errors.tolist(), strict=True):
             self.errors.setdefault(episode, []).append(error)
@@ -137,7 +137,7 @@ class Mortal:
 
     def advance(
         self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-    ) -> tuple[Motions, Array]:
+    ) -> tuple[Motion, Array]:
         self._count("advance")
         return self._fleet.advance(heading_changes, active, speed_scales)
 
@@ -145,8 +145,8 @@ class Mortal:
         self._fleet.close()
 
 
-def batch_of_one(t: Transition) -> Transitions:
-    return Transitions(
+def batch_of_one(t: Transition) -> Transition:
+    return Transition(
         s_tm1=stacked([t.s_tm1]),
         a_tm1=np.array([t.a_tm1]),
         r_t=np.array([t.r_t]),
@@ -260,7 +260,7 @@ class TestOrder:
         class Watched(Mortal):
             def advance(
                 self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-            ) -> tuple[Motions, Array]:
+            ) -> tuple[Motion, Array]:
                 driven.append(active.tolist())
                 return super().advance(heading_changes, active, speed_scales)
 
@@ -333,7 +333,7 @@ class TestGoingOn:
         assert_same(stop, whole[-1])
 
     def test_with_noisy_sensors(self, parts: Callable[..., Parts]) -> None:
-        noisy = partial(FaultyFleet, faults=SensorFaults(noise=0.2))
+        noisy = partial(FaultySimulator, faults=SensorFaults(noise=0.2))
         whole = stops(parts(3, fleet=noisy), 8)
         for stop in whole[0], whole[3]:
             assert_same(going_on(parts(3, fleet=noisy), stop, 8), whole[-1])
