@@ -10,7 +10,7 @@ DEMO := runs/demo
 help:
 	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 6 minutes)'
 	@echo 'make test       the whole test suite'
-	@echo 'make lint       ruff and mypy'
+	@echo 'make lint       ruff, import-linter and mypy'
 	@echo 'make format     let ruff rewrite the sources'
 	@echo 'make benchmark  speed against the bare engine'
 	@echo 'make clean      remove the environment, runs and caches'
@@ -33,6 +33,7 @@ test: $(INSTALLED)
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/mypy
 	$(BIN)/python scripts/make_tricycle.py --check
 

@@ -1,4 +1,4 @@
-"""Neural-network Q-learning for an industrial three-wheeled vehicle, proved in contact physics.
+"""Neural-network Q-learning for an industrial three-wheeled vehicle, validated in contact physics.
 
 Importing it makes `nnql_bullet/Tricycle-v0` known to `gymnasium.make` and `gymnasium.make_vec`.
 """

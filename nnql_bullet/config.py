@@ -82,11 +82,14 @@ def to_values(instance: Any) -> dict[str, Any]:
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """`base` with `changes` laid over it, table by table.
 
-    A table of another `kind` replaces the one in `base`; None leaves what is there.
+    A table of another `kind` and an options instance replace the table in `base`; None leaves what is there.
     """
     result = dict(base)
     for key, value in changes.items():
         if value is None:
+            continue
+        if is_dataclass(value):
+            result[key] = to_values(value)
             continue
         old = result.get(key)
         if isinstance(old, Mapping) and isinstance(value, Mapping) and _same_kind(old, value):
@@ -96,6 +99,19 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
         else:
             result[key] = value
     return result
+
+
+def departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
+    """The smallest changes that `merged` lays over `base` to get `values`; keys that only `base` has are ignored."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        old = base.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping) and _same_kind(value, old):
+            if inner := departures(value, old):
+                found[key] = inner
+        elif value != old:
+            found[key] = value
+    return found
 
 
 def _same_kind(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

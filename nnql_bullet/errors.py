@@ -1,5 +1,5 @@
-"""The one exception for what a user can put right."""
+"""The exception for mistakes that a user can correct."""
 
 
 class UserError(Exception):
-    """Bad input: the message is one line that says what is wrong and what to do. The command line exits with 2."""
+    """Raised for bad input. Its message is one line that says what is wrong and what to do."""

@@ -1,261 +1,33 @@
 """From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
 
-import copy
-from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from os import cpu_count
-from pathlib import Path
-from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
-from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, Agent, AnyAgentOptions, LearningAgent, Trainable, make_agent
+from nnql_bullet.agents import Agent, LearningAgent, Trainable, make_agent
 from nnql_bullet.agents.learning.genetic import Genetic
-from nnql_bullet.agents.learning.nnql import NnqlOptions
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
-from nnql_bullet.config import merged, options, parse, read_toml, to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
+from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
-from nnql_bullet.shield.shield import Shield, ShieldOptions
+from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedSimulator, turned
-from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
-from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
+from nnql_bullet.sim.domain_randomization import RandomizedSimulator, turned
+from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.faults import FaultySimulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
-from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
-from nnql_bullet.training.selection import Candidates, SelectionOptions, count_goals
-from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.training.selection import Candidates, count_goals
+from nnql_bullet.vehicle.spec import load_vehicle
 from nnql_bullet.worlds.source import WorldSource, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
-SimulatorName = Literal[EngineName, "kinematic"]
-
 PATH_MARGIN = 0.15
 """What a world's path is wider on either side than the circle around the vehicle [m]."""
-
-PRESETS: dict[str, dict[str, Any]] = {
-    # Every number that the paper states; where it leaves a choice, the one that the evidence supports. The defaults.
-    "paper": {},
-    # Where the paper leaves a choice, the most literal reading of its text.
-    "literal": {
-        "drive": {"decision_period": 1.0},  # a step long enough for the largest turn
-        "task": {
-            # "a high possibility of collision with some obstacles": near in any direction
-            "front_distance": 4.0,
-            "front_side_distance": 4.0,
-            "other_distance": 4.0,
-            "reward_non_safe_to_safe": 0.2,  # the opposite of safe to non-safe
-        },
-        "agent": {
-            "encoding": "distance",  # "if no obstacle is found, then d = 0"
-            "gradient_step": 1.0,  # the target of eq. (2) taken at its word
-        },
-    },
-    # The paper's network, turns, rewards and update, but its numbers too by evidence: `nnql-bullet ablate tuned` says
-    # what each is worth.
-    "tuned": {
-        "simulator": "kinematic",
-        "vehicles": 64,
-        "world": "cover_7.5",  # stated is a cover of 5 %
-        "drive": {"decision_period": 0.6},
-        "training": {"selection": {"worlds": ["cover_10", "cover_15"]}},
-        "agent": {
-            "kind": "nnql",
-            "temperature_max": 0.4,  # stated is 0.8
-            "temperature_min": 0.1,  # stated is 0.01
-            "mirrored": True,
-        },
-    },
-    # Another agent in the paper's place, all else being equal.
-    **{kind: {"agent": {"kind": kind}} for kind in KINDS if kind != "nnql"},
-    # A search learns from whole episodes where the others learn from steps, so it is given more of them.
-    # Decides every step, and is given what that takes: the kinematic model, many at a time, and all kinds of worlds.
-    "double_dqn": {
-        "episodes": 12_000,
-        "simulator": "kinematic",
-        "vehicles": 64,
-        "agent": {"kind": "double_dqn"},
-        "training": {
-            # The hardest twice.
-            "worlds": ["cover_10", "cover_15", *["cover_20"] * 2, "traps", *["aisles"] * 2, "moving"],
-            "domain_randomization": {
-                "start_yaw": True,
-                "noise": 0.05,
-                "dead_sector": 0.05,
-                "turn_scale": 0.1,
-                "turn_noise_degrees": 3.0,
-            },
-        },
-    },
-    "genetic": {"episodes": 20 * paper.EPISODES, "agent": {"kind": "genetic"}},
-}
-
-TRAIN_FLAGS = {
-    "seed": "--seed",
-    "episodes": "--episodes",
-    "world": "--world",
-    "simulator": "--sim",
-    "physics": "--physics",
-    "vehicles": "--vehicles",
-}
-"""Of `nnql-bullet train`, by the key of a configuration that each sets."""
-
-
-RENAMED_KEYS = (
-    ("training", "disturbances", "domain_randomization"),
-    ("agent", "seen_map", "grid_map"),
-    ("shield", "leads", "recovers"),
-)
-"""Keys of configurations as version 0.1 wrote them: table, key, and the key of now."""
-
-
-@options
-class Conditions:
-    """How things depart from what the vehicle was made for. The defaults are what its files say."""
-
-    wheel_friction: Annotated[float, Field(gt=0)] | None = None
-    """Of every wheel against the ground."""
-    payload: Annotated[float, Field(ge=0)] = 0.0
-    """On the middle of the deck [kg]."""
-    payload_height: Annotated[float, Field(gt=0)] = LOAD_HEIGHT
-    """Of its centre, above the ground [m]."""
-    sensors: SensorFaults = SensorFaults()
-
-    def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
-        """The vehicle under these conditions."""
-        if self.wheel_friction is not None:
-            vehicle = vehicle.gripping(self.wheel_friction)
-        return loaded(vehicle, deck_load(vehicle, self.payload, self.payload_height))
-
-
-@dataclass(frozen=True, slots=True)
-class Departures:
-    """Conditions that a drive is asked for, on top of a policy's own; None leaves those."""
-
-    friction: float | None = None
-    """Of every wheel against the ground."""
-    payload: float | None = None
-    """[kg]"""
-    noise: float | None = None
-    """Standard deviation of each ray [m]."""
-    dead_sector: int | None = None
-    """That sees nothing."""
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """What is laid over a policy's configuration."""
-        sensors = {"noise": self.noise, "dead_sector": self.dead_sector}
-        return {"conditions": {"wheel_friction": self.friction, "payload": self.payload, "sensors": sensors}}
-
-    @property
-    def given(self) -> dict[str, float]:
-        """Those that are asked for, by the names of their flags."""
-        return {name.replace("_", "-"): value for name, value in asdict(self).items() if value is not None}
-
-    @property
-    def flags(self) -> list[str]:
-        """What asks for them on the command line."""
-        return [text for name, value in self.given.items() for text in (f"--{name}", f"{value:g}")]
-
-
-AS_TRAINED = Departures()
-
-
-@options
-class TrainingOptions:
-    """What training episodes are, where they are not just episodes in the run's world."""
-
-    worlds: tuple[str, ...] = ()
-    """Shipped worlds or TOML files, of which each episode takes any, in place of the run's world."""
-    domain_randomization: DomainRandomization = DomainRandomization()
-    selection: SelectionOptions | None = None
-    """How a late state is chosen as the policy; the last one is if this is not given."""
-
-
-@options
-class RunConfig:
-    """A training run. The defaults are the preset `paper`."""
-
-    seed: Annotated[int, Field(ge=0)] = 0
-    episodes: Annotated[int, Field(ge=1)] = paper.EPISODES
-    world: str = "paper"
-    """A shipped world or a path to a TOML file."""
-    robot: str = "tricycle"
-    """A shipped robot or a path to a TOML file."""
-    simulator: SimulatorName = "bullet"
-    """Contact physics in one of two engines, or the kinematic model."""
-    physics: PhysicsName = "fast"
-    """Of contact physics."""
-    vehicles: Annotated[int, Field(ge=1)] = 1
-    """That one policy learns from in lockstep; 1 is the paper's online learning."""
-    conditions: Conditions = Conditions()
-    training: TrainingOptions = TrainingOptions()
-    drive: DriveOptions = DriveOptions()
-    task: TaskOptions = TaskOptions()
-    agent: AnyAgentOptions = NnqlOptions()
-    shield: ShieldOptions | None = None
-    """Around the agent when it drives for good; it learns without."""
-
-
-def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
-    """The configuration of a preset or TOML file, with changes laid over it.
-
-    Args:
-        name: A preset, or a path to a TOML file; its key `preset` names what it is laid over (default `paper`).
-        changes: Nested values; None leaves what is there.
-
-    Raises:
-        UserError: If there is no such preset or file, or a key or value is wrong.
-    """
-    values: Mapping[str, Any] = {}
-    preset = name
-    if name not in PRESETS:
-        if not Path(name).is_file():
-            raise UserError(f"there is no preset or file '{name}'; give a TOML file or one of: {', '.join(PRESETS)}")
-        values = read_toml(Path(name))
-        preset = values.pop("preset", "paper")
-        if preset not in PRESETS:
-            raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
-    known_kind = {"agent": {"kind": RunConfig().agent.kind}}
-    return parse(RunConfig, merged(merged(merged(known_kind, PRESETS[preset]), values), changes), name)
-
-
-def changed(config: RunConfig, **changes: Any) -> RunConfig:
-    """The configuration with nested values laid over it; None leaves what is there."""
-    return parse(RunConfig, merged(to_values(config), changes), "command line")
-
-
-def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a configuration that an older version wrote, under the names of now."""
-    new = copy.deepcopy(dict(values))
-    if new.get("simulator") == "twin":
-        new["simulator"] = "kinematic"
-    for table, old, now in RENAMED_KEYS:
-        group = new.get(table)
-        if isinstance(group, dict) and old in group:
-            group[now] = group.pop(old)
-    return new
-
-
-def preset_of(config: RunConfig) -> tuple[str, list[str]] | None:
-    """The preset and the flags of `nnql-bullet train` that make up the whole configuration; None if there is none."""
-    given = {key: getattr(config, key) for key in TRAIN_FLAGS}
-    for preset in PRESETS:
-        if load_config(preset, given) == config:
-            usual = load_config(preset, {})
-            departing = [key for key, value in given.items() if value != getattr(usual, key)]
-            return preset, [part for key in departing for part in (TRAIN_FLAGS[key], str(given[key]))]
-    return None
 
 
 class Experiment:
@@ -352,7 +124,7 @@ class Experiment:
         return RandomizedSimulator(simulator, randomization) if randomization.any else simulator
 
     def _simulator(self, size: int, workers: int) -> Simulator:
-        c, faults = self.config, self.config.conditions.sensors
+        c, faults = self.config, self.config.conditions.sensor_faults
         if c.simulator == "kinematic":
             simulator: Simulator = KinematicSimulator(self.vehicle, c.drive, size, workers)
         else:

@@ -22,9 +22,11 @@ from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, changed, load_config, migrated
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
+from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import RunConfig, changed, migrated
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights

@@ -33,7 +33,7 @@ RULES = ("straight", "random", "hand_rule", "potential_field", "fuzzy", "vfh", "
 POLICIES = ("paper", "tuned", "double_dqn", *RULES)
 CONDITIONS: dict[str, dict[str, Any]] = {
     "plain": {},
-    "worn": {"wheel_friction": 0.6, "payload": 60.0, "sensors": {"noise": 0.05, "dead_sector": 1}},
+    "worn": {"wheel_friction": 0.6, "payload": 60.0, "sensor_noise": 0.05, "dead_sector": 1},
 }
 CONTACT = (("bullet", "fast"), ("mujoco", "fast"))
 SETTINGS = (("bullet", "reference"), ("bullet", "fast"), ("mujoco", "reference"), ("mujoco", "fast"))
@@ -108,7 +108,7 @@ def _trained(preset: str, changes: dict[str, Any]) -> str:
 
     from nnql_bullet.cli import main
     from nnql_bullet.config import to_values, write_toml
-    from nnql_bullet.experiment import load_config
+    from nnql_bullet.presets import load_config
 
     with TemporaryDirectory() as folder, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
         config = Path(folder) / "config.toml"

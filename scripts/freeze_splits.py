@@ -16,8 +16,9 @@ from rich.progress import track
 
 from nnql_bullet import assets
 from nnql_bullet.evaluation.splits import BLOCK, FROZEN, SPLITS, block_hash
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
+from nnql_bullet.run_config import RunConfig
 
 FILE = assets.folder("worlds") / "splits.json"
 

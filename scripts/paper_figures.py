@@ -24,8 +24,9 @@ from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.env import Navigation, Transition
-from nnql_bullet.experiment import Experiment, load_config
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, Pose, moved
+from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode

@@ -126,7 +126,7 @@ def train(trial: Trial) -> None:
 
 def _train_to(trial: Trial, method: Method, episodes: int | None) -> None:
     from nnql_bullet.cli.parser import run
-    from nnql_bullet.experiment import load_config
+    from nnql_bullet.presets import load_config
 
     if (trial.run / "checkpoint.safetensors").exists():
         episodes = episodes or load_config(method.preset, {}).episodes

@@ -18,8 +18,9 @@ from rich.progress import track
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
-from nnql_bullet.experiment import Experiment, RunConfig, changed
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import run_episodes
+from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import VALIDATION_WORLDS
 
 COVERS = {"5 %": "paper", "10 %": "cover_10"}

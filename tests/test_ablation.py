@@ -12,7 +12,7 @@ from PIL import Image
 from nnql_bullet.config import merged, to_values
 from nnql_bullet.evaluation.ablation import Budget, Counts, entries, task_of
 from nnql_bullet.evaluation.studies import STUDIES, Factor, Study, Variant
-from nnql_bullet.experiment import PRESETS, load_config
+from nnql_bullet.presets import load_config
 from nnql_bullet.reports.ablation import decision
 
 RunCli = Callable[..., tuple[int, str, str]]
@@ -56,7 +56,6 @@ class TestBooks:
         (factor,) = [factor for factor in BOOK.factors if factor.name == "letter"]
         literal = to_values(load_config("literal", {"simulator": "kinematic", "vehicles": 4, "episodes": 5}))
         assert configured(BOOK, factor.variants[1]) == literal
-        assert factor.variants[1].changes == PRESETS["literal"]
 
     def test_what_a_book_shares_is_in_every_training(self) -> None:
         study = STUDIES["double_dqn"]

@@ -15,8 +15,10 @@ from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable, mak
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.env import ACTIONS, Navigation, Observation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions

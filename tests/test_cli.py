@@ -148,11 +148,11 @@ class TestNavigate:
             assert run_cli("drive", run, "--physics", "fast", *extra)[0] == 0
         folders = {path.name: path / "trajectory.npz" for path in (run / "drives").iterdir()}
         assert folders.keys() == {
-            "small-0", "small-0-kinematic", "small-0-friction-0.5", "small-0-payload-40-dead-sector-2",
-            "small-0-noise-0.05"
+            "small-0", "small-0-kinematic", "small-0-wheel-friction-0.5", "small-0-payload-40-dead-sector-2",
+            "small-0-sensor-noise-0.05"
         }  # fmt: skip
         conditions = load_recording(folders["small-0-payload-40-dead-sector-2"]).about["conditions"]
-        assert (conditions["payload"], conditions["sensors"]["dead_sector"]) == (40.0, 2)
+        assert (conditions["payload"], conditions["dead_sector"]) == (40.0, 2)
         ends = {name: load_recording(path).state_pose[-1].tolist() for name, path in folders.items()}
         assert len({tuple(end) for end in ends.values()}) >= 4  # they do differ
 

@@ -9,7 +9,8 @@ from pydantic import Field, ValidationError
 from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.config import merged, options, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import PRESETS, RunConfig, changed, load_config
+from nnql_bullet.presets import PRESETS, load_config
+from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 
@@ -266,7 +267,7 @@ def test_changed_replaces_what_is_given():
     config = RunConfig(seed=5)
     assert changed(config, seed=None, episodes=3) == RunConfig(seed=5, episodes=3)
     assert config == RunConfig(seed=5)
-    with pytest.raises(UserError, match="command line: unknown key 'sed'"):
+    with pytest.raises(UserError, match="configuration: unknown key 'sed'"):
         changed(config, sed=1)
 
 

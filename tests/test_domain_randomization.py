@@ -11,7 +11,9 @@ import pytest
 
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig, TrainingOptions, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
+from nnql_bullet.run_config import RunConfig, TrainingOptions
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedSimulator, turned
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -66,7 +68,9 @@ class TestDisturbances:
         spread = [np.std((seen - true)[i][both[i]]) for i in range(VEHICLES) if both[i].sum() > 8]
         assert max(spread) > 2 * min(spread)  # each episode has its own
 
-    def test_turns_come_out_too_large_or_too_small(self, beneath: KinematicSimulator, worlds: dict[int, WorldSpec]) -> None:
+    def test_turns_come_out_too_large_or_too_small(
+        self, beneath: KinematicSimulator, worlds: dict[int, WorldSpec]
+    ) -> None:
         """A turn of 0.2 rad that is over within the period: what is left over is what it was off by."""
         fleet = RandomizedSimulator(beneath, DomainRandomization(turn_scale=0.2))
         poses, _ = fleet.reset(worlds)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers import observed
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
@@ -24,16 +25,15 @@ from nnql_bullet.env import (
     TOWARD_TARGET,
     Navigation,
     Observation,
-    Observation,
     heading_change,
-    stacked,
 )
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -213,7 +213,7 @@ def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
         for b in range(size):
             at_target = corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)
             if a in (0, size - 1) or b in (0, size - 1) or at_target:
-                heappush(heap, (grid_map.CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
+                heappush(heap, (grid_map.MAP_CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
     while heap:
         way, a, b = heappop(heap)
         if way >= left[a, b]:
@@ -223,7 +223,7 @@ def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
             if 0 <= c < size and 0 <= d < size:
                 beside = min(cost[a, d], cost[c, b]) if a != c and b != d else 0.0
                 through = max(cost[a, b], beside) + max(cost[c, d], beside)
-                longer = 0.5 * grid_map.CELL * hypot(a - c, b - d) * through
+                longer = 0.5 * grid_map.MAP_CELL * hypot(a - c, b - d) * through
                 heappush(heap, (way + longer, c, d))
     return left
 
@@ -247,7 +247,7 @@ class TestMap:
 
     def test_a_wall_is_gone_round(self) -> None:
         """A U around the vehicle, open away from the target: it is told to turn round."""
-        middle, cell = grid_map.SIZE // 2, grid_map.CELL
+        middle, cell = grid_map.SIZE // 2, grid_map.MAP_CELL
         cells, corner = np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), np.array([-100, -middle])
         cells[middle + 6, middle - 9 : middle + 10] = 1
         cells[middle - 6 : middle + 7, middle - 9] = cells[middle - 6 : middle + 7, middle + 9] = 1
@@ -294,12 +294,12 @@ class TestMap:
             for share in np.linspace(0, 1, 40)
             if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < (grid_map.NEIGHBOURS if k == 1 else grid_map.PASSAGE)
         ]
-        along = {tuple(cell) for cell in np.floor(np.array(places) / grid_map.CELL).astype(int).tolist()}
+        along = {tuple(cell) for cell in np.floor(np.array(places) / grid_map.MAP_CELL).astype(int).tolist()}
         entered = {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()}
-        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / grid_map.CELL).astype(int).tolist()
+        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / grid_map.MAP_CELL).astype(int).tolist()
         assert {tuple(cell) for cell in at_hits} <= entered <= along
         assert all(any(max(abs(a - c), abs(b - d)) <= 1 for c, d in entered) for a, b in along)
-        middle = np.floor(pose[0, :2] / grid_map.CELL).astype(int) - grid_map.SIZE // 2
+        middle = np.floor(pose[0, :2] / grid_map.MAP_CELL).astype(int) - grid_map.SIZE // 2
         assert corners[0].tolist() == middle.tolist()
         for _ in range(grid_map.SEEN):
             assert cells.any()
@@ -311,7 +311,7 @@ class TestMap:
         cells = (generator.random((1, grid_map.SIZE, grid_map.SIZE)) < 0.3).astype(np.int8)
         before, corners = {tuple(c) for c in np.argwhere(cells[0]).tolist()}, np.zeros((1, 2), np.int64)
         middle = grid_map.SIZE // 2 + 0.5
-        pose = np.array([[grid_map.CELL * (middle + 3), grid_map.CELL * (middle - 3), 0.0]])
+        pose = np.array([[grid_map.MAP_CELL * (middle + 3), grid_map.MAP_CELL * (middle - 3), 0.0]])
         grid_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
         assert corners[0].tolist() == [3, -3]
         inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < grid_map.SIZE and 0 <= b + 3 < grid_map.SIZE}
@@ -334,14 +334,14 @@ def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
     for actions in random_manoeuvres(25):
         drive.append((poses, navigation.observation, np.array(world.target)))
-        poses = navigation.step(actions).motions.pose.copy()
+        poses = navigation.step(actions).motion.pose.copy()
     fleet.close()
     return drive
 
 
 def mirrored(observation: Observation) -> Observation:
     """What a vehicle sees whose left is right."""
-    rays = np.array([observation.ray_distances[(8 - i) % RAYS] for i in range(RAYS)])
+    rays = observation.ray_distances[:, (8 - np.arange(RAYS)) % RAYS]
     return replace(
         observation,
         readings=sector_readings(rays),
@@ -364,12 +364,12 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen)
+            one = observed((sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen))
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
-                looks.append(maker.look(memories[i], stacked([o])))
-                memories[i] = maker.after(looks[i], stacked([o]), np.array([a]))
+                looks.append(maker.look(memories[i], o))
+                memories[i] = maker.after(looks[i], o, np.array([a]))
             expected = maker.mirrored(looks[0].stacked).astype(int)
             assert np.abs(expected - looks[1].stacked.astype(int)).max() <= (12 if with_map else 1)
             assert np.array_equal(maker.mirrored(maker.mirrored(looks[0].stacked)), looks[0].stacked)
@@ -401,8 +401,7 @@ class TestFrames:
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))])
-            for d in (40.0, 39.2)
+            observed((np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))) for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
         assert maker.look(memory, seen[1]).progress == pytest.approx([0.8], abs=1e-9)
@@ -411,7 +410,7 @@ class TestFrames:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
     """Makes trainings in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any]:
         task = TaskOptions(max_steps=40)

@@ -17,9 +17,9 @@ from nnql_bullet.evaluation.drives import DriveTask, Setting, Tier, draw_tiers, 
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, part_name
 from nnql_bullet.evaluation.policies import Policy, open_policies
-from nnql_bullet.experiment import Departures
 from nnql_bullet.recording import load_recording
 from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import Conditions
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.worlds.paths import Difficulty
 
@@ -189,8 +189,8 @@ class TestParts:
             DriveTask(policy("a", "a"), one, replace(KINEMATIC, simulator="bullet"), 0),
             DriveTask(policy("a", "a"), one, replace(KINEMATIC, simulator="bullet", physics="fast"), 0),
             DriveTask(policy("a", "a"), one, KINEMATIC, 25),
-            DriveTask(policy("a", "a"), one, replace(KINEMATIC, departures=Departures(friction=0.5)), 0),
-            DriveTask(policy("a", "a"), one, replace(KINEMATIC, departures=Departures(payload=0.5)), 0),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, conditions=Conditions(wheel_friction=0.5)), 0),
+            DriveTask(policy("a", "a"), one, replace(KINEMATIC, conditions=Conditions(payload=0.5)), 0),
         ]
         assert len({task.part for task in tasks}) == len(tasks)
         assert DriveTask(policy("a", "z"), one, KINEMATIC, 0).part == tasks[0].part
@@ -326,7 +326,7 @@ class TestCommand:
             assert json.loads(printed)["path_length"] == lengths[-1][1]
         assert lengths[0] != lengths[1]
         values = json.loads((out / "results.json").read_text())
-        assert all(flag in values["command"].split() for flag in departures)
+        assert all(value in values["command"].split() for value in departures[1::2])
         assert departures[0].strip("-") in (out / "evaluation.md").read_text().splitlines()[2]
 
     def test_json_is_what_the_file_holds(
@@ -350,7 +350,7 @@ class TestCommand:
             (("straight", "--address", "localhost:1"), "the executor 'processes' takes no address"),
             (("straight", "--workers", "-1"), "workers must be at least 1"),
             (("straight", "--friction", "0"), "'conditions.wheel_friction': input should be greater than 0"),
-            (("straight", "--dead-sector", "8"), "'conditions.sensors.dead_sector': input should be less than 8"),
+            (("straight", "--dead-sector", "8"), "'conditions.dead_sector': input should be less than 8"),
         ],
     )
     def test_bad_input_is_one_line_and_leaves_nothing(

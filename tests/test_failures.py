@@ -14,7 +14,7 @@ from PIL import Image
 
 from nnql_bullet.cli import main
 from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier
-from nnql_bullet.evaluation.failures import GROUPS, Contact, Lateness, features, group
+from nnql_bullet.evaluation.failures import GROUPS, Contact, Timeout, features, group
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.replays import FailedDrive, choose
 from nnql_bullet.geometry import Array, OrientedBox
@@ -216,9 +216,9 @@ class TestContact:
 
 
 class TestLateness:
-    def late(self, poses: Array, **world: Any) -> Lateness:
+    def late(self, poses: Array, **world: Any) -> Timeout:
         found = features(recording(poses, "timeout", **world)).end
-        assert isinstance(found, Lateness)
+        assert isinstance(found, Timeout)
         return found
 
     @pytest.mark.parametrize("way", [1, -1])

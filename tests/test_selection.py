@@ -19,10 +19,12 @@ from nnql_bullet.cli import main
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.ablation import AblationTask, Counts, train_and_test
-from nnql_bullet.experiment import Experiment, changed, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episode
+from nnql_bullet.run_config import changed
 from nnql_bullet.runs import open_policy
-from nnql_bullet.sim.kinematic import KinematicSimulator, KinematicSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals
 
@@ -126,7 +128,7 @@ def contents(folder: Path) -> dict[str, Any]:
 def driven(policy: Path, world: str | None, seeds: range) -> list[str]:
     """How a policy's drives end in the kinematic model, one vehicle after the other."""
     experiment, _ = open_policy(policy, {"world": world})
-    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
+    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive, 1), experiment.config.task)
     return [run_episode(navigation, experiment.world(seed), experiment.agent).ending for seed in seeds]
 
 

@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 import nnql_bullet  # noqa: F401 (makes the environment known)
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import RunConfig
 from nnql_bullet.gym_env import TricycleVectorEnv
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import TaskOptions
 
 NAME = "nnql_bullet/Tricycle-v0"

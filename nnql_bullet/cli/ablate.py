@@ -16,9 +16,9 @@ from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.studies import STUDIES, Study
 from nnql_bullet.executors import ExecutorKind, make_executor
-from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import ablation as report
+from nnql_bullet.run_config import SimulatorName
 
 
 def ablate(

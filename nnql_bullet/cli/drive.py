@@ -9,9 +9,9 @@ import tyro
 from nnql_bullet.cli import driving
 from nnql_bullet.cli.console import say
 from nnql_bullet.cli.filming import film_of, shoot, whole
-from nnql_bullet.experiment import Departures, SimulatorName
 from nnql_bullet.render.window import watch
 from nnql_bullet.reports.plots import draw_trajectory
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.runs import drives_folder
 from nnql_bullet.sim.engines import PhysicsName
 
@@ -72,11 +72,14 @@ def drive(
         gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
         json_output: Print one JSON object instead of text.
     """
-    departures = Departures(friction, payload, noise, dead_sector)
+    conditions = driving.asked_conditions(friction, payload, noise, dead_sector)
     changes: dict[str, Any] = {"world": world, "simulator": sim, "physics": physics, "shield": {} if shield else None}
-    recording, summary = driving.drive(run, seed, changes | departures.changes)
+    changes["conditions"] = conditions
+    recording, summary = driving.drive(run, seed, changes)
     name = [recording.world.name, str(seed), *([sim] if sim != "bullet" else []), *(["shield"] if shield else [])]
-    name += [f"{what}-{value:g}" for what, value in departures.given.items()]
+    name += [
+        f"{what.replace('_', '-')}-{value:g}" for what, value in (conditions.changes if conditions else {}).items()
+    ]
     folder = out or drives_folder(run) / "-".join(name)
     folder.mkdir(parents=True, exist_ok=True)
     recording.save(folder / driving.RECORDING)

@@ -9,9 +9,19 @@ from nnql_bullet.agents import RULES
 from nnql_bullet.config import to_values
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.run_config import Conditions, RunConfig, changed
 from nnql_bullet.runs import open_policy
 
 RECORDING = "trajectory.npz"
+
+
+def asked_conditions(
+    friction: float | None, payload: float | None, noise: float | None, dead_sector: int | None
+) -> Conditions | None:
+    """The conditions that flags ask for; None if they ask for none."""
+    asked = {"wheel_friction": friction, "payload": payload, "sensor_noise": noise, "dead_sector": dead_sector}
+    given = {name: value for name, value in asked.items() if value is not None}
+    return changed(RunConfig(), conditions=given).conditions if given else None
 
 
 def drive(policy: Path, seed: int, changes: Mapping[str, Any]) -> tuple[Recording, EpisodeSummary]:

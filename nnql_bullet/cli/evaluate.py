@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from nnql_bullet.cli.console import complain, say, say_table
+from nnql_bullet.cli.driving import asked_conditions
 from nnql_bullet.cli.failures import clear
 from nnql_bullet.cli.filming import FPS, film_of, shoot, whole
 from nnql_bullet.cli.work import run_all, run_kept
@@ -29,12 +30,13 @@ from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import Executor, ExecutorKind, make_executor
-from nnql_bullet.experiment import Departures, Experiment, SimulatorName
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.film import HOLD
 from nnql_bullet.reports import evaluation as report
 from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.worlds.paths import Difficulty
@@ -109,7 +111,7 @@ def evaluate(
     if clips < 0:
         raise UserError(f"--clips: must not be negative, not {clips}")
     files = _files(cover, world)
-    setting = Setting(split, sim, physics, Departures(friction, payload, noise, dead_sector))
+    setting = Setting(split, sim, physics, asked_conditions(friction, payload, noise, dead_sector))
     where = make_executor(executor, workers or os.cpu_count() or 1, address)
     opened = open_policies(policies, shield)
     _check_engine(opened[0], setting)
@@ -145,8 +147,7 @@ def _items(text: str) -> list[str]:
 
 def _check_engine(policy: Policy, setting: Setting) -> None:
     """An engine that is not there, and conditions that cannot be, show before anything is driven."""
-    changes = {"simulator": setting.simulator, "physics": setting.physics}
-    experiment: Experiment = open_policy(Path(policy.path), changes | setting.departures.changes)[0]
+    experiment: Experiment = open_policy(Path(policy.path), setting.changes)[0]
     experiment.simulator.close()
 
 

@@ -11,10 +11,10 @@ from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Film, FramesLost, frame_times, frames
 from nnql_bullet.render.renderers import best_renderer
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat, write_picture, write_pictures, write_video
+from nnql_bullet.types import Bytes
 
 SIZE = (1280, 720)
 """Of pictures, where nothing else is asked for."""

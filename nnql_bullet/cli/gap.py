@@ -16,9 +16,9 @@ from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
 from nnql_bullet.evaluation.policies import fingerprint
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import make_executor
-from nnql_bullet.experiment import SimulatorName
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import gap as report
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.task import ENDINGS

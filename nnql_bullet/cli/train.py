@@ -16,8 +16,10 @@ from nnql_bullet.agents import Trainable
 from nnql_bullet.cli.console import complain, err, progress, say
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment, SimulatorName, load_config
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, Run, open_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sim.engines import PhysicsName

@@ -5,9 +5,9 @@ from typing import TypeVar
 
 from nnql_bullet.cli.console import progress
 from nnql_bullet.evaluation.parts import Parts, Piece
-from nnql_bullet.executors import Executor, Task
+from nnql_bullet.executors import Executor
 
-T = TypeVar("T", bound=Task)
+T = TypeVar("T")
 P = TypeVar("P", bound=Piece)
 R = TypeVar("R")
 V = TypeVar("V")

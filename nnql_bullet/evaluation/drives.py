@@ -6,16 +6,19 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from nnql_bullet import __version__
+from nnql_bullet.commands import flags
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, SplitName, check_frozen, load_frozen, split_seeds
-from nnql_bullet.experiment import AS_TRAINED, Departures, Experiment, SimulatorName
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
+from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
@@ -58,21 +61,26 @@ class Setting:
     split: SplitName
     simulator: SimulatorName
     physics: PhysicsName
-    departures: Departures = AS_TRAINED
-    """That policies may not have been trained with."""
+    conditions: Conditions | None = None
+    """In place of each policy's own; None leaves those."""
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is laid over a policy's configuration."""
+        return {"simulator": self.simulator, "physics": self.physics, "conditions": self.conditions}
 
     @property
     def title(self) -> str:
         """As it is printed."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        asked = (f"{name.replace('-', ' ')} {value:g}" for name, value in self.departures.given.items())
-        return ", ".join((f"{self.split} worlds", where, *asked))
+        conditions = [self.conditions.title] if self.conditions else []
+        return ", ".join((f"{self.split} worlds", where, *conditions))
 
     @property
     def flags(self) -> list[str]:
         """What says so on the command line, besides the split."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
-        return ["--sim", self.simulator, *physics, *self.departures.flags]
+        return ["--sim", self.simulator, *physics, *flags({"conditions": self.conditions})]
 
 
 def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
@@ -116,11 +124,6 @@ class _BlockTask:
         """How many worlds."""
         return len(self.tier.block(self.first))
 
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.tier.seeds[self.first]
-
 
 class DriveTask(_BlockTask):
     """One policy through some worlds of a tier."""
@@ -128,7 +131,7 @@ class DriveTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        where = self.setting.simulator, self.setting.physics, *self.setting.departures.flags
+        where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
         return part_name("drives", self.policy.fingerprint, *where, *self.tier.drawn(self.first))
 
 
@@ -211,5 +214,5 @@ def film(task: FilmTask) -> Recording:
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
 def _experiment(policy: Policy, world: str, setting: Setting, vehicles: int) -> Experiment:
-    changes = {"world": world, "simulator": setting.simulator, "physics": setting.physics, "vehicles": vehicles}
-    return open_policy(Path(policy.path), {**changes, **setting.departures.changes, **policy.changes})[0]
+    changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
+    return open_policy(Path(policy.path), changes)[0]

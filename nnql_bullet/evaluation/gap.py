@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +12,31 @@ from numpy.typing import NDArray
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.evaluation.statistics import Share, mcnemar, share
-from nnql_bullet.experiment import Experiment, SimulatorName
+from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import open_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
 
-FAULTS: dict[str, dict[str, Any]] = {
-    "friction 0.5": {"wheel_friction": 0.5},
-    "friction 0.6": {"wheel_friction": 0.6},
-    "friction 0.7": {"wheel_friction": 0.7},
-    "friction 0.9": {"wheel_friction": 0.9},
-    "payload 40 kg": {"payload": 40.0},
-    "payload 80 kg": {"payload": 80.0},
-    "sensor noise 5 cm": {"sensors": {"noise": 0.05}},
-    "sensor noise 20 cm": {"sensors": {"noise": 0.20}},
-    "front sector dead": {"sensors": {"dead_sector": 0}},
-    "front-left sector dead": {"sensors": {"dead_sector": 1}},
-    "left sector dead": {"sensors": {"dead_sector": 2}},
-    "rear sector dead": {"sensors": {"dead_sector": 4}},
+CONDITIONS: dict[str, Conditions] = {
+    "friction 0.5": Conditions(wheel_friction=0.5),
+    "friction 0.6": Conditions(wheel_friction=0.6),
+    "friction 0.7": Conditions(wheel_friction=0.7),
+    "friction 0.9": Conditions(wheel_friction=0.9),
+    "payload 40 kg": Conditions(payload=40.0),
+    "payload 80 kg": Conditions(payload=80.0),
+    "sensor noise 5 cm": Conditions(sensor_noise=0.05),
+    "sensor noise 20 cm": Conditions(sensor_noise=0.20),
+    "front sector dead": Conditions(dead_sector=0),
+    "front-left sector dead": Conditions(dead_sector=1),
+    "left sector dead": Conditions(dead_sector=2),
+    "rear sector dead": Conditions(dead_sector=4),
 }
-"""What a policy is tried with that it was not trained with: values of `experiment.Conditions`. A dead sector sees
-nothing, and nobody is told."""
+"""Conditions that a policy is tried under and was not trained with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +52,8 @@ class Side:
         return self.simulator if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
 
     def notices(self, fault: str) -> bool:
-        """Whether a key of `FAULTS` changes anything there."""
-        return self.simulator != "kinematic" or "sensors" in FAULTS[fault]
+        """Whether a key of `CONDITIONS` changes anything there."""
+        return self.simulator != "kinematic" or CONDITIONS[fault].sensor_faults.any
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +68,6 @@ class PairTask:
     second: Side
     flips: str
     """Folder for the recordings of drives that ended differently."""
-
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +126,7 @@ class FaultTask:
     seeds: range
     side: Side
     fault: str
-    """A key of `FAULTS`."""
-
-    @property
-    def seed(self) -> int:
-        """Of the first world."""
-        return self.seeds.start
+    """A key of `CONDITIONS`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +151,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
 def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> Experiment:
-    conditions = FAULTS[fault] if fault else None
+    conditions = CONDITIONS[fault] if fault else None
     changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
     return open_policy(Path(run), changes)[0]
 
@@ -226,7 +215,7 @@ def tasks(
     names = [str(run) for run in runs]
     shares = [(run, chunk) for run in names for chunk in chunks]
     pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run, chunk in shares]
-    wrong = [(side, fault) for fault in FAULTS for side in (first, second) if side.notices(fault)] if faults else []
+    wrong = [(side, fault) for fault in CONDITIONS for side in (first, second) if side.notices(fault)] if faults else []
     return [*pairs, *(FaultTask(run, world, chunk, side, fault) for side, fault in wrong for run, chunk in shares)]
 
 
@@ -315,11 +304,11 @@ class FaultRow:
 
     fault: str
     """Empty for none."""
-    shares: dict[str, Share]
+    shares: dict[str, Estimate]
     """Of each ending, on the second side."""
     p_value: float
     """McNemar's, against the same drives without the fault."""
-    first_goal: Share | None
+    first_goal: Estimate | None
     """Success on the first side; None where the fault changes nothing there."""
 
 
@@ -337,9 +326,9 @@ def fault_rows(gap: Gap) -> list[FaultRow]:
     return rows
 
 
-def _goals(endings: Sequence[str]) -> Share | None:
-    return share(endings.count("goal"), len(endings)) if endings else None
+def _goals(endings: Sequence[str]) -> Estimate | None:
+    return proportion(endings.count("goal"), len(endings)) if endings else None
 
 
-def _shares(endings: Sequence[str]) -> dict[str, Share]:
-    return {ending: share(endings.count(ending), len(endings)) for ending in ENDINGS}
+def _shares(endings: Sequence[str]) -> dict[str, Estimate]:
+    return {ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS}

@@ -22,10 +22,6 @@ class Piece(Protocol):
         """A name for its result, another one whenever something that the result depends on is another."""
 
     @property
-    def seed(self) -> int:
-        """See `executors.Task`."""
-
-    @property
     def size(self) -> int:
         """How much of the work it is."""
 

@@ -11,7 +11,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
 from nnql_bullet.evaluation.policies import Policy, open_policies
-from nnql_bullet.experiment import Departures
+from nnql_bullet.run_config import Conditions
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class FailedDrive:
 
     @property
     def seed(self) -> int:
-        """See `executors.Task`."""
+        """Seed of the world."""
         return self.film.seed
 
     @property
@@ -58,7 +58,8 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         raise UserError(f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {folder}")
     try:
         values = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-        setting = Setting(values["split"], values["simulator"], values["physics"], Departures(**values["departures"]))
+        conditions = None if values["conditions"] is None else Conditions(**values["conditions"])
+        setting = Setting(values["split"], values["simulator"], values["physics"], conditions)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(

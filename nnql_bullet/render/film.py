@@ -14,8 +14,8 @@ from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.types import Bytes
 
 HOLD = 1.5
 """How long the ending stays in the picture [s]."""
@@ -57,8 +57,8 @@ class FrameTask:
     film: Film
     times: tuple[float, ...]
     """Of the instants [s]."""
-    seed: int
-    """Number of the first. Nothing here is random."""
+    first: int
+    """Number of the first frame."""
 
 
 class FramesLost(Exception):
@@ -88,7 +88,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
     wanted = 0
     for outcome in executor.map(draw_frames, tasks):
         if outcome.error:
-            raise FramesLost(f"frame {outcome.task.seed + 1}: {outcome.error.message}")
+            raise FramesLost(f"frame {outcome.task.first + 1}: {outcome.error.message}")
         ahead[outcome.index] = outcome.value  # type: ignore[assignment]  # there is no error
         while wanted in ahead:
             yield from ahead.pop(wanted)

@@ -17,7 +17,7 @@ from nnql_bullet import __version__, colours
 from nnql_bullet.colours import COLLISION, INK, LINES, NON_SAFE, SAFE
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
@@ -26,7 +26,7 @@ from nnql_bullet.task import ENDINGS
 MARKS = "osD^vPX"
 
 
-def success(row: Row) -> Share:
+def success(row: Row) -> Estimate:
     """What is shown as a method's success: over training seeds where there are several, else over drives."""
     return row.over_seeds or row.outcomes["goal"]
 
@@ -239,7 +239,7 @@ def evaluation_values(
         "split": e.setting.split,
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,
-        "departures": asdict(e.setting.departures),
+        "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "endings": list(ENDINGS),
         "policies": [asdict(policy) for policy in e.policies],
         "tiers": [

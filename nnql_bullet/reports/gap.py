@@ -26,7 +26,7 @@ from nnql_bullet.evaluation.gap import (
     outcome_matrix,
     success_p_value,
 )
-from nnql_bullet.evaluation.statistics import share
+from nnql_bullet.evaluation.statistics import proportion
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.plots import draw_world, save_figure
@@ -39,7 +39,7 @@ def gap_markdown(gap: Gap) -> str:
     first, second = gap.first.name, gap.second.name
     matrix = outcome_matrix(gap.pairs)
     total, same = int(matrix.sum()), int(np.trace(matrix))
-    goals = [share(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
+    goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
     lines = [
         f"# The gap: {first} against {second}",
         "",
@@ -307,7 +307,7 @@ def _policy_row(run: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
     first = sum(pair.first.ending == "goal" for pair in pairs)
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
-    return run, share(first, len(pairs)), share(second, len(pairs)), f"{alike} of {len(pairs)}"
+    return run, proportion(first, len(pairs)), proportion(second, len(pairs)), f"{alike} of {len(pairs)}"
 
 
 def _fault_row(row: FaultRow) -> tuple[object, ...]:

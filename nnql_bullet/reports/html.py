@@ -21,12 +21,13 @@ from markupsafe import Markup, escape
 from PIL import Image
 
 from nnql_bullet import __version__
-from nnql_bullet.config import to_values, write_toml
+from nnql_bullet.commands import preset_of
+from nnql_bullet.config import departures, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.statistics import Share
-from nnql_bullet.experiment import load_config, preset_of
+from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
@@ -96,7 +97,7 @@ class Results:
     """The policies of the page that do not drive in it."""
     methods: dict[str, list[str]]
     """Those that do by what they are called in it, if it is an evaluation."""
-    success: list[tuple[str, str, Share]]
+    success: list[tuple[str, str, Estimate]]
     """Of those that do, if it is an evaluation: method, worlds, share."""
     failures: list[Failure]
     """Of those that do, if it is an evaluation."""
@@ -142,13 +143,13 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet {verb}") from None
 
 
-def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Share]]:
+def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Estimate]]:
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
     found = []
     for row in values.get("rows", ()):
         if row["method"] in methods:
             name = row["method"] if row["policies"] == 1 else f"{row['method']}, {row['policies']} seeds"
-            share = Share(*(row["over_seeds"] or row["outcomes"]["goal"]))
+            share = Estimate(*(row["over_seeds"] or row["outcomes"]["goal"]))
             found.append((name, titles.get(row["world"], row["world"]), share))
     return found
 
@@ -328,23 +329,10 @@ def _recipe_files(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, str]:
     """The TOML of recipes that no preset gives, by the name of its file: what departs from the preset `paper`."""
     paper = to_values(load_config("paper", {}))
     return {
-        _recipe_file(policy): write_toml(_departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
+        _recipe_file(policy): write_toml(departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
         for run, policy in pairs
         if not preset_of(run.config)
     }
-
-
-def _departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
-    """What has to be laid over `base` (see `config.merged`) to have the values."""
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        old = base.get(key)
-        if isinstance(value, Mapping) and isinstance(old, Mapping) and value.get("kind") == old.get("kind"):
-            if inner := _departures(value, old):
-                found[key] = inner
-        elif value != old:
-            found[key] = value
-    return found
 
 
 def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:

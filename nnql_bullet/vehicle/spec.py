@@ -4,19 +4,16 @@ import logging
 from dataclasses import dataclass, replace
 from math import hypot, inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from pydantic import Field
 
 from nnql_bullet import assets
 from nnql_bullet.config import options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+from nnql_bullet.types import NonNegative, Positive
 
 
 @options

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 from nnql_bullet.cli.filming import shoot
 from nnql_bullet.executors import ProcessExecutor
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.render.camera import chase
 from nnql_bullet.render.film import Film, frame_times
@@ -20,6 +20,7 @@ from nnql_bullet.render.renderers import RendererName
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.rollout import run_episode
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet as pybullet
 from nnql_bullet.sim.bullet import silenced
 

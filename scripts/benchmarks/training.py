@@ -10,7 +10,8 @@ from typing import Literal
 import gymnasium
 
 from nnql_bullet.env import Navigation
-from nnql_bullet.experiment import Experiment, RunConfig
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
 
 VEHICLES = 64
 WARM_UP = 300

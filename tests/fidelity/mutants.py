@@ -325,9 +325,7 @@ FAULTS = {
     "residual 1e-4": Fault(("creep", "acceleration"), settings=partial(replace, residual=1e-4)),
     "four substeps": Fault(("settle", "acceleration", "wall"), made_by=solving_with(numSubSteps=4)),
     "friction pyramid": Fault(("friction-cone",), made_by=solving_with(enableConeFriction=0)),
-    "engine steps 1/200 s": Fault(
-        ("free-fall", "yaw-inertia", "caster"), made_by=solving_with(fixedTimeStep=1 / 200)
-    ),
+    "engine steps 1/200 s": Fault(("free-fall", "yaw-inertia", "caster"), made_by=solving_with(fixedTimeStep=1 / 200)),
     "penetration pushed out at once": Fault(("wall",), made_by=solving_with(contactERP=0.9)),
     "gravity 9.80": Fault(("free-fall",), made_by=pulled_by(0.0, 0.0, -9.80)),
     "ground not level by 0.2 degrees": Fault(

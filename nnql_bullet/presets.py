@@ -1,0 +1,113 @@
+"""Presets: named configurations, and the reading of a preset or TOML file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet import paper
+from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.q_table import QTableOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
+from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
+from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
+from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
+from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
+from nnql_bullet.agents.rules.straight import StraightOptions
+from nnql_bullet.agents.rules.vfh import VfhOptions
+from nnql_bullet.config import merged, parse, read_toml, to_values
+from nnql_bullet.errors import UserError
+from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, TrainingOptions, outdated_keys
+from nnql_bullet.sim.domain_randomization import DomainRandomization
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.training.selection import SelectionOptions
+from nnql_bullet.vehicle.controller import DriveOptions
+
+PRESETS: dict[str, RunConfig] = {
+    # Every number that the paper states; where it leaves a choice, the one that the evidence supports. The defaults.
+    "paper": RunConfig(),
+    # The most literal reading of the paper's text wherever it leaves a choice.
+    "literal": RunConfig(
+        drive=DriveOptions(decision_period=1.0),  # a step long enough for the largest turn
+        task=TaskOptions(
+            # "a high possibility of collision with some obstacles": near in any direction
+            front_distance=4.0,
+            front_side_distance=4.0,
+            other_distance=4.0,
+            reward_non_safe_to_safe=0.2,  # the opposite of safe to non-safe
+        ),
+        agent=NnqlOptions(
+            encoding="distance",  # "if no obstacle is found, then d = 0"
+            gradient_step=1.0,  # the target of eq. (2) taken at its word
+        ),
+    ),
+    # The paper's network, turns, rewards and update, with numbers set by the ablation `tuned`.
+    "tuned": RunConfig(
+        simulator="kinematic",
+        vehicles=64,
+        world="cover_7.5",  # the paper states a cover of 5 %
+        drive=DriveOptions(decision_period=0.6),
+        training=TrainingOptions(selection=SelectionOptions(worlds=("cover_10", "cover_15"))),
+        agent=NnqlOptions(
+            temperature_max=0.4,  # the paper states 0.8
+            temperature_min=0.1,  # the paper states 0.01
+            mirrored=True,
+        ),
+    ),
+    # The paper's update on a table instead of the network.
+    "q_table": RunConfig(agent=QTableOptions()),
+    # A search learns from whole episodes where the others learn from steps, so it gets more of them.
+    "genetic": RunConfig(episodes=20 * paper.EPISODES, agent=GeneticOptions()),
+    # Decides at every step, and needs many steps: the kinematic model, many vehicles at a time, all kinds of worlds.
+    "double_dqn": RunConfig(
+        episodes=12_000,
+        simulator="kinematic",
+        vehicles=64,
+        agent=DoubleDqnOptions(),
+        training=TrainingOptions(
+            # the hardest worlds twice
+            worlds=("cover_10", "cover_15", "cover_20", "cover_20", "traps", "aisles", "aisles", "moving"),
+            domain_randomization=DomainRandomization(
+                start_yaw=True, noise=0.05, dead_sector=0.05, turn_scale=0.1, turn_noise_degrees=3.0
+            ),
+        ),
+    ),
+    # DQN of stable-baselines3 in the paper's task.
+    "sb3_dqn": RunConfig(agent=Sb3DqnOptions()),
+    # The rules, which have nothing to learn.
+    "straight": RunConfig(agent=StraightOptions()),
+    "random": RunConfig(agent=RandomTurnsOptions()),
+    "hand_rule": RunConfig(agent=HandRuleOptions()),
+    "potential_field": RunConfig(agent=PotentialFieldOptions()),
+    "fuzzy": RunConfig(agent=FuzzyOptions()),
+    "vfh": RunConfig(agent=VfhOptions()),
+    "look_ahead": RunConfig(agent=LookAheadOptions()),
+}
+
+
+def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
+    """Reads a preset or TOML file and lays changes over it.
+
+    Args:
+        name: A preset, or a path to a TOML file; the file's key `preset` names its base (default `paper`).
+        changes: Nested values (see `config.merged`).
+
+    Raises:
+        UserError: If there is no such preset or file, or a key or value is wrong.
+    """
+    if name in PRESETS:
+        return parse(RunConfig, merged(to_values(PRESETS[name]), changes), name)
+    if not Path(name).is_file():
+        raise UserError(f"there is no preset or file '{name}'; give a TOML file or one of: {', '.join(PRESETS)}")
+    values = read_toml(Path(name))
+    preset = values.pop("preset", "paper")
+    if preset not in PRESETS:
+        raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
+    for key in outdated_keys(values):
+        raise UserError(f"{name}: key '{key}' is now named '{RENAMED_KEYS[key]}'")
+    if values.get("simulator") in RENAMED_SIMULATORS:
+        old = values["simulator"]
+        raise UserError(f"{name}: simulator '{old}' is now named '{RENAMED_SIMULATORS[old]}'")
+    return parse(RunConfig, merged(merged(to_values(PRESETS[preset]), values), changes), name)
