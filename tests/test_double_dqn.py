@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers import observed
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
@@ -25,7 +26,6 @@ from nnql_bullet.env import (
     Navigation,
     Observation,
     heading_change,
-    stacked,
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -33,7 +33,7 @@ from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -334,14 +334,14 @@ def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
     for actions in random_manoeuvres(25):
         drive.append((poses, navigation.observation, np.array(world.target)))
-        poses = navigation.step(actions).motions.pose.copy()
+        poses = navigation.step(actions).motion.pose.copy()
     fleet.close()
     return drive
 
 
 def mirrored(observation: Observation) -> Observation:
     """What a vehicle sees whose left is right."""
-    rays = np.array([observation.ray_distances[(8 - i) % RAYS] for i in range(RAYS)])
+    rays = observation.ray_distances[:, (8 - np.arange(RAYS)) % RAYS]
     return replace(
         observation,
         readings=sector_readings(rays),
@@ -364,12 +364,12 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen)
+            one = observed((sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen))
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
-                looks.append(maker.look(memories[i], stacked([o])))
-                memories[i] = maker.after(looks[i], stacked([o]), np.array([a]))
+                looks.append(maker.look(memories[i], o))
+                memories[i] = maker.after(looks[i], o, np.array([a]))
             expected = maker.mirrored(looks[0].stacked).astype(int)
             assert np.abs(expected - looks[1].stacked.astype(int)).max() <= (12 if with_map else 1)
             assert np.array_equal(maker.mirrored(maker.mirrored(looks[0].stacked)), looks[0].stacked)
@@ -401,8 +401,7 @@ class TestFrames:
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))])
-            for d in (40.0, 39.2)
+            observed((np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))) for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
         assert maker.look(memory, seen[1]).progress == pytest.approx([0.8], abs=1e-9)
@@ -411,7 +410,7 @@ class TestFrames:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
     """Makes trainings in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any]:
         task = TaskOptions(max_steps=40)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import observed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -20,12 +21,12 @@ from nnql_bullet.agents import QTableOptions
 from nnql_bullet.agents.base import LearningAgent, NoMemory, NoTrainingState
 from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
-from nnql_bullet.env import Navigation, Observation, Transition, stacked
+from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Motion
+from nnql_bullet.sim.base import no_motion
 from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.training.loop import Training
 
@@ -43,7 +44,7 @@ def agent_of(**options: Any) -> QTable:
 
 def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
     """What vehicles see that read so much."""
-    return stacked([Observation(np.array(r), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings])
+    return observed(*((r, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings))
 
 
 def steps(
@@ -58,7 +59,8 @@ def steps(
         s_t=after,
         terms=np.zeros((n, len(REWARD_TERMS))),
         ending=np.full(n, NO_ENDING),
-        motions=Motion(np.zeros((n, 3)), *np.zeros((5, n)), *np.zeros((2, n), np.bool_)),
+        heading_command=np.zeros(n),
+        motion=no_motion(n),
         active=np.ones(n, np.bool_),
     )
 
