@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from unittest.mock import patch
 from xml.etree import ElementTree
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose, wrap_angle
 from nnql_bullet.run_config import RunConfig

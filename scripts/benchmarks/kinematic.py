@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import GOES_ON

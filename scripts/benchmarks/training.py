@@ -9,6 +9,7 @@ from typing import Literal
 
 import gymnasium
 
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 
