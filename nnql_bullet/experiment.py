@@ -7,19 +7,18 @@ from os import cpu_count
 from nnql_bullet.agents import Agent, LearningAgent, Trainable, make_agent
 from nnql_bullet.agents.learning.genetic import Genetic
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
-from nnql_bullet.env import FleetNavigation, Navigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.shield.shield import Shield
-from nnql_bullet.sim.base import Fleet, Simulator
-from nnql_bullet.sim.domain_randomization import RandomizedFleet, turned
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.sim.domain_randomization import RandomizedSimulator, turned
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
-from nnql_bullet.sim.local import local_fleet
-from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.sim.faults import FaultySimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
@@ -96,48 +95,43 @@ class Experiment:
 
     @cached_property
     def simulator(self) -> Simulator:
-        """The simulator."""
-        c = self.config
-        if c.simulator == "kinematic":
-            simulator: Simulator = KinematicSimulator(self.vehicle, c.drive)
-        else:
-            simulator = contact_simulator(c.simulator, c.physics, self.vehicle, c.drive)
-        return FaultySimulator(simulator, c.conditions.sensor_faults) if c.conditions.sensor_faults.any else simulator
+        """A simulator of one vehicle in this process."""
+        return self._simulator(1, 1)
 
-    def fleet(self, workers: int | None = None) -> Fleet:
-        """As many vehicles as the configuration says.
+    @cached_property
+    def navigation(self) -> Navigation:
+        """The task over `simulator`."""
+        return Navigation(self.simulator, self.config.task)
+
+    def new_simulator(self, workers: int | None = None) -> Simulator:
+        """Makes a simulator of as many vehicles as the configuration says; the caller closes it.
 
         Args:
-            workers: Processes (contact physics) or threads (kinematic model) to share them among, whatever the result;
-                one a core
-                if not given.
+            workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles, one a
+                core by default. The result does not depend on it.
 
         Raises:
-            UserError: If there is no worker.
+            UserError: If the number of workers is not positive.
         """
         workers = cpu_count() or 1 if workers is None else workers
         if workers < 1:
             raise UserError(f"workers must be at least 1, not {workers}")
-        fleet = self._sound_fleet(workers)
-        faults = self.config.conditions.sensor_faults
-        return FaultyFleet(fleet, faults) if faults.any else fleet
+        return self._simulator(self.config.vehicles, workers)
 
-    def training_fleet(self, workers: int | None = None) -> Fleet:
-        """The same as `fleet` gives, disturbed as training asks for."""
-        fleet, domain_randomization = self.fleet(workers), self.config.training.domain_randomization
-        return RandomizedFleet(fleet, domain_randomization) if domain_randomization.any else fleet
+    def new_training_simulator(self, workers: int | None = None) -> Simulator:
+        """Makes a simulator as `new_simulator` does, with the domain randomization of the training."""
+        simulator, randomization = self.new_simulator(workers), self.config.training.domain_randomization
+        return RandomizedSimulator(simulator, randomization) if randomization.any else simulator
 
-    def _sound_fleet(self, workers: int) -> Fleet:
-        c, size = self.config, self.config.vehicles
+    def _simulator(self, size: int, workers: int) -> Simulator:
+        c, faults = self.config, self.config.conditions.sensor_faults
         if c.simulator == "kinematic":
-            return KinematicFleet(self.vehicle, c.drive, size, workers)
-        make = partial(local_fleet, partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive))
-        return make(size) if min(workers, size) == 1 else WorkerFleet(make, size, min(workers, size))
-
-    @cached_property
-    def navigation(self) -> Navigation:
-        """The task over the simulator."""
-        return Navigation(self.simulator, self.config.task)
+            simulator: Simulator = KinematicSimulator(self.vehicle, c.drive, size, workers)
+        else:
+            make = partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive)
+            workers = min(workers, size)
+            simulator = make(size) if workers == 1 else WorkerSimulator(make, size, workers)
+        return FaultySimulator(simulator, faults) if faults.any else simulator
 
     @cached_property
     def agent(self) -> Agent:
@@ -173,7 +167,7 @@ class Experiment:
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
         return self.trainable
 
-    def trainer(self, navigation: FleetNavigation) -> Trainer:
+    def trainer(self, navigation: Navigation) -> Trainer:
         """What trains the agent, in the way of its kind.
 
         Raises:
@@ -204,8 +198,8 @@ class Experiment:
         """
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
-        with closing(kinematic.fleet(workers)) as fleet:
-            return count_goals(kinematic.trainable, candidates, FleetNavigation(fleet, self.config.task), worlds)
+        with closing(kinematic.new_simulator(workers)) as simulator:
+            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.config.task), worlds)
 
 
 def _missing(library: str, extra: str) -> UserError:

@@ -169,7 +169,7 @@ def contact(quick: bool) -> Iterable[tuple[str, str]]:
 
 
 def _driven(case: Case) -> str:
-    from nnql_bullet.env import FleetNavigation
+    from nnql_bullet.env import Navigation
     from nnql_bullet.rollout import run_episode, run_episodes
     from nnql_bullet.runs import open_policy
 
@@ -179,8 +179,8 @@ def _driven(case: Case) -> str:
         experiment, _ = open_policy(Path(case.policy), changes)
         worlds = [experiment.world(seed) for seed in case.seeds]
         if case.simulator == "kinematic":
-            with closing(experiment.fleet(1)) as fleet:
-                navigation = FleetNavigation(fleet, experiment.config.task)
+            with closing(experiment.new_simulator(1)) as simulator:
+                navigation = Navigation(simulator, experiment.config.task)
                 summaries = run_episodes(navigation, worlds, experiment.policy)
         else:
             summaries = [run_episode(experiment.navigation, one, experiment.policy) for one in worlds]

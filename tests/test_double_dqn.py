@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers import observed
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
@@ -22,11 +23,9 @@ from nnql_bullet.config import parse
 from nnql_bullet.env import (
     MANOEUVRES,
     TOWARD_TARGET,
-    FleetNavigation,
+    Navigation,
     Observation,
-    Observations,
     heading_change,
-    stacked,
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -34,8 +33,8 @@ from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import Fleet, WorkerDied
-from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.sim.base import Simulator, WorkerDied
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -328,21 +327,21 @@ def random_manoeuvres(decisions: int) -> NDArray[np.int64]:
 def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     """Poses, observations and the target, at every decision of four vehicles that turn about and stop by chance."""
     experiment = Experiment(RunConfig(world="empty", simulator="kinematic"))
-    fleet = KinematicFleet(vehicle, DriveOptions(), 4)
-    navigation = FleetNavigation(fleet, TaskOptions())
+    fleet = KinematicSimulator(vehicle, DriveOptions(), 4)
+    navigation = Navigation(fleet, TaskOptions())
     world = replace(experiment.world(0), start=replace(experiment.world(0).start, x=50.0, y=50.0))
     navigation.reset({i: world for i in range(4)})
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
     for actions in random_manoeuvres(25):
-        drive.append((poses, navigation.observations, np.array(world.target)))
-        poses = navigation.step(actions).motions.pose.copy()
+        drive.append((poses, navigation.observation, np.array(world.target)))
+        poses = navigation.step(actions).motion.pose.copy()
     fleet.close()
     return drive
 
 
 def mirrored(observation: Observation) -> Observation:
     """What a vehicle sees whose left is right."""
-    rays = np.array([observation.ray_distances[(8 - i) % RAYS] for i in range(RAYS)])
+    rays = observation.ray_distances[:, (8 - np.arange(RAYS)) % RAYS]
     return replace(
         observation,
         readings=sector_readings(rays),
@@ -365,12 +364,12 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen)
+            one = observed((sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen))
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
-                looks.append(maker.look(memories[i], stacked([o])))
-                memories[i] = maker.after(looks[i], stacked([o]), np.array([a]))
+                looks.append(maker.look(memories[i], o))
+                memories[i] = maker.after(looks[i], o, np.array([a]))
             expected = maker.mirrored(looks[0].stacked).astype(int)
             assert np.abs(expected - looks[1].stacked.astype(int)).max() <= (12 if with_map else 1)
             assert np.array_equal(maker.mirrored(maker.mirrored(looks[0].stacked)), looks[0].stacked)
@@ -388,7 +387,7 @@ class TestFrames:
         assert as_bytes(np.array([-1.0, 1.0])).tolist() == [0, 255]
 
     def test_looking_leaves_the_memory_as_it_was(
-        self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
+        self, vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observation, Any]]
     ) -> None:
         maker = FrameMaker(24, 3, True, vehicle, DriveOptions())
         memory = maker.nothing(4)
@@ -402,8 +401,7 @@ class TestFrames:
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))])
-            for d in (40.0, 39.2)
+            observed((np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))) for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
         assert maker.look(memory, seen[1]).progress == pytest.approx([0.8], abs=1e-9)
@@ -412,7 +410,7 @@ class TestFrames:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
     """Makes trainings in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any]:
         task = TaskOptions(max_steps=40)
@@ -420,8 +418,8 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
             seed=seed, vehicles=vehicles, simulator="kinematic", world=str(small_world), task=task, agent=SMALL
         )
         experiment = Experiment(config)
-        fleets.append(experiment.training_fleet(1))
-        return experiment, experiment.trainer(FleetNavigation(fleets[-1], task))
+        fleets.append(experiment.new_training_simulator(1))
+        return experiment, experiment.trainer(Navigation(fleets[-1], task))
 
     yield make
     for fleet in fleets:
@@ -429,7 +427,7 @@ def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
 
 
 def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
-    vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observations, Any]]
+    vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observation, Any]]
 ) -> None:
     """One of another mind does as it likes; another is told to do that, and then the first one comes to its senses."""
     one, other, untold = (DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3))

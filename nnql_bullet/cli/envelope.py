@@ -52,7 +52,7 @@ def envelope(
     """
     vehicle = load_vehicle(robot)
     bench = Bench(vehicle, sim, physics)
-    with bench.simulator():  # an engine that is not there shows here
+    with bench.open_engine():  # an engine that is not there shows here
         pass
     executor = make_executor("processes", workers or os.cpu_count() or 1)
     slices = envelope_slices(vehicle)

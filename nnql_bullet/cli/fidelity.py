@@ -47,8 +47,8 @@ def fidelity(
     """
     vehicle = load_vehicle(robot)
     bench = Bench(vehicle, sim, physics)
-    with bench.simulator() as simulator:  # an engine that is not there shows here
-        time_step = simulator.time_step
+    with bench.open_engine() as engine:  # an engine that is not there shows here
+        time_step = engine.time_step
     measured, halved, actions = [], [], []
     done = count(1)
     with progress("probing", 2 * len(PROBES) + len(REFINEMENTS)) as show:

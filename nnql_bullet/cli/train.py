@@ -14,7 +14,7 @@ import tyro
 
 from nnql_bullet.agents import Trainable
 from nnql_bullet.cli.console import complain, err, progress, say
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
@@ -107,9 +107,9 @@ def train(
         run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
     c = run.config
     torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
-    with closing(experiment.training_fleet(workers)) as fleet:
+    with closing(experiment.new_training_simulator(workers)) as simulator:
         agent = experiment.trainable
-        training = experiment.trainer(FleetNavigation(fleet, c.task))
+        training = experiment.trainer(Navigation(simulator, c.task))
         where = "the kinematic model" if c.simulator == "kinematic" else f"{c.physics} contact physics"
         several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
         try:

@@ -10,7 +10,7 @@ from typing import Any
 
 from nnql_bullet import __version__
 from nnql_bullet.commands import flags
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -150,11 +150,11 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     seeds = task.tier.block(task.first)
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier.file, task.setting, len(seeds))
-        with closing(experiment.fleet(workers=1)) as fleet:
-            navigation = FleetNavigation(fleet, experiment.config.task)
+        with closing(experiment.new_simulator(workers=1)) as simulator:
+            navigation = Navigation(simulator, experiment.config.task)
             return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
     experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
-    return [run_episode(experiment.navigation, experiment.world(seed), experiment.policy) for seed in seeds]
+    return run_episodes(experiment.navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
 
 
 class SurveyTask(_BlockTask):

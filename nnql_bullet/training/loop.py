@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.agents import LearningAgent
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import Tally
 from nnql_bullet.seeding import Stream, rng
@@ -32,13 +32,13 @@ class Training:
     """
 
     def __init__(
-        self, agent: LearningAgent, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
+        self, agent: LearningAgent, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int
     ) -> None:
         self._agent = agent
         self._navigation = navigation
         self._world_of = world_of
         self._seed = seed
-        n, most = navigation.fleet.size, navigation.task.max_steps
+        n, most = navigation.simulator.size, navigation.task.max_steps
         self._vehicles = np.arange(n)
         self._next_episode = 0
         self._episode = np.full(n, _NONE)
@@ -119,7 +119,7 @@ class Training:
         """One decision of every vehicle, and one update."""
         self._put_into_worlds()
         now = self._vehicles, self._tally.steps
-        actions = self._agent.act_exploring(self._navigation.observations, self._episode, self._uniforms[now])
+        actions = self._agent.act_exploring(self._navigation.observation, self._episode, self._uniforms[now])
         transitions = self._navigation.step(actions)
         td_errors = self._agent.learn(transitions)
         self._actions[now] = actions

@@ -14,12 +14,11 @@ from math import atan, sqrt
 
 import numpy as np
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.geometry import Array
 from nnql_bullet.vehicle.profiles import Turn
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
-GRAVITY = 9.81
-"""[m/s2]"""
 INSTANTS = 60
 """Number of instants evaluated in each phase of a turn, with both ends, where the peaks are."""
 
