@@ -209,7 +209,7 @@ def turning(s_tm1, s_t, task):
 
 def test_a_reward_takes_a_further_term_and_an_episode_sums_it_up(vehicle, empty_world):
     reward = (*paper_reward(DEFAULT), RewardTerm(turning, -0.1))
-    navigation = Navigation(KinematicSimulator(vehicle, DriveOptions()), DEFAULT, reward)
+    navigation = Navigation(KinematicSimulator(vehicle, DriveOptions(), 1), DEFAULT, reward)
     navigation.reset({0: empty_world})
     tally, rewards, turned = Tally(navigation), 0.0, 0.0
     tally.reset(0, 0)
