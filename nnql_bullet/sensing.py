@@ -1,4 +1,4 @@
-"""From rays to the paper's eight sensors: pure functions of distances."""
+"""The paper's eight sensors: rays in the vehicle frame, and readings of the sectors from ray distances."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from nnql_bullet.jit import njit
 RAYS_PER_SECTOR = 9
 RAYS = paper.SECTORS * RAYS_PER_SECTOR
 FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
-"""Sectors: sector 0 is centred straight ahead, the others follow counter-clockwise, 45 degrees each."""
+"""Indices of sectors: sector 0 is centred straight ahead, the others follow counter-clockwise."""
 
 
 def ray_angles() -> Array:

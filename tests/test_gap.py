@@ -26,7 +26,8 @@ from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 RunCli = Callable[..., tuple[int, str, str]]

@@ -45,7 +45,7 @@ class Training:
         self._actions = np.full((n, most), _NONE, np.int8)
         self._uniforms = np.zeros((n, most))
         self._squared_errors, self._updates = np.zeros(n), np.zeros(n, np.int64)
-        self._tally = Tally(n)
+        self._tally = Tally(navigation)
         self._worlds: dict[int, WorldSpec] = {}
 
     def episodes(self) -> Iterator[TrainingEpisode]:

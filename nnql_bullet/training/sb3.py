@@ -99,7 +99,7 @@ class VehiclesVecEnv(VecEnv):
         self._navigation = navigation
         self._world_of = world_of
         n = navigation.simulator.size
-        self._tally = Tally(n)
+        self._tally = Tally(navigation)
         self._episode = np.zeros(n, np.int64)
         self._next_episode = 0
         self._actions = np.zeros(n, np.int64)
