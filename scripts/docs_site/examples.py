@@ -1,4 +1,4 @@
-"""An extension of Griffe, which reads docstrings for the site: `Example:` is a section of examples, as `Examples:` is."""
+"""An extension of Griffe for the site: in docstrings, `Example:` is a section of examples, as `Examples:` is."""
 
 import re
 from typing import Any
