@@ -1,4 +1,4 @@
-"""What reports are made of besides pictures: Markdown tables, CSV text, values that JSON can take."""
+"""CSV text and values that JSON can take."""
 
 import csv
 import io
@@ -12,10 +12,13 @@ NOT_A_CERTIFICATE = (
 )
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table; cells as they print."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table as plain text, its columns as wide as they have to be."""
+    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
+    lines = (
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) for line in (header, *rows)
+    )
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
