@@ -24,16 +24,17 @@ WIDTH = 240
 """Columns that the command line's help is laid out in, so that few lines are broken."""
 
 
-def find(name: str) -> Any:
-    """The class or function of this name, wherever in the package it is defined.
+def find(*names: str) -> Any:
+    """The class or function of the first of these names that some module of the package defines.
 
     Raises:
-        LookupError: If no module defines it.
+        LookupError: If no module defines one.
     """
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if re.search(rf"^(class|def) {name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
-            return getattr(import_module(module_name(path)), name)
-    raise LookupError(f"nnql_bullet defines no {name}")
+    for name in names:
+        for path in sorted(PACKAGE.rglob("*.py")):
+            if re.search(rf"^(class|def) {name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+                return getattr(import_module(module_name(path)), name)
+    raise LookupError(f"nnql_bullet defines none of: {', '.join(names)}")
 
 
 def module_name(path: Path) -> str:
@@ -52,7 +53,7 @@ def configuration() -> str:
 
 def world_keys() -> str:
     """Markdown tables of every key of a world file."""
-    return _options_section(find("WorldFile"), "", 3)
+    return _options_section(find("World", "WorldFile"), "", 3)
 
 
 def robot_keys() -> str:
