@@ -23,6 +23,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Agent, Overridable
+from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import STOP, Observations, heading_change
@@ -53,8 +54,6 @@ TOUCHING = 0.1
 """At this distance it may no more [m]."""
 ALL_ROUND = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less room."""
-LEFT_TURNS, RIGHT_TURNS = (1, 2), (3, 4)
-"""Of `paper.TURNS`, the smaller first."""
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 """The rear-axle centre as a footprint without size."""
 

@@ -11,9 +11,9 @@ from scipy.special import expit
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.learning.nnql import encode
+from nnql_bullet.agents.learning.weights import check
 from nnql_bullet.config import options
 from nnql_bullet.env import Observations
-from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
 
@@ -85,9 +85,7 @@ class Genetic(TurnChooser):
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
-        shapes = {name: weights.shape for name, weights in arrays.items()}
-        if shapes != LAYERS or not all(np.isfinite(weights).all() for weights in arrays.values()):
-            raise UserError("these are not the weights of a network of 8-6-5 units")
+        check(arrays, LAYERS, "a network", (paper.SECTORS, paper.HIDDEN_UNITS, len(paper.TURNS)))
         self._genome = np.concatenate([arrays[name].ravel() for name in LAYERS])
 
 

@@ -11,9 +11,9 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
+from nnql_bullet.agents.learning import weights
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observations, as_numbers
-from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
 
@@ -82,16 +82,11 @@ class Sb3Dqn(NoMemory):
 
     def state_dict(self) -> dict[str, Array]:
         """Weights and biases, layer by layer."""
-        return {name: value.numpy().copy() for name, value in self.network.state_dict().items()}
+        return weights.state_dict(self.network)
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
-        mine = {name: value.shape for name, value in self.state_dict().items()}
-        theirs = {name: value.shape for name, value in arrays.items()}
-        if mine != theirs or not all(np.isfinite(value).all() for value in arrays.values()):
-            widths = "-".join(map(str, (INPUTS, *self.options.hidden, ACTIONS)))
-            raise UserError(f"these are not the weights of a network of {widths} units")
-        self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+        weights.load_state_dict(self.network, arrays, "a network", (INPUTS, *self.options.hidden, ACTIONS))
 
     def _values(self, observations: Observations) -> Array:
         """Q(s, a) of the six actions (n, 6)."""
