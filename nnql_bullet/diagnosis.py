@@ -1,8 +1,9 @@
-"""What `doctor` checks: that the parts this package stands on do here what they should."""
+"""Checks of the installation for `doctor`: whether the engines, the encoder and the renderers work here."""
 
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import cos, hypot, sin
@@ -18,22 +19,22 @@ from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
-PATIENCE = 60.0
-"""Seconds that a renderer may take to start."""
+PROGRAM_TIMEOUT = 60.0
+"""Longest time that a program or renderer may take to answer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found: that it is well, or what to do."""
+    """Result of a check, with what to do if it failed."""
 
     ok: bool
     text: str
     needed: bool = True
-    """Whether the package is of no use without it."""
+    """Whether the package needs it to work at all."""
 
 
 def check_pybullet() -> Finding:
-    """PyBullet with NumPy support, which its fast image path needs."""
+    """Checks that PyBullet has NumPy support, which its fast images need."""
     found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
@@ -41,41 +42,38 @@ def check_pybullet() -> Finding:
 
 
 def check_drive() -> Finding:
-    """Four seconds straight ahead at 2 m/s."""
+    """Drives four seconds straight ahead and compares the place with the expected one."""
     experiment = Experiment(RunConfig(world="empty"))
-    simulator = experiment.simulator
-    world = experiment.world(0)
-    simulator.reset(world)
-    periods = 8
-    for _ in range(periods):
-        simulator.advance(0.0)
-    reached = simulator.pose()
-    simulator.close()
+    world, periods = experiment.world(0), 8
+    with closing(experiment.simulator) as simulator:
+        simulator.reset({0: world})
+        for _ in range(periods):
+            motion, _ = simulator.advance(np.zeros(1))
     expected = periods * experiment.config.drive.decision_period * experiment.config.drive.speed
     ahead = (world.start.x + expected * cos(world.start.yaw), world.start.y + expected * sin(world.start.yaw))
-    off = hypot(reached.x - ahead[0], reached.y - ahead[1])
+    off = hypot(*(motion.pose[0, :2] - ahead))
     text = f"{expected:g} m straight ahead in contact physics, {1000 * off:.1f} mm off"
     return Finding(off < 0.02, text if off < 0.02 else f"{text}: more than 20 mm; report this with your machine's name")
 
 
 def check_rays() -> Finding:
-    """The 72 rays against the analytic distance to the same boxes."""
+    """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
-    simulator, world = experiment.simulator, experiment.world(0)
-    simulator.reset(world)
-    sensor = experiment.vehicle.sensor
-    start = world.start
-    origin = (start.x + cos(start.yaw) * sensor[0], start.y + sin(start.yaw) * sensor[0])
+    world = experiment.world(0)
+    with closing(experiment.simulator) as simulator:
+        _, (found,) = simulator.reset({0: world})
+    ahead, left, _ = experiment.vehicle.sensor
+    start, c, s = world.start, cos(world.start.yaw), sin(world.start.yaw)
+    origin = (start.x + c * ahead - s * left, start.y + s * ahead + c * left)
     expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
-    off = float(np.abs(simulator.scan().distances - expected).max())
-    simulator.close()
+    off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
 
 
 def check_mujoco() -> Finding:
-    """The second engine of contact physics."""
+    """Checks that MuJoCo, the second engine of contact physics, is installed."""
     try:
         return Finding(True, f"mujoco {version('mujoco')}")
     except PackageNotFoundError:
@@ -83,32 +81,36 @@ def check_mujoco() -> Finding:
 
 
 def check_ffmpeg() -> Finding:
-    """The encoder that videos need."""
+    """Checks that ffmpeg, which encodes videos, starts."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
-        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "-version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (RuntimeError, OSError, subprocess.SubprocessError):
         return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
     return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
 
 
 def check_chromium() -> Finding:
-    """The browser that a test opens the HTML report in."""
+    """Checks that Chromium starts, in which a test opens the HTML report."""
     program = shutil.which("chromium")
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
     try:
-        answer = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "--version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return Finding(False, "does not start; only a test of the HTML report needs it", needed=False)
     return Finding(True, answer.stdout.strip().split(" built on")[0])
 
 
 def check_renderer() -> Finding:
-    """EGL where it works, else TinyRenderer, which always does."""
-    if works("egl", PATIENCE):
+    """Checks that EGL or TinyRenderer draws a picture."""
+    if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")
-    if works("tiny", PATIENCE):
+    if works("tiny", PROGRAM_TIMEOUT):
         return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.worlds.grid import DIAGONAL, is_solvable
+from nnql_bullet.worlds.grid import GRID_DIAGONAL, is_solvable
 from nnql_bullet.worlds.paths import difficulty, path_length, shortest_path
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -63,7 +63,7 @@ def test_it_is_as_long_as_that_of_the_visibility_graph_and_keeps_the_disc_off_ev
             continue
         path = shortest_path(world, CLEARANCE)
         # A cell is free only if all of it is; so the way is that of a disc between these two, up to the start's cell.
-        shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * DIAGONAL)
+        shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * GRID_DIAGONAL)
         lengths.append(path_length(path))
         assert 0.998 * shortest - 0.05 <= lengths[-1] <= 1.005 * longest + 0.1
         line = shapely.LineString(path)
@@ -100,6 +100,6 @@ class TestDifficulty:
     def test_a_detour_shows_as_tortuosity(self) -> None:
         world = world_with(OrientedBox(15, 10, 0.2, 10), start=Pose(10, 5, 0), target=(20, 5))
         found = difficulty(world, CLEARANCE)
-        shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * DIAGONAL)
+        shortest, longest = exact_length(world, CLEARANCE), exact_length(world, CLEARANCE + 2 * GRID_DIAGONAL)
         assert shortest / 10 <= found.tortuosity <= longest / 10
         assert found.cover == pytest.approx(4 * 0.2 * 10 / SIDE**2)

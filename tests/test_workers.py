@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nnql_bullet.sim.local import as_motions, local_fleet
 from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
@@ -24,7 +25,6 @@ from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
 from nnql_bullet.sim.base import Motions, WorkerDied
-from nnql_bullet.sim.local import as_motions, local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -305,7 +305,7 @@ class TestEnd:
     def test_who_does_not_end_by_itself_is_killed(
         self, monkeypatch: pytest.MonkeyPatch, world_of: Callable[..., WorldSpec]
     ) -> None:
-        monkeypatch.setattr(workers, "PATIENCE", 0.2)
+        monkeypatch.setattr(workers, "EXIT_TIMEOUT", 0.2)
         fleet = WorkerFleet(FakeFleet, 2, 2)
         fleet._send(0, ("reset", worlds_named(world_of, "hang")))
         os.kill(pids(fleet)[1], signal.SIGSTOP)

@@ -13,9 +13,9 @@ from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.worlds.grid import CELL, is_solvable
+from nnql_bullet.worlds.grid import GRID_CELL, is_solvable
 from nnql_bullet.worlds.layouts import random_boxes
-from nnql_bullet.worlds.source import MOST_ATTEMPTS, WorldFile, WorldSource, load_world
+from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 ROOM = 0.8
@@ -32,11 +32,11 @@ PATROL = Patrol(OrientedBox(10.0, 12.0, 1.0, 0.5, 0.2), (30.0, 12.0), 0.5, 0.25)
 @pytest.fixture(scope="module")
 def drawn():
     """The file and the world of each."""
-    return [((source := load_world(name)).file, source.draw(seed, ROOM)) for name, seed in DRAWN]
+    return [((source := load_world(name)), source.draw(seed, ROOM)) for name, seed in DRAWN]
 
 
 def source_of(**values):
-    return WorldSource("test", parse(WorldFile, values, "test"))
+    return parse(World, {"name": "test", **values}, "test")
 
 
 def small_world(*boxes, **values):
@@ -85,17 +85,19 @@ def is_free(world, x, y, room):
 
 def is_solvable_on_the_whole_grid(world, room):
     """What `is_solvable` says, from every cell of the world at once."""
-    shape = round(world.depth / CELL), round(world.width / CELL)
+    shape = round(world.depth / GRID_CELL), round(world.width / GRID_CELL)
     rows, columns = np.indices(shape)
-    centres = shapely.points((columns + 0.5) * CELL, (rows + 0.5) * CELL)
-    growth = hypot(CELL, CELL) / 2
+    centres = shapely.points((columns + 0.5) * GRID_CELL, (rows + 0.5) * GRID_CELL)
+    growth = hypot(GRID_CELL, GRID_CELL) / 2
     taken = np.zeros(shape, dtype=bool)
     for box in world.obstacles:
         grown = replace(box, half_length=box.half_length + growth, half_width=box.half_width + growth)
         taken |= shapely.covers(polygon(grown), centres)
-    distances = ndimage.distance_transform_edt(~np.pad(taken, 1, constant_values=True), sampling=CELL)[1:-1, 1:-1]
-    regions, _ = ndimage.label(distances >= room + hypot(CELL, CELL), structure=np.ones((3, 3)))
-    start, target = (regions[int(y / CELL), int(x / CELL)] for x, y in ((world.start.x, world.start.y), world.target))
+    distances = ndimage.distance_transform_edt(~np.pad(taken, 1, constant_values=True), sampling=GRID_CELL)[1:-1, 1:-1]
+    regions, _ = ndimage.label(distances >= room + hypot(GRID_CELL, GRID_CELL), structure=np.ones((3, 3)))
+    start, target = (
+        regions[int(y / GRID_CELL), int(x / GRID_CELL)] for x, y in ((world.start.x, world.start.y), world.target)
+    )
     return bool(start == target != 0)
 
 
@@ -226,19 +228,19 @@ def test_cells_are_free_where_there_is_room_and_only_there(seed):
     solid = shapely.union_all([obstacles_of(world), shapely.box(0, 0, world.width, world.depth).exterior])
     spared = 0
     for x, y in np.random.default_rng(seed).uniform(0, 24, (1000, 2)).tolist():
-        left, low = (CELL * int(number / CELL) for number in (x, y))
-        distance = shapely.box(left, low, left + CELL, low + CELL).distance(solid)
+        left, low = (GRID_CELL * int(number / GRID_CELL) for number in (x, y))
+        distance = shapely.box(left, low, left + GRID_CELL, low + GRID_CELL).distance(solid)
         if is_free(world, x, y, ROOM):
             assert distance >= ROOM - 1e-9
         else:
-            assert distance <= ROOM + 2 * CELL
-        spared += distance > ROOM + 2 * CELL
+            assert distance <= ROOM + 2 * GRID_CELL
+        spared += distance > ROOM + 2 * GRID_CELL
     assert spared > 10
 
 
 @pytest.mark.parametrize("room", [0.3, 0.5, 0.8])
 def test_solvable_worlds_are_those_that_the_whole_grid_shows(room):
-    layout = crowded().file.layout
+    layout = crowded().layout
     arena = random_boxes.Arena(24.0, 24.0, ((5.0, 5.0), (19.0, 19.0)))
     answers = []
     for seed in range(20):
@@ -276,7 +278,7 @@ def test_solvable_worlds_can_be_crossed_and_those_with_room_to_spare_are_solvabl
     if is_solvable(world, room):
         assert is_crossable(world, room - 1e-6)
     else:
-        assert not is_crossable(world, room + 4 * CELL)
+        assert not is_crossable(world, room + 4 * GRID_CELL)
 
 
 def test_start_faces_the_target_unless_told_otherwise():
@@ -379,8 +381,8 @@ def test_base_gives_what_a_world_leaves_out(tmp_path):
     (tmp_path / "top.toml").write_text('base = "middle"\ntarget = [45, 45]\n[layout]\ncover = 0.2\n')
     source = load_world(str(tmp_path / "top.toml"))
     assert source.name == "top"
-    assert (source.file.width, source.file.depth, source.file.target) == (50.0, 60.0, (45.0, 45.0))
-    assert (source.file.layout.cover, source.file.layout.min_side) == (0.2, 1.0)
+    assert (source.width, source.depth, source.target) == (50.0, 60.0, (45.0, 45.0))
+    assert (source.layout.cover, source.layout.min_side) == (0.2, 1.0)
 
 
 def test_explicit_boxes_may_replace_the_random_ones_of_a_base(tmp_path):
@@ -392,7 +394,7 @@ def test_explicit_boxes_may_replace_the_random_ones_of_a_base(tmp_path):
 
 def test_base_may_be_a_shipped_world(tmp_path):
     (tmp_path / "mine.toml").write_text('base = "cover_10"\ntarget_radius = 3.0\n')
-    file = load_world(str(tmp_path / "mine.toml")).file
+    file = load_world(str(tmp_path / "mine.toml"))
     assert (file.target_radius, file.layout.cover) == (3.0, 0.1)
 
 
@@ -474,17 +476,19 @@ def test_unknown_world_lists_the_shipped_ones():
 
 def test_free_cells_of_an_empty_arena_fill_it_up_to_the_clearance():
     world = small_world().draw(0, ROOM)
-    centres = [(x, y) for x in np.arange(0.1, 20, CELL).tolist() for y in np.arange(0.1, 10, CELL).tolist()]
-    area = sum(is_free(world, x, y, ROOM) for x, y in centres) * CELL**2
-    assert (20 - 2 * ROOM - 4 * CELL) * (10 - 2 * ROOM - 4 * CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
+    centres = [(x, y) for x in np.arange(0.1, 20, GRID_CELL).tolist() for y in np.arange(0.1, 10, GRID_CELL).tolist()]
+    area = sum(is_free(world, x, y, ROOM) for x, y in centres) * GRID_CELL**2
+    assert (
+        (20 - 2 * ROOM - 4 * GRID_CELL) * (10 - 2 * ROOM - 4 * GRID_CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
+    )
 
 
 def test_free_cells_keep_off_walls_that_no_cell_ends_at():
     world = small_world(width=20.01, depth=10.01).draw(0, ROOM)
-    edges = CELL * np.arange(1, 50)
+    edges = GRID_CELL * np.arange(1, 50)
     for room in (0.65, 0.7, 0.71, 0.75, 0.8):
-        assert max(x for x in edges + 10 if is_free(world, x - CELL / 2, 5.0, room)) <= 20.01 - room
-        assert max(y for y in edges if is_free(world, 10.0, y - CELL / 2, room)) <= 10.01 - room
+        assert max(x for x in edges + 10 if is_free(world, x - GRID_CELL / 2, 5.0, room)) <= 20.01 - room
+        assert max(y for y in edges if is_free(world, 10.0, y - GRID_CELL / 2, room)) <= 10.01 - room
 
 
 def test_end_beyond_the_last_whole_cell_is_reached_from_nowhere():

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from nnql_bullet.config import merged, parse, to_values
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
-from nnql_bullet.evaluation.statistics import RESAMPLES, Share, seeds_share
+from nnql_bullet.evaluation.statistics import RESAMPLES, Estimate, success_over_seeds
 from nnql_bullet.evaluation.studies import Factor, Study, Variant
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
@@ -29,7 +29,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
-CONTACT_FLEET = 8
+CONTACT_VEHICLES = 8
 """Vehicles that are tested at a time in contact physics, where each takes 34 MB."""
 
 Verdict = Literal["default", "better", "worse", "undecided"]
@@ -91,8 +91,8 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     """Trains, selects if so configured, then drives greedily through validation worlds, in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
-    with closing(experiment.training_fleet(workers=1)) as fleet:
-        training = experiment.trainer(FleetNavigation(fleet, config.task))
+    with closing(experiment.new_training_simulator(workers=1)) as simulator:
+        training = experiment.trainer(Navigation(simulator, config.task))
         agent, selection = experiment.trainable, config.training.selection
         candidates: Candidates = {}
         for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
@@ -103,11 +103,11 @@ def train_and_test(task: AblationTask) -> list[Counts]:
         agent.load_state_dict(candidates[most_goals(experiment.try_out(candidates, workers=1))])
     found = []
     for world in task.tiers:
-        vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_FLEET)
+        vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_VEHICLES)
         test = Experiment(changed(config, world=world, vehicles=vehicles))
         worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds)]
-        with closing(test.fleet(workers=1)) as fleet:
-            summaries = run_episodes(FleetNavigation(fleet, config.task), worlds, experiment.agent)
+        with closing(test.new_simulator(workers=1)) as simulator:
+            summaries = run_episodes(Navigation(simulator, config.task), worlds, experiment.agent)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found
@@ -119,11 +119,11 @@ class Entry:
 
     factor: Factor
     variant: Variant
-    success: dict[str, Share | None]
+    success: dict[str, Estimate | None]
     """In each tier: inter-quartile mean over seeds with its interval; None with a single seed."""
     by_seed: dict[str, tuple[float, ...]]
     """In each tier, of each training seed."""
-    difference: Share
+    difference: Estimate
     """Of success against the default: mean over seeds and tiers of paired differences, with a bootstrap interval."""
     verdict: Verdict
 
@@ -147,7 +147,7 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
                     factor=factor,
                     variant=variant,
                     success={
-                        world: seeds_share([row], rng(0, Stream.BOOTSTRAP))
+                        world: success_over_seeds([row], rng(0, Stream.BOOTSTRAP))
                         for world, row in zip(study.tiers, scores, strict=True)
                     },
                     by_seed={world: tuple(row.tolist()) for world, row in zip(study.tiers, scores, strict=True)},
@@ -163,18 +163,18 @@ def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     return np.array([[t.goal / (t.goal + t.collision + t.timeout) for t in training] for training in trainings]).T
 
 
-def _difference(differences: Array) -> Share:
+def _difference(differences: Array) -> Estimate:
     """The mean of paired differences (tiers, seeds), with a bootstrap interval over seeds."""
     by_seed = differences.mean(axis=0)
     value = float(by_seed.mean())
     if len(by_seed) < 2 or np.ptp(by_seed) == 0:
-        return Share(value, value, value)
+        return Estimate(value, value, value)
     generator = rng(0, Stream.BOOTSTRAP)
     result = bootstrap((by_seed,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=generator)
-    return Share(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
+    return Estimate(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
 
 
-def _verdict(is_default: bool, difference: Share) -> Verdict:
+def _verdict(is_default: bool, difference: Estimate) -> Verdict:
     if is_default:
         return "default"
     if difference.low > 0:

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.fidelity.envelope import SETTLING
+from nnql_bullet.fidelity.envelope import SETTLE_TIME
 from nnql_bullet.fidelity.probe import Bench, open_ground
 from nnql_bullet.fidelity.turning import mean_forces
 from nnql_bullet.sim.base import SAMPLE_EVERY
@@ -18,9 +18,9 @@ from nnql_bullet.vehicle.limits import Braking, braking, braking_rear_load, stat
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-STANDING = 0.01
+STANDSTILL_SPEED = 0.01
 """Speed below which a vehicle stands [m/s]."""
-PATIENCE = 10.0
+TIME_LIMIT_FACTOR = 10.0
 """Times the stopping time on paper and a second, after which a vehicle is taken not to stop."""
 REACTION = DriveOptions().decision_period
 """What passes at most until the brakes act: an obstacle comes into sight just after a decision [s]."""
@@ -106,23 +106,23 @@ def measure_stop(task: StopTask) -> Stop:
     """
     vehicle = braking_vehicle(task.bench.vehicle, task.conditions)
     paper_says = braking(vehicle)
-    with task.bench.simulator(vehicle, speed=task.speed) as simulator:
-        simulator.reset(open_ground())
+    with task.bench.open_engine(vehicle, speed=task.speed) as engine:
+        engine.reset(open_ground())
         rolling = task.speed / vehicle.wheel_radius
-        simulator.command_wheels(rolling, rolling)
-        simulator.run(SETTLING)
-        begin, began = simulator.pose(), simulator.time()
-        patience = PATIENCE * (1 + task.speed / paper_says.deceleration)
+        engine.command_wheels(rolling, rolling)
+        engine.run(SETTLE_TIME)
+        begin, began = engine.pose(), engine.time()
+        patience = TIME_LIMIT_FACTOR * (1 + task.speed / paper_says.deceleration)
         times, forces = [], []
-        simulator.command_wheels(0.0, 0.0)
-        while simulator.speed() > STANDING:
-            if simulator.time() - began > patience:
+        engine.command_wheels(0.0, 0.0)
+        while engine.speed() > STANDSTILL_SPEED:
+            if engine.time() - began > patience:
                 friction = task.conditions.friction
                 raise UserError(f"the vehicle does not stop from {task.speed:g} m/s on friction {friction:g}; raise it")
-            simulator.step()
-            times.append(simulator.time() - began)
-            forces.append(simulator.wheel_forces())
-        end = simulator.pose()
+            engine.step()
+            times.append(engine.time() - began)
+            forces.append(engine.wheel_forces())
+        end = engine.pose()
     seen = mean_forces(times, forces, SAMPLE_EVERY)
     return Stop(
         conditions=task.conditions,

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from nnql_bullet.errors import WorkFailed
 from nnql_bullet.executors import Executor
 from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.types import Bytes
 
 HOLD = 1.5
 """How long the ending stays in the picture [s]."""
@@ -61,10 +62,6 @@ class FrameTask:
     """Number of the first frame."""
 
 
-class FramesLost(Exception):
-    """Frames could not be drawn; the message says why."""
-
-
 def draw_frames(task: FrameTask) -> Bytes:
     """Frames (n, height, width, 3)."""
     studio = _studio(task.film)
@@ -80,7 +77,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
         executor: Where they are drawn.
 
     Raises:
-        FramesLost: If drawing fails.
+        WorkFailed: If drawing fails.
     """
     size = max(PIECE // (film.width * film.height * 3), 1)
     tasks = (FrameTask(film, tuple(times[k : k + size]), k) for k in range(0, len(times), size))
@@ -88,7 +85,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
     wanted = 0
     for outcome in executor.map(draw_frames, tasks):
         if outcome.error:
-            raise FramesLost(f"frame {outcome.task.first + 1}: {outcome.error.message}")
+            raise WorkFailed(f"frame {outcome.task.first + 1}: {outcome.error.message}")
         ahead[outcome.index] = outcome.value  # type: ignore[assignment]  # there is no error
         while wanted in ahead:
             yield from ahead.pop(wanted)

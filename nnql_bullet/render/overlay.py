@@ -13,8 +13,8 @@ from PIL import Image, ImageDraw, ImageFont
 from nnql_bullet import colours, paper
 from nnql_bullet.env import STOP, TOWARD_TARGET
 from nnql_bullet.render.camera import Camera
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Moment, Timeline
+from nnql_bullet.types import Bytes
 
 Box = tuple[float, float, float, float]
 

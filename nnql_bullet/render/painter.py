@@ -13,7 +13,6 @@ from nnql_bullet.render.shading import (
     NON_SAFE_PATH,
     SAFE_PATH,
     SHADOW,
-    Bytes,
     Ground,
     Inks,
     eye_of,
@@ -25,6 +24,7 @@ from nnql_bullet.render.shading import (
 )
 from nnql_bullet.render.solids import Renderer
 from nnql_bullet.render.timeline import Moment, Timeline
+from nnql_bullet.types import Bytes
 
 MOST_CELLS = 2200
 """Of the ground's map, along the arena's longer side."""

@@ -17,7 +17,7 @@ from nnql_bullet import __version__, colours
 from nnql_bullet.colours import COLLISION, INK, LINES, NON_SAFE, SAFE
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
 from nnql_bullet.reports.tables import csv_text, finite, markdown_table
@@ -26,7 +26,7 @@ from nnql_bullet.task import ENDINGS
 MARKS = "osD^vPX"
 
 
-def success(row: Row) -> Share:
+def success(row: Row) -> Estimate:
     """What is shown as a method's success: over training seeds where there are several, else over drives."""
     return row.over_seeds or row.outcomes["goal"]
 
@@ -241,7 +241,7 @@ def evaluation_values(
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "endings": list(ENDINGS),
-        "policies": [asdict(policy) for policy in e.policies],
+        "policies": [policy.values for policy in e.policies],
         "tiers": [
             {
                 "file": tier.file,
@@ -273,7 +273,12 @@ def evaluation_values(
 
 def results_csv(rows: Sequence[Row]) -> str:
     """A line for each method in each kind of world."""
-    return csv_text([_flat(row) for row in rows])
+    return csv_text(method_records(rows))
+
+
+def method_records(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """A flat record for each method in each kind of world."""
+    return [_flat(row) for row in rows]
 
 
 def _flat(row: Row) -> dict[str, Any]:
@@ -288,6 +293,11 @@ def _flat(row: Row) -> dict[str, Any]:
 
 def episodes_csv(evaluation: Evaluation) -> str:
     """A line for each drive."""
+    return csv_text(episode_records(evaluation))
+
+
+def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """A flat record for each drive."""
     e, records = evaluation, []
     for policy in e.policies:
         for tier in e.tiers:
@@ -297,7 +307,7 @@ def episodes_csv(evaluation: Evaluation) -> str:
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
                 records.append({**where, **values, **terms, "shortest_path": difficulty.shortest_path})
-    return csv_text(records)
+    return records
 
 
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:

@@ -19,15 +19,15 @@ from nnql_bullet.evaluation.failures import (
     GROUPS,
     HEAD_ON,
     HESITATION,
-    LATE,
+    LAST_PART,
     NEAR_TARGET,
-    RETURN,
+    RETURN_AFTER,
     REVERSALS,
     REVISITED,
     ROUNDS,
-    SAME,
+    SAME_PLACE,
+    SMALLEST_TURN,
     STRUCK,
-    TURN,
     Contact,
     Features,
     Group,
@@ -46,20 +46,21 @@ COLUMNS = 6
 """Of them, side by side."""
 CLOSE = 4.0
 """Least half side of what is shown enlarged [m]."""
-MARGIN = 1.0
+ARENA_MARGIN = 1.0
 """Around the arena [m]."""
 
 RULES: dict[Group, str] = {
     "struck": f"A moving box was touched, and at least {STRUCK:.0%} of the speed at which they met was its own.",
     "flank": f"From the heading to the way straight through what was touched it is more than {degrees(HEAD_ON):.0f} "
     "degrees.",
-    "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(TURN):.0f} degrees changed sides at least "
-    f"{REVERSALS} times.",
+    "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(SMALLEST_TURN):.0f} degrees changed sides "
+    f"at least {REVERSALS} times.",
     "head-on": "Every other collision.",
-    "target circling": f"In the last {LATE:g} s it was never more than {NEAR_TARGET:g} m from the target.",
-    "circling": f"In the last {LATE:g} s it made at least {ROUNDS:g} full turns more to one side than to the other.",
-    "trapped": f"At least {REVISITED:.0%} of the last {LATE:g} s it was less than {SAME:g} m from where it had been "
-    f"{RETURN:g} s before or earlier.",
+    "target circling": f"In the last {LAST_PART:g} s it was never more than {NEAR_TARGET:g} m from the target.",
+    "circling": f"In the last {LAST_PART:g} s it made at least {ROUNDS:g} full turns more to one side than to the "
+    "other.",
+    "trapped": f"At least {REVISITED:.0%} of the last {LAST_PART:g} s it was less than {SAME_PLACE:g} m from where it "
+    f"had been {RETURN_AFTER:g} s before or earlier.",
     "wandering": "Every other drive that ran out of time.",
 }
 """Of `evaluation.failures`, in words."""
@@ -191,6 +192,31 @@ def _cells(features: Features) -> dict[str, str]:
     }
 
 
+def clear(folder: Path) -> None:
+    """Removes the recordings, pictures and reports of failures from a folder."""
+    for pattern in ("*.npz", "*.png", "failures.*"):
+        for old in folder.glob(pattern):
+            old.unlink()
+
+
+def failure_records(found: Failures) -> list[dict[str, Any]]:
+    """A record for each failure."""
+    return [
+        {
+            "policy": one.failed.film.policy.name,
+            "method": one.failed.film.policy.method,
+            "world": one.failed.film.tier.name,
+            "world_seed": one.failed.seed,
+            "ending": one.ending,
+            "steps": one.steps,
+            "group": one.group,
+            "time": one.features.time,
+            "target_distance": one.features.target_distance,
+        }
+        for one in found.replays
+    ]
+
+
 def failures_values(found: Failures) -> dict[str, Any]:
     """The same as plain values, for JSON."""
     return {
@@ -263,9 +289,9 @@ def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
     world = recording.world
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE
-    late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
-    half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
-    least, most = half - MARGIN, np.array([world.width, world.depth]) - half + MARGIN
+    late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LAST_PART, :2]
+    half = max(float(np.ptp(late, axis=0).max()) / 2 + ARENA_MARGIN, CLOSE)
+    least, most = half - ARENA_MARGIN, np.array([world.width, world.depth]) - half + ARENA_MARGIN
     return np.clip((late.min(axis=0) + late.max(axis=0)) / 2, least, np.maximum(most, least)), half
 
 
@@ -273,7 +299,11 @@ def _draw_whole(axes: Axes, recording: Recording) -> None:
     world = recording.world
     draw_world(axes, recording, recording.state_time[-1])
     draw_path(axes, recording, 0.6)
-    axes.set(xlim=(-MARGIN, world.width + MARGIN), ylim=(-MARGIN, world.depth + MARGIN), aspect="equal")
+    axes.set(
+        xlim=(-ARENA_MARGIN, world.width + ARENA_MARGIN),
+        ylim=(-ARENA_MARGIN, world.depth + ARENA_MARGIN),
+        aspect="equal",
+    )
 
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
@@ -290,7 +320,7 @@ def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
 def _what(features: Features) -> str:
     if isinstance(features.end, Contact):
         return f"{features.end.touched}, {degrees(features.end.angle):.0f} degrees, at {features.time:.1f} s"
-    return f"the last minute of {features.time:.0f} s" if features.time > LATE else f"all {features.time:.0f} s"
+    return f"the last minute of {features.time:.0f} s" if features.time > LAST_PART else f"all {features.time:.0f} s"
 
 
 def _legend(recordings: Sequence[Recording]) -> list[Line2D | Patch]:

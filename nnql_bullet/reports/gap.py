@@ -26,7 +26,7 @@ from nnql_bullet.evaluation.gap import (
     outcome_matrix,
     success_p_value,
 )
-from nnql_bullet.evaluation.statistics import share
+from nnql_bullet.evaluation.statistics import proportion
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.plots import draw_world, save_figure
@@ -39,7 +39,7 @@ def gap_markdown(gap: Gap) -> str:
     first, second = gap.first.name, gap.second.name
     matrix = outcome_matrix(gap.pairs)
     total, same = int(matrix.sum()), int(np.trace(matrix))
-    goals = [share(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
+    goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
     lines = [
         f"# The gap: {first} against {second}",
         "",
@@ -161,16 +161,36 @@ def gap_values(gap: Gap) -> dict[str, Any]:
 
 def gap_csv(gap: Gap) -> str:
     """A line for each drive, sound or with a fault."""
+    return csv_text(gap_records(gap))
+
+
+def gap_records(gap: Gap) -> list[dict[str, Any]]:
+    """A flat record for each drive, sound or with a fault."""
     drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
     drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
     drives += [(trial.run, trial.side.name, trial.fault, trial.summary) for trial in gap.trials]
     shown = ("world_seed", "ending", "steps", "duration", "path_length", "clearance")
-    return csv_text(
-        [
-            {"run": run, "simulator": simulator, "fault": fault, **{name: getattr(summary, name) for name in shown}}
-            for run, simulator, fault, summary in drives
-        ]
-    )
+    return [
+        {"run": run, "simulator": simulator, "fault": fault, **{name: getattr(summary, name) for name in shown}}
+        for run, simulator, fault, summary in drives
+    ]
+
+
+def gap_table(gap: Gap) -> str:
+    """Endings on the two sides against each other, then success by fault, as text."""
+    lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives"]
+    lines.append(f"{'':<11}" + "".join(f"{ending:>11}" for ending in ENDINGS))
+    for ending, row in zip(ENDINGS, outcome_matrix(gap.pairs).tolist(), strict=True):
+        lines.append(f"{ending:<11}" + "".join(f"{count:>11}" for count in row))
+    p_value = success_p_value(gap.pairs)
+    lines.append(f"McNemar p = {p_value:.2g}; {len(gap.flips)} drives ended differently")
+    if gap.trials:
+        lines.append(f"{'fault':<24}{'goal %':>20}{'collision %':>20}{'p':>9}{f'goal % in {gap.first.name}':>28}")
+        for one in fault_rows(gap):
+            shares = f"{one.shares['goal']!s:>20}{one.shares['collision']!s:>20}"
+            p_text = f"{one.p_value:.2g}" if one.fault else ""
+            lines.append(f"{one.fault or 'none':<24}{shares}{p_text:>9}{one.first_goal or 'as none'!s:>28}")
+    return "\n".join(lines)
 
 
 def draw_gap(gap: Gap, path: Path) -> None:
@@ -307,7 +327,7 @@ def _policy_row(run: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
     first = sum(pair.first.ending == "goal" for pair in pairs)
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
-    return run, share(first, len(pairs)), share(second, len(pairs)), f"{alike} of {len(pairs)}"
+    return run, proportion(first, len(pairs)), proportion(second, len(pairs)), f"{alike} of {len(pairs)}"
 
 
 def _fault_row(row: FaultRow) -> tuple[object, ...]:

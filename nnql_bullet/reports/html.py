@@ -26,7 +26,7 @@ from nnql_bullet.config import departures, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import draw_sheet, varied
@@ -97,7 +97,7 @@ class Results:
     """The policies of the page that do not drive in it."""
     methods: dict[str, list[str]]
     """Those that do by what they are called in it, if it is an evaluation."""
-    success: list[tuple[str, str, Share]]
+    success: list[tuple[str, str, Estimate]]
     """Of those that do, if it is an evaluation: method, worlds, share."""
     failures: list[Failure]
     """Of those that do, if it is an evaluation."""
@@ -143,13 +143,13 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet {verb}") from None
 
 
-def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Share]]:
+def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Estimate]]:
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
     found = []
     for row in values.get("rows", ()):
         if row["method"] in methods:
             name = row["method"] if row["policies"] == 1 else f"{row['method']}, {row['policies']} seeds"
-            share = Share(*(row["over_seeds"] or row["outcomes"]["goal"]))
+            share = Estimate(*(row["over_seeds"] or row["outcomes"]["goal"]))
             found.append((name, titles.get(row["world"], row["world"]), share))
     return found
 

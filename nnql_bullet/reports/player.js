@@ -64,7 +64,7 @@ const draw = (canvas, drive, i, x, y, half) => {
     context.translate(px, py);
     context.rotate(yaw);
     trace();
-    context.load_training_state();
+    context.restore();
   };
   const box = ([px, py, length, width, yaw]) =>
     within(px, py, yaw, () => context.rect(-length, -width, 2 * length, 2 * width));

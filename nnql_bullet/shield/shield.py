@@ -15,38 +15,35 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from dataclasses import dataclass, field, fields, replace
 from math import sqrt
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Agent, Overridable
 from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import STOP, Observations, heading_change
+from nnql_bullet.env import STOP, Observation, heading_change
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
-from nnql_bullet.mapping.prediction import predicted_poses, scan_clearances
+from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions, silent_sectors
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.shield.recovery import Recovery
 from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
+from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, turning_deceleration
-from nnql_bullet.vehicle.profiles import ramp_ways
+from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
-NonNegative = Annotated[float, Field(ge=0)]
-
-LOOK_EVERY = 0.1
-"""From one foreseen pose to the next [s]: 0.2 m at 2 m/s, less than the margin."""
+DISTANCE_STEP = 0.1
+"""Distance between predicted places along a path [m]."""
 GRIP_SHARE = 0.9
 """Of the hardest braking that load and friction allow, what is counted on."""
-STANDING = 0.05
+STANDSTILL_SPEED = 0.05
 """Speed below which a vehicle stands [m/s]."""
 GIVING = 0.03
 """By how much a vehicle that is nearer than the margin already may get nearer still [m]."""
@@ -158,8 +155,8 @@ class Shield:
         self._turning_circle = float(np.hypot(*vehicle.footprint.corners().T).max()) + TOUCHING
         longest = max(self._way, options.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / self._deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
-        self._times = np.arange(LOOK_EVERY, longest + LOOK_EVERY, LOOK_EVERY)
-        self._stop_times = np.arange(LOOK_EVERY, stop, LOOK_EVERY)
+        self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
+        self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
         self._memories: list[_Memory] = []
 
     def reset(self, vehicle: int, world_seed: int) -> None:
@@ -168,11 +165,11 @@ class Shield:
         self._memories[vehicle] = _Memory(self._drive.speed)
         self.agent.reset(vehicle, world_seed)
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """What the agent expects of the paper's five turns (n, 5)."""
         return self.agent.action_values(observations)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The manoeuvres (n,): the agent's best action that stays clear or, where there is none, a stop."""
         self._make_room(len(observations.yaw_rate))
         memories = self._memories[: len(observations.yaw_rate)]
@@ -200,7 +197,7 @@ class Shield:
 
     # What is there
 
-    def _at_worst(self, o: Observations, memories: list[_Memory]) -> tuple[Observations, NDArray[np.bool_]]:
+    def _at_worst(self, o: Observation, memories: list[_Memory]) -> tuple[Observation, NDArray[np.bool_]]:
         """The observations with dead sectors completed, and which rays meet what moves (n, 72)."""
         rays, moving = o.ray_distances.copy(), np.zeros(o.ray_distances.shape, np.bool_)
         for i, memory in enumerate(memories):
@@ -210,7 +207,7 @@ class Shield:
             strayed = float(np.hypot(*(moved - memory.moved)[:2]))
             moving[i] = moving_points(points, memory.rays, moved, strayed, self._sensor)
             expected = seen_from(moved, memory.points)
-            if memory.speed >= STANDING:  # else the same sight would speak against a sensor again and again
+            if memory.speed >= STANDSTILL_SPEED:  # else the same sight would speak against a sensor again and again
                 memory.against += contradictions(rays[i], expected, self._sensor)
             memory.against[~silent_sectors(rays[i])] = 0.0
             dead = memory.against >= ENOUGH
@@ -236,7 +233,7 @@ class Shield:
     # What is wanted
 
     def _ranks(
-        self, o: Observations, values: Array, wanted: NDArray[np.int64], turns: Array, memories: list[_Memory]
+        self, o: Observation, values: Array, wanted: NDArray[np.int64], turns: Array, memories: list[_Memory]
     ) -> Array:
         """How good actions are held to be (n, 6): the agent's choice, then by its values or by nearness to its choice.
 
@@ -269,7 +266,7 @@ class Shield:
         """
         goals = np.full(len(look.speed), goal)
         acceleration = limits.acceleration if goal > 0 else self._deceleration
-        ways = ramp_ways(look.speed, goals, acceleration, times)
+        ways = ramp_distances(look.speed, goals, acceleration, times)
         poses = predicted_poses(look.yaw_rate, look.turns, ways, limits, times)
         clearances: Array = scan_clearances(poses, look.points, self._footprint)
         if np.isfinite(look.moving).any():
@@ -312,7 +309,7 @@ class Shield:
             at_speed = look.speed[0] >= self._drive.speed
             drives = self._soon(look, self._drive.speed, self._followed if at_speed else self._followed_changing)
             return int(self._worth(np.concatenate([drives, stops])).argmax())
-        if memory.speed >= STANDING:
+        if memory.speed >= STANDSTILL_SPEED:
             order = np.argsort(np.abs(look.turns[0]), kind="stable")
             return STOP + int(order[self._worth(stops)[order].argmax()])
         return self._turn_on_the_spot(memory, look, stops.min(axis=-1), ranks, kept, target_bearing)
@@ -363,7 +360,7 @@ class Shield:
     def _open_side(self, look: _Look, target_bearing: float) -> int:
         """On which side less turning, with some regard to the target, leads to where the way ahead is clear."""
         angles = np.radians(np.arange(-180.0, 181.0, 15.0))
-        ways = np.arange(LOOK_EVERY, self._way, LOOK_EVERY)
+        ways = np.arange(DISTANCE_STEP, self._way, DISTANCE_STEP)
         along, turned = np.broadcast_arrays(ways, angles[:, None])
         poses = np.stack([along * np.cos(turned), along * np.sin(turned), turned], axis=-1)
         clear = scan_clearances(poses[None], look.points, self._footprint)[0].min(axis=-1) >= self.options.margin
@@ -373,12 +370,12 @@ class Shield:
 
     # What is remembered
 
-    def _remember(self, o: Observations, chosen: NDArray[np.int64], memories: list[_Memory]) -> None:
+    def _remember(self, o: Observation, chosen: NDArray[np.int64], memories: list[_Memory]) -> None:
         """Reckons where the decisions take each vehicle, and at what speed."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
         speed = np.array([memory.speed for memory in memories])
         goals = np.where(chosen < STOP, self._drive.speed, 0.0)
-        ways = ramp_ways(speed, goals, limits.acceleration, times)
+        ways = ramp_distances(speed, goals, limits.acceleration, times)
         turns = heading_change(chosen, o.target_bearing)
         moved = predicted_poses(o.yaw_rate, turns[:, None], ways, limits, times)[:, 0, -1]
         change = limits.acceleration * self._drive.decision_period

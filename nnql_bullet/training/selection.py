@@ -16,10 +16,11 @@ from pydantic import Field
 
 from nnql_bullet.agents import Trainable
 from nnql_bullet.config import options
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
+from nnql_bullet.types import Count
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
@@ -30,9 +31,9 @@ Candidates = dict[int, dict[str, Array]]
 class SelectionOptions:
     """Among how many late states of a training the best is looked for, and how."""
 
-    candidates: Annotated[int, Field(ge=1)] = 8
+    candidates: Count = 8
     """How many are tried in the end, the last state among them; 1 takes that."""
-    every: Annotated[int, Field(ge=1)] = 50
+    every: Count = 50
     """Episodes from one to the next. They do not follow the number of episodes asked for, so that a run can be stopped
     and gone on with."""
     worlds: tuple[str, ...] = ()
@@ -61,7 +62,7 @@ def finalists(candidates: Candidates, episodes: int, agent: Trainable, options: 
 
 
 def count_goals(
-    agent: Trainable, candidates: Candidates, navigation: FleetNavigation, worlds: Sequence[WorldSpec]
+    agent: Trainable, candidates: Candidates, navigation: Navigation, worlds: Sequence[WorldSpec]
 ) -> dict[int, int]:
     """In how many of the worlds each candidate comes to its target, driven greedily.
 

@@ -9,12 +9,12 @@ from nnql_bullet.geometry import Array, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
-CELL = 0.2
+GRID_CELL = 0.2
 """Side of a cell [m]."""
 
-DIAGONAL = hypot(CELL, CELL)
+GRID_DIAGONAL = hypot(GRID_CELL, GRID_CELL)
 """Of a cell [m]."""
-GROWTH = np.array([0.0, 0.0, DIAGONAL / 2, DIAGONAL / 2, 0.0, 0.0])
+GROWTH = np.array([0.0, 0.0, GRID_DIAGONAL / 2, GRID_DIAGONAL / 2, 0.0, 0.0])
 """What the rows of boxes grow by, so that none is too thin to take a cell."""
 
 Cell = tuple[int, int]
@@ -28,30 +28,30 @@ def is_solvable(world: WorldSpec, clearance: float) -> bool:
     hold any is not overlooked; a cell that reaches out of the arena is wall. A cell is free if every obstacle and wall
     is at least `clearance` away from anywhere in it.
     """
-    shape = floor(world.depth / CELL + 1e-9), floor(world.width / CELL + 1e-9)
+    shape = floor(world.depth / GRID_CELL + 1e-9), floor(world.width / GRID_CELL + 1e-9)
     start, target = cell_of(world.start.x, world.start.y), cell_of(*world.target)
     if not all(0 <= cell[axis] < shape[axis] for cell in (start, target) for axis in (0, 1)):
         return False
     boxes = world.solids[: len(world.obstacles)] + GROWTH
     # Between cell centres; points of the two cells may each be half a diagonal nearer.
-    reach = clearance + DIAGONAL
+    reach = clearance + GRID_DIAGONAL
     # From the target, which most worlds have nearer to a corner: what is more often shut in is sooner searched.
     return bool(_are_joined(target, start, shape, boxes, reach))
 
 
 def cell_of(x: float, y: float) -> Cell:
     """The cell that a point [m] lies in."""
-    return floor(y / CELL), floor(x / CELL)
+    return floor(y / GRID_CELL), floor(x / GRID_CELL)
 
 
 @njit(nogil=True)
 def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
     """Whether a box takes a cell whose centre is nearer than `reach` [m] to that of `cell`."""
-    far = int(reach / CELL)
+    far = int(reach / GRID_CELL)
     for row in range(-far, far + 1):
         for column in range(-far, far + 1):
-            x, y = (cell[1] + column + 0.5) * CELL, (cell[0] + row + 0.5) * CELL
-            if (row * row + column * column) * CELL**2 < reach**2 and squared_distance(x, y, box) == 0.0:
+            x, y = (cell[1] + column + 0.5) * GRID_CELL, (cell[0] + row + 0.5) * GRID_CELL
+            if (row * row + column * column) * GRID_CELL**2 < reach**2 and squared_distance(x, y, box) == 0.0:
                 return True
     return False
 
@@ -63,12 +63,12 @@ def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
     It is `reach` or more exactly where that distance is, and 0 elsewhere.
     """
     row, column = cell
-    walls = (min(row, column, shape[0] - 1 - row, shape[1] - 1 - column) + 1) * CELL
+    walls = (min(row, column, shape[0] - 1 - row, shape[1] - 1 - column) + 1) * GRID_CELL
     if walls < reach:
         return 0.0
     closest = np.inf
     for i in range(len(boxes)):
-        squared = squared_distance((column + 0.5) * CELL, (row + 0.5) * CELL, boxes[i])
+        squared = squared_distance((column + 0.5) * GRID_CELL, (row + 0.5) * GRID_CELL, boxes[i])
         if squared < reach**2 and _takes_a_cell_around(cell, boxes[i], reach):
             return 0.0
         closest = min(closest, squared)
@@ -99,5 +99,5 @@ def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float)
                 if not seen[row, column]:
                     seen[row, column] = True
                     to_go = (row - end[0]) ** 2 + (column - end[1]) ** 2
-                    heappush(heap, (to_go, (row, column), room - DIAGONAL))
+                    heappush(heap, (to_go, (row, column), room - GRID_DIAGONAL))
     return False

@@ -11,12 +11,12 @@ from scipy.ndimage import distance_transform_edt
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, clearance_at, ray_distances, squared_distance
 from nnql_bullet.jit import njit
-from nnql_bullet.worlds.grid import CELL, DIAGONAL, GROWTH, Cell, cell_of
+from nnql_bullet.worlds.grid import GRID_CELL, GRID_DIAGONAL, GROWTH, Cell, cell_of
 from nnql_bullet.worlds.spec import WorldSpec
 
-LOOK_EVERY = CELL / 4
+CHECK_SPACING = GRID_CELL / 4
 """Distance from one look to the next, whether a straight line keeps to free cells [m]."""
-LOOK_AROUND_EVERY = 2.0
+SURVEY_SPACING = 2.0
 """Distance along the path from one measurement of its surroundings to the next [m]."""
 VISIBILITY_RANGE = 100.0
 """A ray that meets nothing counts as so long [m]; in the paper's arena every ray meets a wall."""
@@ -51,7 +51,7 @@ def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
     path = shortest_path(world, clearance)
     length = path_length(path)
     straight = float(np.hypot(*(path[-1] - path[0])))
-    points = _along(path, LOOK_AROUND_EVERY)
+    points = _along(path, SURVEY_SPACING)
     angles = np.arange(0.0, 2 * pi, pi / 36)
     point = np.zeros(6)  # a footprint without extent
     point[4] = 1.0
@@ -75,14 +75,14 @@ def shortest_path(world: WorldSpec, clearance: float) -> Array:
     Raises:
         UserError: If there is none.
     """
-    shape = floor(world.depth / CELL + 1e-9), floor(world.width / CELL + 1e-9)
+    shape = floor(world.depth / GRID_CELL + 1e-9), floor(world.width / GRID_CELL + 1e-9)
     begin, end = cell_of(world.start.x, world.start.y), cell_of(*world.target)
     free = _free_cells(world, shape, clearance)
     inside = all(0 <= cell[axis] < shape[axis] for cell in (begin, end) for axis in (0, 1))
     cells = _theta_star(begin, end, free) if inside and free[begin] and free[end] else np.zeros((0, 2), np.int64)
     if len(cells) == 0:
         raise UserError(f"world '{world.name}', seed {world.seed}: there is no way to the target; move its boxes apart")
-    path = np.asarray((cells[:, ::-1] + 0.5) * CELL)
+    path = np.asarray((cells[:, ::-1] + 0.5) * GRID_CELL)
     path[0], path[-1] = (world.start.x, world.start.y), world.target
     return path
 
@@ -103,8 +103,8 @@ def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.b
     """Which cells are free, by the exact distance transform of those that are taken or wall."""
     taken = np.ones((shape[0] + 2, shape[1] + 2), np.bool_)
     taken[1:-1, 1:-1] = _taken_cells(shape, world.solids[: len(world.obstacles)] + GROWTH)
-    distance = np.asarray(distance_transform_edt(~taken, sampling=CELL))
-    return np.asarray(distance[1:-1, 1:-1] >= clearance + DIAGONAL)
+    distance = np.asarray(distance_transform_edt(~taken, sampling=GRID_CELL))
+    return np.asarray(distance[1:-1, 1:-1] >= clearance + GRID_DIAGONAL)
 
 
 @njit(nogil=True)
@@ -114,11 +114,11 @@ def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
     for i in range(len(boxes)):
         box = boxes[i]
         reach = np.hypot(box[2], box[3])
-        rows = max(int((box[1] - reach) / CELL), 0), min(int((box[1] + reach) / CELL) + 1, shape[0])
-        columns = max(int((box[0] - reach) / CELL), 0), min(int((box[0] + reach) / CELL) + 1, shape[1])
+        rows = max(int((box[1] - reach) / GRID_CELL), 0), min(int((box[1] + reach) / GRID_CELL) + 1, shape[0])
+        columns = max(int((box[0] - reach) / GRID_CELL), 0), min(int((box[0] + reach) / GRID_CELL) + 1, shape[1])
         for row in range(rows[0], rows[1]):
             for column in range(columns[0], columns[1]):
-                if squared_distance((column + 0.5) * CELL, (row + 0.5) * CELL, box) == 0.0:
+                if squared_distance((column + 0.5) * GRID_CELL, (row + 0.5) * GRID_CELL, box) == 0.0:
                     taken[row, column] = True
     return taken
 
@@ -127,7 +127,7 @@ def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
 def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
     """Whether the straight line between the centres of two cells keeps to free cells."""
     rows, columns = end[0] - begin[0], end[1] - begin[1]
-    looks = int(np.hypot(rows, columns) * CELL / LOOK_EVERY) + 1
+    looks = int(np.hypot(rows, columns) * GRID_CELL / CHECK_SPACING) + 1
     for k in range(1, looks):
         row = int(np.floor(begin[0] + 0.5 + rows * k / looks))
         column = int(np.floor(begin[1] + 0.5 + columns * k / looks))

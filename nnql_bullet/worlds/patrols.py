@@ -9,12 +9,12 @@ from pydantic import Field
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, as_rows, clearance
+from nnql_bullet.types import NonNegative, Positive
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
-Positive = Annotated[float, Field(gt=0)]
 Speed = Annotated[float, Field(gt=0, le=1)]
 MOST_TRIES = 20_000
-MARGIN = 0.1
+SWEEP_MARGIN = 0.1
 """Between what a patrol sweeps and what stands still [m]."""
 
 
@@ -39,7 +39,7 @@ class Patrols:
     """[m/s]"""
     max_speed: Speed = 1.0
     """[m/s]; half the speed of the paper's vehicle, so that it can outrun them."""
-    clear_radius: Annotated[float, Field(ge=0)] = 4.0
+    clear_radius: NonNegative = 4.0
     """No patrol ever comes nearer than this to the start or the target [m]."""
 
     def __post_init__(self) -> None:
@@ -64,7 +64,11 @@ class Patrols:
             patrol = self._anywhere(world, rng)
             swept = as_rows((_swept(patrol),))[0]
             inside = 0 < patrol.box.x < world.width and 0 < patrol.box.y < world.depth
-            if inside and clearance(swept, world.solids) >= MARGIN and clearance(swept, keep_free) >= self.clear_radius:
+            if (
+                inside
+                and clearance(swept, world.solids) >= SWEEP_MARGIN
+                and clearance(swept, keep_free) >= self.clear_radius
+            ):
                 patrols.append(patrol)
         raise UserError(
             f"world '{world.name}', seed {world.seed}: no room for {self.count} patrols; "

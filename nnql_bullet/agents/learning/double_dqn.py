@@ -16,20 +16,18 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
 from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
-from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Bytes, Replay
+from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observations, Transitions, heading_change
+from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.task import NO_ENDING, StateProperty
+from nnql_bullet.types import Bytes, Count, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-Count = Annotated[int, Field(ge=1)]
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
 
 FRONT_DISTANCE = 5.0
 """Readings of the front sensor below this cost reward [m]."""
@@ -51,9 +49,9 @@ class DoubleDqnOptions:
     """Whether the vehicle keeps a map of what it has seen, and the network is given path lengths through it."""
     hidden: tuple[Count, ...] = (128, 128)
     """Units of the hidden layers."""
-    learning_rate: Annotated[float, Field(gt=0)] = 5e-4
+    learning_rate: Positive = 5e-4
     """Learning rate of Adam in the first half of the scheduled episodes."""
-    learning_rate_final: Annotated[float, Field(gt=0)] = 5e-5
+    learning_rate_final: Positive = 5e-5
     """Learning rate from `schedule_episodes` on; it falls over the second half of them."""
     schedule_episodes: Count = 12_000
     """Episodes that schedules are made for. They do not follow the number of training episodes, so that a run can be
@@ -143,7 +141,7 @@ class DoubleDqn:
         self.network.requires_grad_(False)
         self._memory = self._frames.nothing(0)
         self._learning: Learning | None = None
-        self._decided: tuple[Look, Observations]
+        self._decided: tuple[Look, Observation]
         """What the last actions were chosen by."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
@@ -151,7 +149,7 @@ class DoubleDqn:
         self._remembered(vehicle + 1)
         self._memory.age[vehicle] = 0
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The action with the largest Q-value."""
         look = self._look(observations)
         actions = np.asarray(self._values(self.network, look).argmax(axis=-1))
@@ -164,12 +162,12 @@ class DoubleDqn:
         look, observations = self._decided
         self._keep(self._frames.after(look, observations, actions))
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(self.network, self._look(observations))[:, : len(paper.TURNS)]
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         """A random action now and then, else the one that is held best by now."""
         learning = self._learn_with(len(episodes))
@@ -179,7 +177,7 @@ class DoubleDqn:
         drawn = (uniforms / np.maximum(chance, 1e-9) * ACTIONS).astype(np.int64)
         return np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """Keeps the steps, and learns from some of those that were kept.
 
         Returns:
@@ -232,7 +230,7 @@ class DoubleDqn:
         except (KeyError, ValueError, TypeError, UserError):
             raise UserError("this is not the state of such a double_dqn") from None
 
-    def _look(self, observations: Observations) -> Look:
+    def _look(self, observations: Observation) -> Look:
         return self._frames.look(self._remembered(len(observations.yaw_rate)), observations)
 
     def _remembered(self, size: int) -> Memory:
@@ -286,7 +284,7 @@ class DoubleDqn:
         return float(torch.cat(errors).square().mean().sqrt())
 
 
-def reward(t: Transitions, o: DoubleDqnOptions) -> Array:
+def reward(t: Transition, o: DoubleDqnOptions) -> Array:
     """Rewards of steps (n,), except for the progress, which is known at the next decision."""
     nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / FRONT_DISTANCE, 0.0)
     turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))

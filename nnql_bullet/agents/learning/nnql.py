@@ -1,19 +1,19 @@
 """Neural-network Q-learning (NNQL), the paper's method (II.D, II.E, III)."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.q_learning import Positive, QLearning, QLearningOptions, td_errors, turn_steps
+from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions, td_errors, turn_steps
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations, Transitions
+from nnql_bullet.env import Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.types import Count, Positive
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -26,7 +26,7 @@ class NnqlOptions(QLearningOptions):
     """
 
     kind: Literal["nnql"] = "nnql"
-    hidden_units: Annotated[int, Field(ge=1)] = paper.HIDDEN_UNITS
+    hidden_units: Count = paper.HIDDEN_UNITS
     """Units of the hidden layer."""
     encoding: Literal["proximity", "distance"] = "proximity"
     """How a reading d becomes a network input: "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,
@@ -71,13 +71,13 @@ class Nnql(QLearning):
             initial[name] = generator.uniform(-limit, limit, initial[name].shape)
         self.load_state_dict(initial)
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """The network's outputs."""
         with torch.no_grad():
             values: Array = self.network(self._encoded(observations.readings[asked])).numpy()
         return values
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """Updates the network by eq. (2), whose right-hand side is the target of the selected output (III.B).
 
         The gradients of the vehicles' squared errors add up: the network stands still while they are computed.

@@ -12,11 +12,9 @@ from nnql_bullet.agents.base import NoTrainingState, TurnChooser
 from nnql_bullet.agents.symmetry import MIRRORED_SECTORS, MIRRORED_TURNS
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions, heading_change
+from nnql_bullet.env import TOWARD_TARGET, Observation, Transition, heading_change
 from nnql_bullet.geometry import Array
-
-Positive = Annotated[float, Field(gt=0)]
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
+from nnql_bullet.types import Positive, UnitInterval
 
 
 @options
@@ -60,7 +58,7 @@ class QLearning(TurnChooser, NoTrainingState):
     options: QLearningOptions
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         """Chooses the turn toward the target in a safe state (III.C), else draws from the Boltzmann distribution."""
         actions = np.full(len(uniforms), TOWARD_TARGET)
@@ -123,7 +121,7 @@ class TurnSteps:
         )
 
 
-def turn_steps(transitions: Transitions, vehicles: NDArray[np.int64], discount: float) -> TurnSteps:
+def turn_steps(transitions: Transition, vehicles: NDArray[np.int64], discount: float) -> TurnSteps:
     """The steps of some vehicles (m,); the turn toward the target counts as the nearest of the five.
 
     Args:

@@ -13,7 +13,7 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions, td_errors, turn_steps
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations, Transitions
+from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
@@ -64,11 +64,11 @@ class QTable(QLearning):
         base = len(self.options.edges) + 1
         return np.asarray(levels @ base ** np.arange(len(self.options.sectors)))
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """Rows of the table."""
         return np.asarray(self._table[self.state(observations.readings[asked])])
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """Updates the table by eq. (2).
 
         Several vehicles learn from the table as it stands; where they meet in one entry, their updates add up.

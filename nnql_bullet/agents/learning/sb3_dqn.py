@@ -13,15 +13,14 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
 from nnql_bullet.agents.learning import weights
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observations, as_numbers
+from nnql_bullet.env import ACTIONS, Observation, as_numbers
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
+from nnql_bullet.types import Count, Positive, UnitInterval
 
 SCALE = np.array([*[paper.SENSOR_RANGE] * paper.SECTORS, paper.ARENA_SIDE, pi, 1.0], np.float32)
 """What the environment's 11 numbers are divided by, so that all inputs are of order one."""
 INPUTS = len(SCALE)
-
-Count = Annotated[int, Field(ge=1)]
 
 
 @options
@@ -36,9 +35,9 @@ class Sb3DqnOptions:
     kind: Literal["sb3_dqn"] = "sb3_dqn"
     hidden: tuple[Count, ...] = (64, 64)
     """Units of the hidden layers. With a discount of 0.15, 128 and 128 gave 11 % instead of 23 %."""
-    learning_rate: Annotated[float, Field(gt=0)] = 5e-4
+    learning_rate: Positive = 5e-4
     """Of Adam; the library's default is 1e-4."""
-    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
+    discount: UnitInterval = 0.9
     """gamma; the library's default is 0.99."""
     buffer_size: Count = 1_000_000
     """Steps that are remembered."""
@@ -53,7 +52,7 @@ class Sb3DqnOptions:
     exploration_steps: Count = 12_000
     """Over so many the share of random actions falls from 1, linearly. They do not follow the number of episodes asked
     for, so that a run can be gone on with."""
-    exploration_final: Annotated[float, Field(ge=0, le=1)] = 0.05
+    exploration_final: UnitInterval = 0.05
     """Share of random actions after that."""
 
     def exploration(self, steps: int) -> float:
@@ -72,11 +71,11 @@ class Sb3Dqn(NoMemory):
             hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
             self.network = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], ACTIONS))
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The action with the largest Q-value."""
         return np.asarray(self._values(observations).argmax(axis=-1))
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(observations)[:, : len(paper.TURNS)]
 
@@ -88,13 +87,13 @@ class Sb3Dqn(NoMemory):
         """Replaces weights and biases."""
         weights.load_state_dict(self.network, arrays, "a network", (INPUTS, *self.options.hidden, ACTIONS))
 
-    def _values(self, observations: Observations) -> Array:
+    def _values(self, observations: Observation) -> Array:
         """Q(s, a) of the six actions (n, 6)."""
         with torch.no_grad():
             values: Array = self.network(torch.from_numpy(inputs(observations))).numpy().astype(np.float64)
         return values
 
 
-def inputs(observations: Observations) -> NDArray[np.float32]:
+def inputs(observations: Observation) -> NDArray[np.float32]:
     """What the network sees (n, 11)."""
     return as_numbers(observations) / SCALE

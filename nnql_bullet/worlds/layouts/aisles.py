@@ -2,18 +2,16 @@
 
 from itertools import pairwise
 from math import hypot
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, bearing, ray_distances, squared_distance
+from nnql_bullet.types import NonNegative, Positive, UnitInterval
 from nnql_bullet.worlds.layouts.base import Arena
 
-Positive = Annotated[float, Field(gt=0)]
-Chance = Annotated[float, Field(ge=0, le=1)]
 Span = tuple[float, float]
 """From where to where [m]."""
 MOST_TRIES = 200
@@ -41,15 +39,15 @@ class Aisles:
     """[m]"""
     rack_depth: Positive = 2.4
     """Of two racks back to back [m]."""
-    dock: Annotated[float, Field(ge=0)] = 9.0
+    dock: NonNegative = 9.0
     """Width of the free strips at both ends of the rows' sequence, along x [m]."""
-    gap_chance: Chance = 0.1
+    gap_chance: UnitInterval = 0.1
     """That a rack is missing."""
-    block_chance: Chance = 0.15
+    block_chance: UnitInterval = 0.15
     """That the stretch of an aisle along a rack, or the passage of a cross aisle through a row, is blocked."""
     block_length: Positive = 1.2
     """Of what blocks an aisle, along it [m]; that of a cross aisle is as deep as the racks."""
-    clear_radius: Annotated[float, Field(ge=0)] = 4.0
+    clear_radius: NonNegative = 4.0
     """What would come nearer than this to the start or the target is left out [m]."""
 
     def __post_init__(self) -> None:

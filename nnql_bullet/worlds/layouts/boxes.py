@@ -1,16 +1,14 @@
 """Explicit boxes: the world says where each one stands."""
 
 from math import radians
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.types import Positive
 from nnql_bullet.worlds.layouts.base import Arena
-
-Positive = Annotated[float, Field(gt=0)]
 
 
 @options

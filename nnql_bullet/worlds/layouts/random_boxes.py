@@ -11,9 +11,9 @@ from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, clearance
 from nnql_bullet.jit import njit
+from nnql_bullet.types import NonNegative, Positive
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
-Positive = Annotated[float, Field(gt=0)]
 MOST_TRIES = 20_000
 FIRST_TRIES = 32
 
@@ -29,7 +29,7 @@ class RandomBoxes:
     """[m]"""
     max_side: Positive = 8.0
     """[m]"""
-    clear_radius: Annotated[float, Field(ge=0)] = 4.0
+    clear_radius: NonNegative = 4.0
     """No box comes nearer than this to the start or the target [m]."""
 
     def __post_init__(self) -> None:

@@ -1,17 +1,16 @@
 """U-shaped traps: dead ends with the target behind their back wall."""
 
 from math import atan2, cos, pi, sin
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance, moved
+from nnql_bullet.types import Count, NonNegative, Positive
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
-Positive = Annotated[float, Field(gt=0)]
 MOST_TRIES = 5_000
 
 
@@ -27,7 +26,7 @@ class Traps:
     """
 
     kind: Literal["traps"]
-    count: Annotated[int, Field(ge=1)]
+    count: Count
     """The first included."""
     min_width: Positive = 8.0
     """Between the side walls [m]."""
@@ -41,7 +40,7 @@ class Traps:
     """Of the walls [m]."""
     max_thickness: Positive = 1.5
     """[m]"""
-    clear_radius: Annotated[float, Field(ge=0)] = 4.0
+    clear_radius: NonNegative = 4.0
     """No trap, its inside included, comes nearer than this to the start or the target [m]."""
 
     def __post_init__(self) -> None:
