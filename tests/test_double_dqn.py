@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent
 from nnql_bullet.agents.learning.double_dqn import (
     DoubleDqn,
     DoubleDqnOptions,
@@ -45,6 +44,7 @@ from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
 from nnql_bullet.sim.base import Fleet, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicFleet
 from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 

@@ -17,6 +17,8 @@ from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 MOST_STATES = 2**22
 """Of a table, whose values then take 168 MB."""
@@ -46,6 +48,10 @@ class QTableOptions(QLearningOptions):
     def states(self) -> int:
         """Rows of the table."""
         return int((len(self.edges) + 1) ** len(self.sectors))
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "QTable":
+        """Builds the agent."""
+        return QTable(self)
 
 
 class QTable(QLearning):
