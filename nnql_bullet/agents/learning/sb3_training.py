@@ -28,7 +28,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 
 class DqnTraining:
-    """A `Trainer`, see the module. Each update has a random generator of its own, a function of the seed and its number."""
+    """A `Trainer`, see the module. Each update has a random generator of its own, made of the seed and its number."""
 
     def __init__(self, agent: Sb3Dqn, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> None:
         self._agent = agent
