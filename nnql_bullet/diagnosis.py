@@ -13,7 +13,7 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import ray_distances
+from nnql_bullet.geometry import placed, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
@@ -62,10 +62,8 @@ def check_rays() -> Finding:
     world = experiment.world(0)
     with closing(experiment.simulator) as simulator:
         _, (found,) = simulator.reset({0: world})
-    ahead, left, _ = experiment.vehicle.sensor
-    start, c, s = world.start, cos(world.start.yaw), sin(world.start.yaw)
-    origin = (start.x + c * ahead - s * left, start.y + s * ahead + c * left)
-    expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
+    origin = placed(world.start, *experiment.vehicle.sensor[:2])
+    expected = ray_distances(origin, ray_angles() + world.start.yaw, world.solids, paper.SENSOR_RANGE)
     off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002

@@ -12,6 +12,9 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Agent, EpisodeSummary
 from nnql_bullet.worlds.spec import WorldSpec
 
+RECENT = 100
+"""Episodes at the end of a training over which its success is shown."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrainingEpisode:
