@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.env import STOP, Navigation, Observation, Transition
+from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
@@ -21,6 +22,13 @@ class Policy(Protocol):
 
     def act(self, observations: Observation) -> NDArray[np.int64]:
         """The best actions (n,) for vehicles 0 to n - 1, as the policy judges them."""
+
+
+class Agent(Policy, Protocol):
+    """A policy that can also tell how good it holds the paper's turns to be."""
+
+    def action_values(self, observations: Observation) -> Array:
+        """Values of the five turns (n, 5); NaN where they are not computed, for example by a rule."""
 
 
 @runtime_checkable

@@ -15,7 +15,6 @@ import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent, Trainable
 from nnql_bullet.agents.learning.genetic import (
     GENES,
     Genetic,
@@ -36,9 +35,9 @@ from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
-from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
 
-evolution = pytest.importorskip("nnql_bullet.training.evolution", reason="needs the extra [baselines]")
+evolution = pytest.importorskip("nnql_bullet.agents.learning.evolution", reason="needs the extra [baselines]")
 
 Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
@@ -408,7 +407,7 @@ class TestCommandLine:
     def test_without_deap_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setitem(sys.modules, "nnql_bullet.training.evolution", None)
+        monkeypatch.setitem(sys.modules, "nnql_bullet.agents.learning.evolution", None)
         code, _, err = run_cli("train", "--config", "genetic", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[baselines]'" in err

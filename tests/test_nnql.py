@@ -499,18 +499,20 @@ def test_safe_state_asks_no_network_and_turns_toward_the_target():
 
 def test_temperature_falls_linearly_from_0_8_to_0_01_over_1000_episodes():
     agent = Nnql(NnqlOptions(), 0)
-    assert agent.temperature(np.arange(1000)) == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
+    assert agent.options.temperature(np.arange(1000)) == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
 
 
 def test_temperature_stays_at_its_end():
     agent = Nnql(NnqlOptions(schedule_episodes=11), 0)
     episodes = np.array([0, 5, 10, 11, 5000, 0])
-    assert agent.temperature(episodes) == pytest.approx(np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12)
+    assert agent.options.temperature(episodes) == pytest.approx(
+        np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12
+    )
 
 
 def test_temperature_may_fall_by_the_same_factor_every_episode():
     agent = Nnql(NnqlOptions(schedule="exponential", schedule_episodes=11), 0)
-    temperatures = agent.temperature(np.arange(11))
+    temperatures = agent.options.temperature(np.arange(11))
     assert (temperatures[0], temperatures[-1]) == pytest.approx((0.8, 0.01))
     assert temperatures[1:] / temperatures[:-1] == pytest.approx(np.full(10, (0.01 / 0.8) ** 0.1))
 

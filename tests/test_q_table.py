@@ -18,7 +18,7 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import LearningAgent, NoMemory, NoTrainingState
+from nnql_bullet.agents.base import NoMemory, NoTrainingState
 from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation, Transition
@@ -28,6 +28,7 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import no_motion
 from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.training.loop import Training
 
 Cli = Callable[..., tuple[int, str, str]]

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from nnql_bullet import paper
-from nnql_bullet.agents import Agent, make_agent
+from nnql_bullet.agents import Agent
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import repulsion
@@ -60,7 +60,7 @@ def make(vehicle: VehicleSpec) -> Make:
     """Makes a rule that has begun with vehicle 0 in world 0."""
 
     def made(kind: str, **options: object) -> Agent:
-        agent = make_agent(load_config("paper", {"agent": {"kind": kind, **options}}).agent, 0, vehicle, DRIVE)
+        agent = load_config("paper", {"agent": {"kind": kind, **options}}).agent.make_agent(0, vehicle, DRIVE)
         agent.reset(0, 0)
         return agent
 

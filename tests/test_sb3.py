@@ -16,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent, Trainable
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
@@ -27,9 +26,9 @@ from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.task import StateProperty, TaskOptions
-from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
 
-sb3 = pytest.importorskip("nnql_bullet.training.sb3", reason="needs the extra [sb3]")
+sb3 = pytest.importorskip("nnql_bullet.agents.learning.sb3_training", reason="needs the extra [sb3]")
 
 Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
@@ -292,7 +291,7 @@ class TestCommandLine:
     def test_without_the_library_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setitem(sys.modules, "nnql_bullet.training.sb3", None)
+        monkeypatch.setitem(sys.modules, "nnql_bullet.agents.learning.sb3_training", None)
         code, _, err = run_cli("train", "--config", "sb3_dqn", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[sb3]'" in err
