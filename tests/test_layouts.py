@@ -35,7 +35,7 @@ MILLIMETRE = 1e-3
 
 @pytest.fixture(scope="module")
 def kinematic(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
-    with closing(KinematicSimulator(vehicle, DriveOptions())) as simulator:
+    with closing(KinematicSimulator(vehicle, DriveOptions(), 1)) as simulator:
         yield simulator
 
 
