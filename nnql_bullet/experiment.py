@@ -1,4 +1,4 @@
-"""From a run's configuration to the objects that run it. Nothing below reads a configuration file."""
+"""Wiring: the objects of a run, made from its configuration."""
 
 from contextlib import closing
 from functools import cached_property, partial
@@ -25,7 +25,7 @@ from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 PATH_MARGIN = 0.15
-"""What a world's path is wider on either side than the circle around the vehicle [m]."""
+"""Free space on either side of the vehicle's turning circle along the path that every world has [m]."""
 
 
 class Experiment:
@@ -70,7 +70,7 @@ class Experiment:
 
     @cached_property
     def selection_worlds(self) -> list[WorldSpec]:
-        """The validation worlds that candidates are tried in; none without a selection.
+        """The validation worlds in which candidates are tried; none without a selection.
 
         Raises:
             UserError: If there is no such world.

@@ -1,12 +1,12 @@
-"""A run folder: what a training leaves, and what it goes on from.
+"""Run folders, which hold a training, and policies that are loaded from them.
 
 - config.toml: the configuration, every key resolved
 - episodes.csv: a line for each finished episode
-- checkpoint.safetensors: what the agent has learned after the last line of episodes.csv, and what was under way then;
+- checkpoint.safetensors: the agent's weights after the last line of episodes.csv, and the state of the training then;
   with a selection (`training/selection.py`) the candidates too
-- policy.safetensors: what the agent has learned, for `drive`: the last of it, or what was selected in the end
-- selection.csv: with a selection, how the candidates did, once the training is over
-- learning_curve.png: drawn when the training stops
+- policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
+- selection.csv: with a selection, the goals of each candidate, once the training is over
+- learning_curve.png: the verb `train` draws it when the training stops
 """
 
 import csv
@@ -75,15 +75,15 @@ class Run:
 
     @property
     def is_over(self) -> bool:
-        """Whether all is done that it was configured for."""
+        """Whether all its episodes are done and, if so configured, its policy is selected."""
         selected = self.config.training.selection is None or (self.folder / SELECTION).is_file()
         return len(self.episodes) == self.config.episodes and selected
 
     def create(self, overwrite: bool) -> None:
-        """Starts the folder.
+        """Creates the folder, or empties it of an older run.
 
         Raises:
-            UserError: If it holds something and `overwrite` is not given, or holds something that is not a run.
+            UserError: If it holds a run and `overwrite` is False, or holds something else.
         """
         folder = self.folder
         if folder.exists() and not folder.is_dir():
@@ -101,7 +101,7 @@ class Run:
     def save(self, agent: Trainable, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
-        What was selected before is no longer the policy then.
+        An earlier selection is void then.
 
         Raises:
             OSError: If a file cannot be written; the checkpoint before this one is then whole.

@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import json
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
+from nnql_bullet.config import read_toml, write_toml
 from nnql_bullet.runs import Run
 from nnql_bullet.sim.bullet import BulletEngine
 
@@ -187,6 +190,26 @@ class TestResume:
             (copy / name).unlink()
         assert run_cli("train", "--resume", copy)[0] == 0
         assert (copy / "episodes.csv").read_bytes() == (tiny_run / "episodes.csv").read_bytes()
+
+
+def as_version_0_1(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of a configuration under their older names."""
+    conditions, training = dict(values["conditions"]), dict(values["training"])
+    conditions["sensors"] = {"noise": conditions.pop("sensor_noise")}
+    training["disturbances"] = training.pop("domain_randomization")
+    return {**values, "conditions": conditions, "training": training}
+
+
+def test_a_run_folder_of_version_0_1_is_driven_and_gone_on_with(run_cli: Cli, copy: Path, tmp_path: Path) -> None:
+    (copy / "config.toml").write_text(write_toml(as_version_0_1(read_toml(copy / "config.toml"))))
+    for path in copy.glob("*.safetensors"):
+        about = metadata(path)
+        about["config"] = json.dumps(as_version_0_1(json.loads(about["config"])))
+        save_file(load_file(path), path, about)
+    assert run_cli("drive", copy, "--physics", "fast", "--out", tmp_path / "drive")[0] == 0
+    assert run_cli("train", "--resume", copy, "--episodes", 13)[0] == 0
+    assert episodes(copy) == 13
+    assert "sensor_noise" in (copy / "config.toml").read_text()
 
 
 @pytest.fixture(scope="module")

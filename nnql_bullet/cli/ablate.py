@@ -40,17 +40,17 @@ def ablate(
         nnql-bullet ablate double_dqn
 
     Args:
-        preset: paper (the default), tuned or double_dqn.
+        preset: paper, tuned or double_dqn.
         seeds: Trainings of each variant; default 10, of tuned 5, of double_dqn 2.
-        sim: The kinematic model (kinematic, the default: half an hour on two cores) or contact physics (a day).
+        sim: The kinematic model (kinematic: half an hour on two cores) or contact physics (a day).
         only: Some factors, by name; a wrong one has all of them listed.
-        episodes: Of each training; default 1000, of double_dqn 4000.
-        vehicles: That each learns from at once; default 64.
-        worlds: Validation worlds of each kind; default 300.
+        episodes: Episodes of each training; default 1000, of double_dqn 4000.
+        vehicles: Vehicles that each training learns from in lockstep.
+        worlds: Validation worlds of each kind.
         workers: Trainings at a time; default one a core. The result does not depend on it.
-        executor: Where they run: processes of this machine (default), this process (inline), or Ray.
+        executor: Where they run: processes of this machine, this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
-        out: Where the report goes; default runs/ablation, of another preset runs/ablation-PRESET.
+        out: Folder of the report; default runs/ablation, of another preset runs/ablation-PRESET.
     """
     folder = out or Path("runs") / ("ablation" if preset == "paper" else f"ablation-{preset}")
     try:

@@ -32,11 +32,11 @@ def envelope(
         nnql-bullet envelope --robot my/robot.toml --out runs/mine
 
     Args:
-        robot: Shipped robot or TOML file; default tricycle.
-        sim: Engine of contact physics: bullet, the default, or mujoco.
-        physics: Its settings; default reference.
+        robot: Shipped robot or TOML file.
+        sim: Engine of contact physics.
+        physics: Its solver settings.
         workers: Processes; default one a core. The result does not depend on it.
-        out: Where the report goes; default runs/envelope/ROBOT-ENGINE-PHYSICS.
+        out: Folder of the report; default runs/envelope/ROBOT-ENGINE-PHYSICS.
     """
     with progress() as show:
         results = api.envelope(

@@ -55,19 +55,19 @@ def evaluate(
 
     Args:
         policies: Run folders, policy files, rules by name, or TOML files that configure a rule.
-        split: Worlds to choose with (validation, the default), or those for the final table (test).
-        worlds: How many of each kind; default 100.
+        split: Worlds to choose with (validation), or those for the final table (test).
+        worlds: Number of worlds of each kind.
         cover: Shipped worlds by the percentage under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
         world: Other shipped worlds (traps, aisles, moving, ...) or TOML files, beside those of --cover.
-        sim: Contact physics (bullet, the default, or mujoco) or the kinematic model (kinematic).
-        physics: Settings of contact physics; default reference, the more exact.
+        sim: Contact physics (bullet or mujoco) or the kinematic model (kinematic).
+        physics: Solver settings of contact physics; reference is the more exact.
         shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
         workers: Pieces that run at a time; default one a core. The result does not depend on it.
-        executor: Where they run: processes of this machine (default), this process (inline), or Ray.
+        executor: Where they run: processes of this machine, this process (inline), or Ray.
         address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
         clips: Videos of the last seconds of failures, one of each method in each kind of world, that are left in
-            DIR/clips; at most so many, default none.
-        out: Where the report goes; default runs/evaluate.
+            DIR/clips; at most so many.
+        out: Folder of the report.
         json: Print results.json instead of the table.
         conditions: Conditions in place of each policy's own.
     """

@@ -30,8 +30,8 @@ def failures(
         nnql-bullet failures runs/evaluate-test --most 20
 
     Args:
-        results: What `evaluate` left; default runs/evaluate.
-        most: Failures of each method in each kind of world that are driven again; default 5. What is left out is said.
+        results: Folder that `evaluate` left.
+        most: Failures of each method in each kind of world that are driven again. The rest is counted.
         workers: Drives at a time; default one a core. The result does not depend on it.
     """
     folder = results / "failures"

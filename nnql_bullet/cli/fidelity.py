@@ -29,10 +29,10 @@ def fidelity(
         nnql-bullet fidelity --robot my/robot.toml --sim mujoco
 
     Args:
-        robot: Shipped robot or TOML file; default tricycle.
-        sim: Engine of contact physics: bullet, the default, or mujoco.
-        physics: Its settings; default reference.
-        out: Where the report goes; default runs/fidelity/ROBOT-ENGINE-PHYSICS.
+        robot: Shipped robot or TOML file.
+        sim: Engine of contact physics.
+        physics: Its solver settings.
+        out: Folder of the report; default runs/fidelity/ROBOT-ENGINE-PHYSICS.
     """
     with progress() as show:
         results = api.check_fidelity(robot, simulator=sim, physics=physics, on_progress=show)

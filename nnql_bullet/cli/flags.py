@@ -93,7 +93,7 @@ def _parameter(its: Parameter, hint: Any, about: str, for_help: bool) -> Paramet
 
 
 def _default(text: str) -> str:
-    return "" if text in ("None", "False", "True") else f"(default: {text})"
+    return "" if text in ("", "None", "False", "True") else f"(default: {text})"
 
 
 @functools.cache

@@ -39,16 +39,16 @@ def gap(
 
     Args:
         runs: Run folders, or policy files.
-        against: What contact physics is held against: the kinematic model (kinematic, the default), or the other
+        against: What contact physics is held against: the kinematic model (kinematic), or the other
             engine.
-        sim: Engine of contact physics; default bullet.
-        physics: Settings of contact physics; default reference, the more exact.
+        sim: Engine of contact physics.
+        physics: Solver settings of contact physics; reference is the more exact.
         world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
-        worlds: How many worlds; default 100.
-        split: Worlds to choose with (validation, the default), or those for the final table (test).
+        worlds: Number of worlds.
+        split: Worlds to choose with (validation), or those for the final table (test).
         faults: Whether to drive with faults too, which takes some twelve times as long.
         workers: Processes; default one a core. The result does not depend on it.
-        out: Where the report goes; default runs/gap.
+        out: Folder of the report; default runs/gap.
     """
     folder = out or Path("runs") / "gap"
     with progress() as show:

@@ -50,17 +50,17 @@ def render(
         recording: A trajectory.npz, or what `drive` takes: a run folder, policy file or rule, which is then driven
             and recorded first, as `drive` does.
         world: Of that drive; see `drive`.
-        seed: Of that drive; default 0.
+        seed: Seed of that drive's world; default 0.
         out: The video; default beside the recording, under its name. With --frames or --sheet alone there is none.
-        camera: Behind the vehicle (chase, the default), the whole arena from above (top), round the vehicle (orbit), or
+        camera: Behind the vehicle (chase), the whole arena from above (top), round the vehicle (orbit), or
             chase and top side by side (split).
-        size: Of the picture, even numbers of pixels; default 1280x720.
-        fps: Frames a second; default 30.
-        speed: How much faster than it happened; default 1.
+        size: Width and height of the picture, even numbers of pixels.
+        fps: Frames a second.
+        speed: Factor by which the video is faster than the drive.
         begin: Where in the drive to begin [s].
         end: Where to end [s]; default with the drive.
         renderer: What draws the solid things: EGL where it works and pictures are larger than 640x360, else
-            TinyRenderer (auto, the default), or either; or vtk, for pictures that go into papers: finer, and with the
+            TinyRenderer (auto), or either; or vtk, for pictures that go into papers: finer, and with the
             light as it falls, but some 20 times slower. Needs the extra: pip install 'nnql-bullet[render]'.
         format: MP4 (H.264, plays in browsers) or GIF; default by the name given with --out, else mp4.
         frames: Leave every frame as a PNG in this folder.
