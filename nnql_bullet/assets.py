@@ -1,4 +1,4 @@
-"""Finds what is shipped by name: robots, worlds and policies, in a checkout and in an installed wheel alike."""
+"""Paths of the shipped robots, worlds and policies, in a checkout and in an installed wheel."""
 
 from pathlib import Path
 
@@ -8,16 +8,20 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def folder(kind: str) -> Path:
-    """The folder of the shipped files of a kind ("robots" or "worlds")."""
+    """Returns the folder of the shipped files of a kind ("robots" or "worlds")."""
     in_wheel = _PACKAGE / "_data" / kind
     return in_wheel if in_wheel.is_dir() else _PACKAGE.parent / kind
 
 
 def find(kind: str, name: str) -> Path:
-    """The TOML file that `name` means: an existing path, or the name of a shipped file without its ending.
+    """Returns the path of a TOML file.
+
+    Args:
+        kind: "robots" or "worlds".
+        name: Path of an existing file, or name of a shipped file without its suffix. An existing file comes first.
 
     Raises:
-        UserError: If there is none; the message lists the shipped names.
+        UserError: If there is no such file; the message lists the shipped names.
     """
     shipped = folder(kind) / f"{name}.toml"
     for candidate in (Path(name), shipped):
@@ -28,10 +32,10 @@ def find(kind: str, name: str) -> Path:
 
 
 def policies() -> dict[str, Path]:
-    """The shipped policies by name: files of weights, with a card of the same name beside each."""
+    """Returns the weight files of the shipped policies by name."""
     return {path.stem: path for path in sorted((_PACKAGE / "_data" / "policies").glob("*.safetensors"))}
 
 
 def card(policy: Path) -> Path:
-    """What is known of a shipped policy, as Markdown: a line that says what it is, and then the rest."""
+    """Returns the Markdown file that describes a shipped policy; its first line is a summary."""
     return policy.with_suffix(".md")

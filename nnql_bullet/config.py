@@ -226,7 +226,7 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
     name = ".".join(path)
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
-        valid = sorted({key for member in members for key in member.__dataclass_fields__})
+        valid = sorted({field.name for member in members for field in fields(member)})
         close = nearest(name, (key.name for key in keys(cls) if key.name != name))
         hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
         return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"

@@ -1,4 +1,4 @@
-"""Checks of `doctor`: whether the libraries and programs that this package needs work on this machine."""
+"""Checks of the installation for `doctor`: whether the engines, the encoder and the renderers work here."""
 
 import shutil
 import subprocess
@@ -13,28 +13,28 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import ray_distances
+from nnql_bullet.geometry import placed, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
-PATIENCE = 60.0
-"""Time that a renderer may take to start [s]."""
+PROGRAM_TIMEOUT = 60.0
+"""Longest time that a program or renderer may take to answer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of a check."""
+    """Result of a check, with what to do if it failed."""
 
     ok: bool
     text: str
     needed: bool = True
-    """Whether the package cannot be used without it."""
+    """Whether the package needs it to work at all."""
 
 
 def check_pybullet() -> Finding:
-    """Checks PyBullet, and that it was built with NumPy, which its fast pictures need."""
+    """Checks that PyBullet has NumPy support, which its fast images need."""
     found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
@@ -42,7 +42,7 @@ def check_pybullet() -> Finding:
 
 
 def check_drive() -> Finding:
-    """Drives for four seconds straight ahead at 2 m/s."""
+    """Drives four seconds straight ahead and compares the place with the expected one."""
     experiment = Experiment(RunConfig(world="empty"))
     world, periods = experiment.world(0), 8
     with closing(experiment.simulator) as simulator:
@@ -57,15 +57,13 @@ def check_drive() -> Finding:
 
 
 def check_rays() -> Finding:
-    """Compares the 72 rays with the analytic distance to the same boxes."""
+    """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
     world = experiment.world(0)
     with closing(experiment.simulator) as simulator:
         _, (found,) = simulator.reset({0: world})
-    start, (forward, left, _) = world.start, experiment.vehicle.sensor
-    c, s = cos(start.yaw), sin(start.yaw)
-    origin = (start.x + c * forward - s * left, start.y + s * forward + c * left)
-    expected = ray_distances(origin, ray_angles() + start.yaw, world.solids, paper.SENSOR_RANGE)
+    origin = placed(world.start, *experiment.vehicle.sensor[:2])
+    expected = ray_distances(origin, ray_angles() + world.start.yaw, world.solids, paper.SENSOR_RANGE)
     off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
@@ -73,7 +71,7 @@ def check_rays() -> Finding:
 
 
 def check_mujoco() -> Finding:
-    """Checks whether the second engine of contact physics is installed."""
+    """Checks that MuJoCo, the second engine of contact physics, is installed."""
     try:
         return Finding(True, f"mujoco {version('mujoco')}")
     except PackageNotFoundError:
@@ -81,32 +79,36 @@ def check_mujoco() -> Finding:
 
 
 def check_ffmpeg() -> Finding:
-    """Checks the encoder that videos need."""
+    """Checks that ffmpeg, which encodes videos, starts."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
-        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "-version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (RuntimeError, OSError, subprocess.SubprocessError):
         return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
     return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
 
 
 def check_chromium() -> Finding:
-    """Checks the browser in which a test opens the HTML report."""
+    """Checks that Chromium starts, in which a test opens the HTML report."""
     program = shutil.which("chromium")
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)
     try:
-        answer = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=PATIENCE, check=True)
+        answer = subprocess.run(
+            [program, "--version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return Finding(False, "does not start; only a test of the HTML report needs it", needed=False)
     return Finding(True, answer.stdout.strip().split(" built on")[0])
 
 
 def check_renderer() -> Finding:
-    """Checks the renderers: EGL where it works, else TinyRenderer."""
-    if works("egl", PATIENCE):
+    """Checks that EGL or TinyRenderer draws a picture."""
+    if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")
-    if works("tiny", PATIENCE):
+    if works("tiny", PROGRAM_TIMEOUT):
         return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
 

@@ -13,7 +13,8 @@ from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import PolicyLike, drives_folder, load_policy
 from nnql_bullet.sim.engines import PhysicsName
-from nnql_bullet.vehicle.spec import VehicleSpec, robot_name
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import robot_name
 from nnql_bullet.worlds.source import World
 
 RECORDING = "trajectory.npz"

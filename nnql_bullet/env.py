@@ -13,7 +13,16 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Simulator, Traces
-from nnql_bullet.task import StateProperty, TaskOptions, ending, readings_of, reward_terms, state_property
+from nnql_bullet.task import (
+    StateProperty,
+    TaskOptions,
+    ending,
+    is_terminal,
+    paper_reward,
+    readings_of,
+    reward_terms,
+    state_property,
+)
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
@@ -89,7 +98,7 @@ class Transition:
     terms: Array
     """Reward terms (n, 6) in the order of `task.REWARD_TERMS`."""
     ending: NDArray[np.int64]
-    """Index into `task.ENDINGS`, or `task.GOES_ON` (n,)."""
+    """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     heading_command: Array
     """Heading changes that were commanded (n,) [rad]."""
     motion: Motion
@@ -107,6 +116,7 @@ class Navigation:
     def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
         self.simulator = simulator
         self.task = task
+        self._terms = paper_reward(task)
         self._reward = reward
         n = simulator.size
         self._target = np.zeros((n, 2))
@@ -163,12 +173,12 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
-        terms = reward_terms(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings, self.task)
+        terms = reward_terms(s_tm1, s_t, self.task, self._terms)
         t = Transition(
             s_tm1=s_tm1,
             a_tm1=actions,
             r_t=terms.sum(axis=-1),
-            discount_t=np.where(s_t.state_property <= StateProperty.NON_SAFE, 1.0, 0.0),
+            discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
             ending=ending(s_t.state_property, self._steps, self.task),

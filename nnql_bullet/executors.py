@@ -1,4 +1,4 @@
-"""One `map` for many independent tasks: in this process, in processes of this machine, or on a Ray cluster."""
+"""One `map` over many independent tasks: in this process, in processes of this machine, or on a Ray cluster."""
 
 import multiprocessing
 import os
@@ -12,52 +12,55 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
+from multiprocessing.connection import Connection
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from nnql_bullet.errors import UserError
 
 ExecutorKind = Literal["inline", "processes", "ray"]
 
-GRACE = 5.0
-"""Seconds that what is stopped has to end by itself [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class TaskError:
-    """Why a task has no value."""
-
-    message: str
-    """One line: the exception's type and what it says."""
-    traceback: str
-    """In full, from the process the task ran in."""
-
+RAY_TIMEOUT = 5.0
+"""Longest wait for a Ray cluster to answer, and for its tasks to end [s]."""
 
 T = TypeVar("T")
 V = TypeVar("V")
 
 
 @dataclass(frozen=True, slots=True)
+class TaskError:
+    """Says why a task has no value."""
+
+    message: str
+    """One line: type and text of the exception."""
+    traceback: str
+    """The whole traceback, from the process that ran the task."""
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome(Generic[T, V]):
-    """A task that has ended."""
+    """Result of a task that has ended: a value or an error."""
 
     index: int
-    """Its position among the tasks."""
+    """Position of the task among all tasks."""
     task: T
     value: V | None
-    """What the function returned, if it did."""
+    """Return value of the function; None after an error."""
     error: TaskError | None
-    """What kept it from returning."""
+    """None if the function returned."""
 
 
 class Executor(Protocol):
-    """Where tasks run. Their outcomes are the same everywhere if the function depends on nothing but its task."""
+    """Runs tasks somewhere. The outcomes are the same everywhere if the function depends on its task alone."""
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
-        """Runs a function on every task, and yields each as it ends; closing the iterator stops what still runs.
+        """Runs a function on every task and yields each outcome as soon as the task ends.
+
+        Closing the iterator stops the tasks that still run.
 
         Args:
-            function: Of a module that workers can import too; arguments and results have to be picklable.
-            tasks: Taken one by one as workers become free.
+            function: A function at the top of a module that the workers can import.
+            tasks: Any values that can be pickled, as the results must be. They are taken one by one, as workers
+                become free.
         """
 
 
@@ -95,25 +98,25 @@ class _Submit(Protocol):
 
 
 class InlineExecutor:
-    """Runs tasks in this process, each when its outcome is asked for."""
+    """Runs the tasks in this process, each when its outcome is asked for."""
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
-        """See `Executor`."""
+        """See `Executor.map`."""
         for index, task in enumerate(tasks):
             yield Outcome(index, task, *_attempt(function, task))
 
 
 class ProcessExecutor:
-    """Runs tasks in fresh processes of this machine.
+    """Runs the tasks in new processes of this machine.
 
-    Every worker is a pool of its own, so one that dies takes its own task along and no other.
+    Every worker is a pool of one process, so the death of a worker costs its own task and no other.
     """
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
-        """See `Executor`."""
+        """See `Executor.map`."""
         return _run(self._pools(), self._workers, function, tasks)
 
     @staticmethod
@@ -121,6 +124,7 @@ class ProcessExecutor:
     def _pools() -> Iterator[_Submit]:
         latest: dict[ProcessPoolExecutor, Future[Any]] = {}
         context = multiprocessing.get_context("spawn")
+        lifeline, held = context.Pipe(duplex=False)
 
         def submit(function: Callable[[T], V], task: T) -> Future[_Attempt[V]]:
             for pool in [pool for pool, future in latest.items() if future.done()]:
@@ -129,28 +133,23 @@ class ProcessExecutor:
                     return latest[pool]
                 pool.shutdown()
                 del latest[pool]
-            pool = ProcessPoolExecutor(1, context, _prepare_worker)
+            pool = ProcessPoolExecutor(1, context, _prepare_worker, (lifeline,))
             latest[pool] = pool.submit(_attempt, function, task)
             return latest[pool]
 
         try:
             yield submit
         finally:
-            processes = [process for pool in latest for process in pool._processes.values()]
+            held.close()
             for pool in latest:
-                pool.shutdown(wait=False, cancel_futures=True)
-            for process in processes:
-                process.terminate()
-            for process in processes:
-                process.join(GRACE)
-                process.kill()
-                process.join()
+                pool.shutdown(cancel_futures=True)
+            lifeline.close()
 
 
 class RayExecutor:
-    """Runs tasks on a Ray cluster, one CPU each.
+    """Runs the tasks on a Ray cluster, one CPU each.
 
-    Joins the Ray that this process is connected to, else the cluster at `address`, else starts one on this machine.
+    The cluster is the one that this process is connected to, else the one at `address`, else a new one on this machine.
     """
 
     def __init__(self, workers: int, address: str | None = None) -> None:
@@ -165,7 +164,7 @@ class RayExecutor:
         self._address = address
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
-        """See `Executor`."""
+        """See `Executor.map`."""
         return _run(self._cluster(), self._workers, function, tasks)
 
     @contextmanager
@@ -195,16 +194,16 @@ class RayExecutor:
         finally:
             for reference in list(running.values()):
                 ray.cancel(reference, force=True)
-            wait(list(running), GRACE)
+            wait(list(running), RAY_TIMEOUT)
             if not connected:
                 ray.shutdown()
 
 
 def _check_answers(address: str) -> None:
-    """Spares the quarter of an hour that Ray looks for a cluster that is not there."""
+    """Raises UserError unless something listens there; Ray itself would search for many minutes."""
     host, _, port = address.rpartition(":")
     try:
-        socket.create_connection((host, int(port)), timeout=GRACE).close()
+        socket.create_connection((host, int(port)), timeout=RAY_TIMEOUT).close()
     except (OSError, ValueError, OverflowError):
         raise UserError(f"no Ray cluster at '{address}': give HOST:PORT of one (`ray start --head` shows it)") from None
 
@@ -212,7 +211,7 @@ def _check_answers(address: str) -> None:
 def _run(
     place: AbstractContextManager[_Submit], workers: int, function: Callable[[T], V], tasks: Iterable[T]
 ) -> Iterator[Outcome[T, V]]:
-    """Keeps all workers busy, and has no more tasks under way than those run at once: a died worker had but one."""
+    """Keeps all workers busy with one task each, so that a dying worker loses only one."""
     waiting = enumerate(tasks)
     running: dict[Future[_Attempt[V]], tuple[int, T]] = {}
     ended: list[Outcome[T, V]] = []
@@ -228,7 +227,7 @@ def _run(
 
 
 def _outcome(future: Future[_Attempt[V]], index: int, task: T) -> Outcome[T, V]:
-    """Of a task whose function returned or raised, or that never came to either: its worker died, for one."""
+    """Outcome of a task that returned, raised, or was lost with its worker."""
     try:
         return Outcome(index, task, *future.result())
     except Exception as error:
@@ -236,7 +235,7 @@ def _outcome(future: Future[_Attempt[V]], index: int, task: T) -> Outcome[T, V]:
 
 
 def _attempt(function: Callable[[T], V], task: T) -> _Attempt[V]:
-    """Runs one task, in the worker. Exceptions leave it as text, since not every one of them can be pickled."""
+    """Runs one task in the worker; an exception becomes text, because some exceptions cannot be pickled."""
     try:
         return function(task), None
     except KeyboardInterrupt:
@@ -250,15 +249,14 @@ def _describe(error: BaseException) -> TaskError:
     return TaskError(message, "".join(traceback.format_exception(error)))
 
 
-def _prepare_worker() -> None:
-    """Leaves Ctrl-C to the parent process, keeps to one core, and ends the worker when the parent is gone."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # as Ray does; torch, which reads it, is not loaded yet
+def _prepare_worker(lifeline: Connection) -> None:
+    """Ignores Ctrl-C, uses one core, and ends the worker when the parent closes the other end of the pipe or dies."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch reads it when it is loaded, which is later; Ray sets it too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow_parent, daemon=True).start()
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
 
-def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os.kill(os.getpid(), signal.SIGKILL)
+def _end_with(lifeline: Connection) -> None:
+    with suppress(EOFError, OSError):
+        lifeline.recv_bytes()
+    os.kill(os.getpid(), signal.SIGKILL)

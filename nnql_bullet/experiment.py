@@ -22,7 +22,7 @@ from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 

@@ -1,36 +1,34 @@
-"""Files that are whole or not there: written beside, then renamed."""
+"""Atomic writes: a file is complete or does not exist."""
 
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from uuid import uuid4
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Has `write` fill a temporary file beside `path`, then gives it that name in one step.
+    """Writes a file beside `path` and then renames it to `path` in one step.
 
-    The temporary file keeps the ending of `path`, because writers of pictures and arrays go by it. Whatever goes wrong,
-    an old file of that name stays as it was and no temporary file is left.
+    If anything goes wrong, an old file at `path` stays as it was and no other file is left.
+
+    Args:
+        path: The file to write, in an existing folder.
+        write: Writes the content to the path that it is given. That path has the suffix of `path`, because writers of
+            pictures and arrays choose the format by it.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.with_name(f".{path.stem}-{uuid4().hex}{path.suffix}")
+    temporary.touch(exist_ok=False)
+    mode = temporary.stat().st_mode
     try:
         write(temporary)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(mode)  # a writer may have put another file in its place, as safetensors does
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes UTF-8 text atomically."""
+    """Writes UTF-8 text with line feeds atomically."""
     write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8", newline="\n"))
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -35,10 +35,10 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
-_ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `GOES_ON` is its last
+_ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
 _LABELS = np.array([*(state.label for state in StateProperty), None], dtype=object)
 _NOBODY = -1
 _REWARDS = tuple(f"reward/{name}" for name in REWARD_TERMS)
@@ -67,7 +67,7 @@ def _infos(t: Transition) -> dict[str, NDArray[Any]]:
     """What `info` tells of a step, by name (n,); nothing, or zero, of vehicles that stood by."""
     active = t.active
     return {
-        "ending": _ENDINGS[np.where(active, t.ending, GOES_ON)],
+        "ending": _ENDINGS[np.where(active, t.ending, NO_ENDING)],
         "state_property": _LABELS[np.where(active, t.s_t.state_property, _NOBODY)],
         "heading_error": np.where(active, t.motion.heading_error, 0.0),
         **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),

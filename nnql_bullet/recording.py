@@ -20,7 +20,7 @@ from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.rollout import EpisodeSummary, overridden
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import ENDINGS, GOES_ON, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -165,7 +165,7 @@ def load_recording(path: Path) -> Recording:
         UserError: If the file is not one, or is damaged.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:  # noqa: TID251
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays.pop("about")))
         if about.pop("format") != FORMAT:
@@ -189,7 +189,7 @@ class Recorder:
 
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""
-        self._world, self._ending = world, GOES_ON
+        self._world, self._ending = world, NO_ENDING
         self._columns: defaultdict[str, list[Any]] = defaultdict(list)
         self.trace.clear()
         self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))
@@ -212,7 +212,7 @@ class Recorder:
             state_pose=m.pose[v],
         )
         self._note_state(t.s_t, v)
-        if self._ending == GOES_ON:
+        if self._ending == NO_ENDING:
             self._note(q_values=self._values(t.s_t, v))
 
     def recording(self, **about: Any) -> Recording:
@@ -231,7 +231,7 @@ class Recorder:
                     "joints": {field.name: getattr(vehicle.joints, field.name) for field in fields(vehicle.joints)},
                     "wheel_radius": vehicle.wheel_radius,
                 },
-                "ending": None if self._ending == GOES_ON else ENDINGS[self._ending],
+                "ending": None if self._ending == NO_ENDING else ENDINGS[self._ending],
             },
             **{name: np.array(values) for name, values in columns.items()},
             sample_time=np.array([sample.time for sample in samples]),

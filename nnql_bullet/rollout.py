@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.env import STOP, Navigation, Observation, Transition
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -85,7 +85,7 @@ class EpisodeSummary:
     """Time of the control periods in which the vehicle stood [s]."""
 
 
-STANDS = 0.05
+STANDSTILL_DISTANCE = 0.05
 """A vehicle whose path in a control period is shorter than this stands [m]."""
 
 
@@ -94,7 +94,7 @@ class Tally:
 
     def __init__(self, size: int) -> None:
         self._world_seed = np.zeros(size, np.int64)
-        self._ending = np.full(size, GOES_ON)
+        self._ending = np.full(size, NO_ENDING)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
         self._overridden, self._stops, self._standing = (
             np.zeros(size, np.int64),
@@ -114,12 +114,12 @@ class Tally:
     @property
     def over(self) -> NDArray[np.bool_]:
         """Whether the episode has ended (n,)."""
-        return np.asarray(self._ending != GOES_ON)
+        return np.asarray(self._ending != NO_ENDING)
 
     def reset(self, vehicle: int, world_seed: int) -> None:
         """Starts a new episode of one vehicle."""
         self._world_seed[vehicle] = world_seed
-        self._ending[vehicle] = GOES_ON
+        self._ending[vehicle] = NO_ENDING
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
@@ -139,7 +139,7 @@ class Tally:
         if overridden is not None:
             self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP)
-        self._standing[on] += np.where(m.path_length[on] < STANDS, m.duration[on], 0.0)
+        self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.state_property == StateProperty.NON_SAFE)

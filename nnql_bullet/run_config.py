@@ -17,6 +17,7 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.sim.faults import SensorFaults
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.selection import SelectionOptions
+from nnql_bullet.types import Count, NonNegative, Positive
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -40,13 +41,13 @@ RENAMED_SIMULATORS = {"twin": "kinematic"}
 class Conditions:
     """Conditions that a vehicle drives under. The defaults are those that its files state, with sound sensors."""
 
-    wheel_friction: Annotated[float, Field(gt=0)] | None = None
+    wheel_friction: Positive | None = None
     """Friction coefficient of every wheel against the ground; by default the vehicle's own."""
-    payload: Annotated[float, Field(ge=0)] = 0.0
+    payload: NonNegative = 0.0
     """Load on the middle of the deck [kg]."""
-    payload_height: Annotated[float, Field(gt=0)] = LOAD_HEIGHT
+    payload_height: Positive = LOAD_HEIGHT
     """Height of the load's centre above the ground [m]."""
-    sensor_noise: Annotated[float, Field(ge=0)] = 0.0
+    sensor_noise: NonNegative = 0.0
     """Standard deviation of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """Sensor that sees nothing, without the policy being told; 0 is the front, counted counter-clockwise."""
@@ -90,7 +91,7 @@ class RunConfig:
 
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the whole run."""
-    episodes: Annotated[int, Field(ge=1)] = paper.EPISODES
+    episodes: Count = paper.EPISODES
     """Training episodes in all."""
     world: WorldLike = "paper"
     """A shipped world, a path to a TOML file, or a world in full."""
@@ -100,7 +101,7 @@ class RunConfig:
     """Contact physics in one of two engines, or the kinematic model."""
     physics: PhysicsName = "fast"
     """Solver settings of contact physics."""
-    vehicles: Annotated[int, Field(ge=1)] = 1
+    vehicles: Count = 1
     """Vehicles that one policy learns from in lockstep; 1 is the paper's online learning."""
     conditions: Conditions = Conditions()
     training: TrainingOptions = TrainingOptions()

@@ -1,4 +1,4 @@
-"""Every generator of random numbers in the package is made here."""
+"""Makes every generator of random numbers in the package."""
 
 import random
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """What a generator is used for. Streams never share numbers, so a change in one leaves the others as they were."""
+    """Purpose of a generator. The streams are independent, so a change in one leaves the others as they were."""
 
     LAYOUT = 0
     WORLD = 1
@@ -27,34 +27,37 @@ class Stream(IntEnum):
 VALIDATION_WORLDS = range(0, 100_000)
 TEST_WORLDS = range(100_000, 200_000)
 TRAINING_WORLDS = range(1_000_000, 1_000_000_000)
-"""World seeds: choices are made on validation worlds, tables on test worlds, and training draws from neither.
-The seeds from 200 000 to 999 999 belong to users."""
+"""Ranges of world seeds. Validation worlds serve to choose between variants, test worlds to report results; training
+uses neither. The seeds from 200 000 to 999 999 are free for users."""
 
 
 def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
-    """A generator that is a function of its arguments alone.
+    """Makes a generator whose numbers depend on the arguments alone.
 
     Args:
-        seed: The seed of the run, or of the world for `Stream.LAYOUT`, `Stream.PATROLS`, `Stream.SENSOR_NOISE` and
-            `Stream.CHANCE`.
-        stream: What the numbers are for.
-        index: Counts within the stream: the episode, or the attempt at a world.
+        seed: Seed of the world for `Stream.LAYOUT`, `Stream.PATROLS`, `Stream.SENSOR_NOISE` and `Stream.CHANCE`; seed
+            of the run for the others.
+        stream: Purpose of the numbers.
+        index: Number of the episode, or of the attempt to draw a world.
     """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(int(stream), index))))
 
 
 def training_world_seed(seed: int, episode: int) -> int:
-    """The world that episode number `episode` of the run `seed` is driven in."""
+    """Returns the seed of the world for one episode of the run with this seed."""
     return int(rng(seed, Stream.WORLD, episode).integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop))
 
 
 @contextmanager
 def fenced(generator: np.random.Generator) -> Iterator[None]:
-    """A fence around libraries that take no generator, but draw from the global ones of Python, NumPy and torch.
+    """Seeds the global generators of Python, NumPy and torch, and restores their states afterwards.
 
-    Inside, these are seeded from `generator`; afterwards they go on as if nothing had been drawn.
+    It encloses calls of libraries that draw from the global generators because they accept no other.
+
+    Args:
+        generator: Gives the seed.
     """
-    import torch  # not at the top: processes that only simulate import this module too
+    import torch  # here because worker processes that only simulate import this module and need no torch
 
     python, numpy = random.getstate(), np.random.get_state()
     seed = int(generator.integers(2**32))

@@ -1,5 +1,7 @@
 """From rays to the paper's eight sensors: pure functions of distances."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from nnql_bullet import paper
@@ -12,29 +14,49 @@ FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
 """Sectors: sector 0 is centred straight ahead, the others follow counter-clockwise, 45 degrees each."""
 
 
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What the sensors read at one instant."""
+
+    distances: Array
+    """Of the rays (72,) [m], from the right edge of the front sector counter-clockwise."""
+    readings: Array
+    """Of the sectors (8,) [m]: d1..d8 of eq. (1)."""
+
+
 def ray_angles() -> Array:
     """Directions of the rays in the vehicle frame (72,) [rad]: evenly spaced, 9 in each sector."""
     step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
     return np.asarray((np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step)
 
 
+def scan_from(distances: Array) -> Scan:
+    """The scan of ray distances (72,) [m]."""
+    return Scan(distances, sector_readings(distances))
+
+
 def middle_readings(distances: Array) -> Array:
-    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the ray in its middle."""
+    """Readings (..., 8) [m] of ray distances (..., 72) [m] where a sector has but the ray in its middle."""
     return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
 
 
 def sector_readings(distances: Array) -> Array:
     """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the smallest of its rays."""
-    nearest: Array = _nearest(distances.reshape(-1, RAYS_PER_SECTOR))
-    return nearest.reshape(*distances.shape[:-1], paper.SECTORS)
+    return smallest(distances.reshape(*distances.shape[:-1], paper.SECTORS, RAYS_PER_SECTOR))
+
+
+def smallest(values: Array) -> Array:
+    """The smallest values along the last axis (..., m), (...): `np.min`, faster over short rows."""
+    rows: Array = _smallest(values.reshape(-1, values.shape[-1]))
+    return rows.reshape(values.shape[:-1])
 
 
 @njit()
-def _nearest(distances: Array) -> Array:
-    """The smallest of each row (m,). A loop, because NumPy is slow on short rows."""
-    nearest = np.empty(len(distances))
-    for i in range(len(distances)):
-        nearest[i] = distances[i, 0]
-        for j in range(1, distances.shape[1]):
-            nearest[i] = min(nearest[i], distances[i, j])
-    return nearest
+def _smallest(rows: Array) -> Array:
+    """The smallest value of each row (k, m), (k,)."""
+    found = np.empty(len(rows))
+    for i in range(len(rows)):
+        found[i] = rows[i, 0]
+        for j in range(1, rows.shape[1]):
+            found[i] = min(found[i], rows[i, j])
+    return found

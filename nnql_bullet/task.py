@@ -1,11 +1,13 @@
-"""The paper's task as pure functions: the state property, the reward as named terms, and how an episode ends.
+"""The paper's task as pure functions: the state property, the reward as a sum of named terms, the end of an episode.
 
-They take one vehicle or many: `(...)` in a shape is () or (n,).
+The functions take one vehicle or many: `(...)` in a shape is () or (n,).
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +16,11 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
+from nnql_bullet.types import Count
 
 Properties = int | NDArray[np.int64]
-Events = bool | NDArray[np.bool_]
+Booleans = bool | NDArray[np.bool_]
 Distance = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
 
 
@@ -35,15 +38,7 @@ class StateProperty(IntEnum):
         return ("SS", "NS", "WS", "FS")[self]
 
 
-ENDINGS = ("goal", "collision", "timeout")
-"""How an episode may end."""
-GOES_ON = -1
-"""In place of an index into `ENDINGS`: it has not."""
-
-
-REWARD_TERMS = ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
-"""The paper's six rewards (II.C), in its order."""
-_NON_SAFE_TO_SAFE, _SAFE_TO_NON_SAFE, _CLOSER, _AWAY, _WINNING, _FAILURE, _NONE = range(7)
+SAFE, NON_SAFE, WINNING, FAILURE = map(int, StateProperty)  # NumPy compares with plain integers faster
 
 
 @options
@@ -51,47 +46,32 @@ class TaskOptions:
     """What the paper leaves open about states, rewards and endings."""
 
     front_distance: Distance = 5.0
-    """A state is non-safe with the front sector below this [m]. Success of NNQL at 10 % cover (kinematic model,
-    validation worlds, 4 seeds), with the front-side distance beside it: 5 and 3.5 m gave 74 %, 4 and 3.5 m 73 %, 6 and
-    4 m 64 %, 7 and 3.5 m 56 %."""
+    """A state is non-safe when the front sector reads less than this [m]."""
     front_side_distance: Distance = 3.5
-    """... or one of the sectors at +-45 degrees below this [m]. On this vehicle, whose yaw rate takes time to build up,
-    2.5 / 3.5 m gave 95 / 97 % at 5 % and 68 / 74 % at 10 % cover (NNQL), 97 / 99 % and 82 / 88 % (a hand rule that
-    turns away from the fuller front side)."""
+    """A state is non-safe when a sector at +-45 degrees reads less than this [m]."""
     other_distance: Distance = 0.0
-    """... or any other sector below this [m]. Watching all eight alike cost 22 points in a
-    kinematic study that came before this program; 0 is off."""
-    hysteresis: Distance = 0.0
-    """How much farther off things have to be for a non-safe state to become safe again [m]."""
-    sector_reading: Literal["nearest", "middle"] = "nearest"
-    """What a sensor reads, of "one region of a range of 45 degrees" (II.A): the nearest of its rays, or its middle one,
-    which passes obstacles by."""
-    closer: Literal["smallest", "mean"] = "smallest"
-    """What "getting closer to the obstacles" (II.C) means: this of the eight readings fell."""
+    """A state is non-safe when one of the other five sectors reads less than this [m]; 0 ignores them."""
     reward_non_safe_to_safe: float = 0.4
-    """Illegible in the paper. 0.2 / 0.4 / 1.0 gave 95 / 97 / 96 % in that study: the evidence does not decide."""
-    max_steps: Annotated[int, Field(ge=1)] = paper.STEPS_PER_EPISODE
+    """Reward of a step from a non-safe to a safe state. The number is illegible in the paper."""
+    max_steps: Count = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
+
+    # Other readings of the paper's text, for ablations.
+
+    sector_reading: Literal["nearest", "middle"] = "nearest"
+    """Reading of a sensor that covers "one region of a range of 45 degrees" (II.A): its nearest or its middle ray."""
+    hysteresis: Distance = 0.0
+    """Distance added to the three above before a non-safe state becomes safe again [m]."""
+    closer: Literal["smallest", "mean"] = "smallest"
+    """Which of the eight readings falls when the vehicle is "getting closer to the obstacles" (II.C)."""
 
     @cached_property
     def thresholds(self) -> Array:
-        """Of the eight sectors (8,) [m]: a state is non-safe with a reading below."""
+        """Distances of the eight sectors (8,) [m]: a state is non-safe when a sector reads less."""
         thresholds = np.full(paper.SECTORS, self.other_distance)
         thresholds[FRONT] = self.front_distance
         thresholds[[FRONT_LEFT, FRONT_RIGHT]] = self.front_side_distance
         return thresholds
-
-    @cached_property
-    def rewards(self) -> Array:
-        """For each of `REWARD_TERMS`, and for none, its reward in its own place (7, 6)."""
-        rewards = np.zeros((len(REWARD_TERMS) + 1, len(REWARD_TERMS)))
-        rewards[_NON_SAFE_TO_SAFE, _NON_SAFE_TO_SAFE] = self.reward_non_safe_to_safe
-        rewards[_SAFE_TO_NON_SAFE, _SAFE_TO_NON_SAFE] = paper.REWARD_SAFE_TO_NON_SAFE
-        rewards[_CLOSER, _CLOSER] = paper.REWARD_CLOSER
-        rewards[_AWAY, _AWAY] = paper.REWARD_AWAY
-        rewards[_WINNING, _WINNING] = paper.REWARD_WINNING
-        rewards[_FAILURE, _FAILURE] = paper.REWARD_FAILURE
-        return rewards
 
 
 def readings_of(ray_distances: Array, task: TaskOptions) -> Array:
@@ -99,69 +79,148 @@ def readings_of(ray_distances: Array, task: TaskOptions) -> Array:
     return middle_readings(ray_distances) if task.sector_reading == "middle" else sector_readings(ray_distances)
 
 
-def is_safe(readings: Array, task: TaskOptions, before: Properties = StateProperty.SAFE) -> NDArray[np.bool_]:
-    """Whether the eight readings (..., 8) [m] are those of a safe state (II.C), (...).
+# The state property (II.C)
+
+
+def is_safe(readings: Array, task: TaskOptions, previous: Properties = SAFE) -> NDArray[np.bool_]:
+    """Whether no sector reads less than its threshold: "low or no possibility of collision" (II.C), (...).
 
     Args:
-        readings: [m]
-        task: Says below what a reading is not.
-        before: `StateProperty` (...) of the states before, for the hysteresis.
+        readings: The eight readings (..., 8) [m].
+        task: The thresholds.
+        previous: `StateProperty` of the states before (...), for the hysteresis.
     """
-    raised = task.hysteresis * np.equal(before, StateProperty.NON_SAFE)[..., None]
-    return np.asarray((readings >= np.where(task.thresholds > 0, task.thresholds + raised, 0.0)).all(axis=-1))
-
-
-_PROPERTY = np.array(
-    [[StateProperty.NON_SAFE, StateProperty.SAFE], [StateProperty.WINNING] * 2, [StateProperty.FAILURE] * 2]
-)
+    thresholds = task.thresholds
+    if task.hysteresis:
+        raised = task.hysteresis * np.equal(previous, NON_SAFE)[..., None]
+        thresholds = np.where(thresholds > 0, thresholds + raised, 0.0)
+    return np.asarray((readings >= thresholds).all(axis=-1))
 
 
 def state_property(
-    readings: Array, touching: Events, at_target: Events, task: TaskOptions, before: Properties = StateProperty.SAFE
+    readings: Array, touching: Booleans, at_target: Booleans, task: TaskOptions, previous: Properties = SAFE
 ) -> NDArray[np.int64]:
-    """`StateProperty` (...) of states with these readings (..., 8) [m] and these events (...) on the way there.
+    """`StateProperty` of states (...).
 
     Args:
-        readings: [m]
-        touching: Whether an obstacle or wall was touched.
-        at_target: Whether the target was reached.
-        task: Says what is safe.
-        before: `StateProperty` (...) of the states that they come from; that of a start is as good as safe.
+        readings: The eight readings (..., 8) [m].
+        touching: Whether the vehicle touched an obstacle or wall on its way to the state (...).
+        at_target: Whether it reached the target on its way to the state (...).
+        task: The thresholds.
+        previous: `StateProperty` of the states before (...); a start counts as coming from a safe state.
     """
-    event = np.maximum(np.multiply(touching, 2), at_target)
-    return np.asarray(_PROPERTY[event, is_safe(readings, task, before).astype(np.int64)])
+    by_readings = np.where(is_safe(readings, task, previous), SAFE, NON_SAFE)
+    return np.where(touching, FAILURE, np.where(at_target, WINNING, by_readings))
 
 
-_TERM = np.array(
-    [  # to SAFE, NON_SAFE, WINNING, FAILURE
-        [_NONE, _SAFE_TO_NON_SAFE, _WINNING, _FAILURE],  # from SAFE
-        [_NON_SAFE_TO_SAFE, _AWAY, _WINNING, _FAILURE],  # from NON_SAFE
-        [_NONE] * 4,  # from WINNING and FAILURE nothing goes on
-        [_NONE] * 4,
-    ]
-)
-_TERM = np.stack([_TERM, np.where(_TERM == _AWAY, _CLOSER, _TERM)], axis=-1)  # by whether it got closer
+# The reward (II.C)
 
 
-def reward_terms(
-    before: Properties, after: Properties, readings_before: Array, readings_after: Array, task: TaskOptions
-) -> Array:
-    """The reward of steps as the terms `REWARD_TERMS` (..., 6), of which at most one is not zero (II.C)."""
-    near = np.min if task.closer == "smallest" else np.mean
-    closer = np.less(near(readings_after, axis=-1), near(readings_before, axis=-1)).astype(np.int64)
-    return np.asarray(task.rewards[_TERM[before, after, closer]])
+class State(Protocol):
+    """The part of an observation that the paper's reward needs."""
+
+    @property
+    def readings(self) -> Array:
+        """The eight readings (..., 8) [m]."""
+
+    @property
+    def state_property(self) -> Properties:
+        """`StateProperty` (...)."""
 
 
-_ENDING = np.array(
-    [  # in time, and too late
-        [GOES_ON, ENDINGS.index("timeout")],  # SAFE
-        [GOES_ON, ENDINGS.index("timeout")],  # NON_SAFE
-        [ENDINGS.index("goal")] * 2,  # WINNING
-        [ENDINGS.index("collision")] * 2,  # FAILURE
-    ]
-)
+@dataclass(frozen=True, slots=True)
+class RewardTerm:
+    """A named term of the reward: `scale` times the value of `function`."""
+
+    function: Callable[[Any, Any, TaskOptions], Booleans | Array]
+    """Value (...) of the steps from observations `s_tm1` to observations `s_t`; its name is the term's."""
+    scale: float
+
+    @property
+    def name(self) -> str:
+        """The name of the function."""
+        return self.function.__name__
 
 
-def ending(after: Properties, steps: int | NDArray[np.int64], task: TaskOptions) -> NDArray[np.int64]:
-    """How episodes have ended after this many steps (IV.A), as an index into `ENDINGS` or `GOES_ON` (...)."""
-    return np.asarray(_ENDING[after, np.greater_equal(steps, task.max_steps).astype(np.int64)])
+def non_safe_to_safe(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving from a Non-Safe State to a Safe State"."""
+    return (s_tm1.state_property == NON_SAFE) & (s_t.state_property == SAFE)
+
+
+def safe_to_non_safe(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving from a Safe State to a Non-Safe State"."""
+    return (s_tm1.state_property == SAFE) & (s_t.state_property == NON_SAFE)
+
+
+def closer(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving from a Non-Safe State to a Non-Safe State but getting closer to the obstacles"."""
+    return _stays_non_safe(s_tm1, s_t) & (_nearness(s_t, task) < _nearness(s_tm1, task))
+
+
+def away(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving from a Non-Safe State to a Non-Safe State and getting away from the obstacles"."""
+    return _stays_non_safe(s_tm1, s_t) & (_nearness(s_t, task) >= _nearness(s_tm1, task))
+
+
+def winning(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving to a Winning State"."""
+    return ~is_terminal(s_tm1.state_property) & (s_t.state_property == WINNING)
+
+
+def failure(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
+    """II.C: "Moving to a Failure State"."""
+    return ~is_terminal(s_tm1.state_property) & (s_t.state_property == FAILURE)
+
+
+def paper_reward(task: TaskOptions) -> tuple[RewardTerm, ...]:
+    """The paper's six terms, in its order (II.C); at most one of them is not zero in a step."""
+    return (
+        RewardTerm(non_safe_to_safe, task.reward_non_safe_to_safe),
+        RewardTerm(safe_to_non_safe, paper.REWARD_SAFE_TO_NON_SAFE),
+        RewardTerm(closer, paper.REWARD_CLOSER),
+        RewardTerm(away, paper.REWARD_AWAY),
+        RewardTerm(winning, paper.REWARD_WINNING),
+        RewardTerm(failure, paper.REWARD_FAILURE),
+    )
+
+
+REWARD_TERMS = tuple(term.name for term in paper_reward(TaskOptions()))
+"""Names of the paper's six terms, in its order."""
+
+
+def reward_terms(s_tm1: State, s_t: State, task: TaskOptions, reward: tuple[RewardTerm, ...]) -> Array:
+    """Each term's part of the reward (..., number of terms) of steps from `s_tm1` to `s_t`; the reward is their sum."""
+    terms = np.empty((*s_t.readings.shape[:-1], len(reward)))
+    for k, term in enumerate(reward):
+        terms[..., k] = term.function(s_tm1, s_t, task)
+    return terms * [term.scale for term in reward] + 0.0  # adding 0.0 makes 0.0 of a -0.0
+
+
+def _stays_non_safe(s_tm1: State, s_t: State) -> Booleans:
+    return (s_tm1.state_property == NON_SAFE) & (s_t.state_property == NON_SAFE)
+
+
+def _nearness(state: State, task: TaskOptions) -> Array:
+    """Distance to the obstacles (...) [m], which falls when a vehicle gets closer to them."""
+    return smallest(state.readings) if task.closer == "smallest" else np.mean(state.readings, axis=-1)
+
+
+# The end of an episode (IV.A)
+
+ENDINGS = ("goal", "collision", "timeout")
+"""How an episode may end."""
+GOAL, COLLISION, TIMEOUT = range(3)
+NO_ENDING = -1
+"""Stands for an index into `ENDINGS` while an episode goes on."""
+
+
+def is_terminal(state_property: Properties) -> NDArray[np.bool_]:
+    """Whether states are winning or failure states, "one of the terminate states" (II.C), (...)."""
+    return np.greater_equal(state_property, WINNING)
+
+
+def ending(state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions) -> NDArray[np.int64]:
+    """How episodes ended that came to such states after so many steps: indices into `ENDINGS` or `NO_ENDING` (...)."""
+    timeout = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
+    collision = np.where(np.equal(state_property, FAILURE), COLLISION, timeout)
+    return np.where(np.equal(state_property, WINNING), GOAL, collision)

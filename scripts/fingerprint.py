@@ -241,7 +241,7 @@ def fidelity(quick: bool) -> Iterable[tuple[str, str]]:
     """What every probe measures and expects."""
     from nnql_bullet.fidelity.probe import Bench
     from nnql_bullet.fidelity.probes import run_probes
-    from nnql_bullet.vehicle.spec import load_vehicle
+    from nnql_bullet.vehicle.urdf import load_vehicle
 
     vehicle = load_vehicle("tricycle")
     for engine, physics in SETTINGS[1:2] if quick else SETTINGS:

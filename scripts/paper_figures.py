@@ -14,8 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Wedge
 from numpy.typing import NDArray
 from rich.progress import track
@@ -23,13 +21,22 @@ from rich.progress import track
 import nnql_bullet as nb
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
-from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, NON_SAFE, SAFE, VEHICLE
+from nnql_bullet.colours import INK, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.env import Navigation, Transition
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import Array, Pose, moved
+from nnql_bullet.geometry import Array, Pose, moved, placed
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, Recording, load_recording
-from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
+from nnql_bullet.reports.drawing import (
+    draw_drive,
+    draw_path,
+    draw_world,
+    legend_below,
+    legend_entries,
+    new_figure,
+    save_figure,
+    without_ticks,
+)
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.runs import CHECKPOINT, Run, load_run
 from nnql_bullet.sensing import FRONT
@@ -127,7 +134,7 @@ def record(
 
 def draw(training: list[Recording], new: list[Recording], path: Path) -> None:
     """The page."""
-    figure = Figure(figsize=(12.0, 13.6), layout="constrained")
+    figure = new_figure(12.0, 13.6)
     upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.06))
     left, right = lower.subfigures(1, 2, width_ratios=(1.0, 2.0))
     upper.suptitle("Fig. 5: some training episodes, one vehicle learning online", fontsize=13, color=INK)
@@ -140,32 +147,29 @@ def draw(training: list[Recording], new: list[Recording], path: Path) -> None:
     for axes, recording in zip((whole, *right.subplots(1, 2)), new, strict=True):
         draw_panel(axes, recording, f"{cover(recording):.1f} % cover, seed {recording.about['world']['seed']}")
     draw_moment(whole, new[0])
-    handles = [
-        Line2D([], [], color=SAFE, lw=2.4, label="safe: toward the target"),
-        Line2D([], [], color=NON_SAFE, lw=2.4, label="non-safe: the network decides"),
-        Patch(facecolor=BOX, edgecolor=BOX_EDGE, label="obstacle"),
-        Line2D([], [], marker="o", ls="", mfc=INK, mec=INK, label="start"),
-        Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=10, label="target"),
-        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=11, label="collision"),
-        Patch(facecolor=NON_SAFE, alpha=0.3, label="sensor that sees something"),
-        Patch(facecolor=SAFE, alpha=0.3, label="sensor that sees nothing"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    handles = legend_entries(
+        safe="safe: toward the target",
+        non_safe="non-safe: the network decides",
+        obstacle="obstacle",
+        start="start",
+        target="target",
+        collision="collision",
+    )
+    handles.append(Patch(facecolor=NON_SAFE, alpha=0.3, label="sensor that sees something"))
+    handles.append(Patch(facecolor=SAFE, alpha=0.3, label="sensor that sees nothing"))
+    legend_below(figure, 4, handles)
     save_figure(figure, path)
 
 
 def draw_panel(axes: Axes, recording: Recording, caption: str) -> None:
     """One drive."""
-    world, seconds = recording.about["world"], recording.state_time[-1]
-    draw_world(axes, recording, seconds)
-    draw_path(axes, recording, 0.7)
-    axes.set(xlim=(-2, world["width"] + 2), ylim=(-2, world["depth"] + 2), aspect="equal")
+    ending = f"{recording.about['ending']} after {recording.state_time[-1]:.0f} s"
+    draw_drive(axes, recording, 0.7, 2.0, f"{caption}: {ending}", 10)
     axes.set_xticks(range(0, 101, 20))
     axes.set_yticks(range(0, 101, 20))
     axes.tick_params(labelsize=8)
     axes.set_xlabel("x [m]", fontsize=8, labelpad=1)
     axes.set_ylabel("y [m]", fontsize=8, labelpad=1)
-    axes.set_title(f"{caption}: {recording.about['ending']} after {seconds:.0f} s", fontsize=10, color=INK)
 
 
 def cover(recording: Recording) -> float:
@@ -179,10 +183,10 @@ def draw_moment(axes: Axes, recording: Recording) -> None:
     ahead = np.where(recording.state_property == "NS", recording.readings[:, FRONT], np.inf)
     step = int(np.argmin(ahead))
     x, y, yaw = recording.state_pose[step]
-    mount = recording.about["vehicle"]["sensor"][0]
-    eye = (x + mount * np.cos(yaw), y + mount * np.sin(yaw))
+    eye = placed(Pose(x, y, yaw), *recording.about["vehicle"]["sensor"][:2])
     half = 1.15 * paper.SENSOR_RANGE
-    inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44), xticks=[], yticks=[])
+    inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44))
+    without_ticks(inset)
     draw_world(inset, recording, recording.state_time[step])
     draw_path(inset, recording)
     for sector, reading in enumerate(recording.readings[step]):

@@ -4,7 +4,7 @@ Everything is tested on the split `test`, which nothing is chosen on: in contact
 more of the same worlds, in a shield, and under conditions that nothing was trained with. The ablations of choices are a
 part of it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
 
-    python scripts/results.py                    # as in the README
+    python scripts/results.py                    # as in the documentation
     python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
     python scripts/results.py --only shield      # one part of it
 """
@@ -243,7 +243,7 @@ Drives = dict[tuple[str, str, str, int], bool]
 
 def conditions_markdown(found: dict[str, Drives]) -> str:
     """Success by condition, beside what it is more or less than under none in the same worlds."""
-    from nnql_bullet.reports.tables import markdown_table
+    from nnql_bullet.reports.document import table
 
     none = next(iter(found))
     worlds = list(dict.fromkeys(world for _, _, world, _ in found[none]))
@@ -264,7 +264,7 @@ def conditions_markdown(found: dict[str, Drives]) -> str:
         "Success in %, test worlds, PyBullet `fast` where nothing else is said; in brackets the difference in points "
         "from the same policies in the same worlds under none, with its bootstrap 95 % interval over drives.",
         "",
-        markdown_table(("condition", "method", *worlds), rows),
+        table(("condition", "method", *worlds), rows).markdown(),
         "",
     ]
     return "\n".join(lines)
@@ -283,12 +283,10 @@ def difference(paired: Sequence[int]) -> str:
 
 def draw_stages(rows: Sequence[dict[str, Any]], seeds: int, path: Path) -> None:
     """Success on validation worlds along a training, a line with its interval for each kind of world."""
-    from matplotlib.figure import Figure
+    from nnql_bullet.colours import LINES
+    from nnql_bullet.reports.drawing import OPEN, finish_axes, new_figure, save_figure
 
-    from nnql_bullet.colours import INK, LINES
-    from nnql_bullet.reports.plots import save_figure
-
-    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
+    figure = new_figure(9.0, 4.4)
     axes = figure.add_subplot()
     kinds = list(dict.fromkeys(row["title"] for row in rows if row["title"]))
     for kind, colour in zip(kinds, LINES, strict=False):
@@ -300,10 +298,8 @@ def draw_stages(rows: Sequence[dict[str, Any]], seeds: int, path: Path) -> None:
         axes.fill_between(episodes, low, high, color=colour, alpha=0.2, lw=0)
         axes.plot(episodes, value, color=colour, lw=2, marker="o", ms=4, mew=0, label=kind)
     axes.set(xlabel="training episodes", ylabel="success [%]", ylim=(-2, 102), xlim=(0, None))
-    axes.grid(color="#e9ecef", lw=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
     title = f"double_dqn, greedy, on validation worlds: {seeds} trainings, inter-quartile mean and 95 % interval"
-    axes.set_title(title, fontsize=11, color=INK)
+    finish_axes(axes, title, 11, hidden=OPEN)
     figure.legend(loc="outside right center", frameon=False, fontsize=9)
     save_figure(figure, path)
 

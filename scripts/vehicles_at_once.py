@@ -2,7 +2,7 @@
 
 Every policy then drives the same validation worlds, in the kinematic model too.
 
-    python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the README
+    python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the documentation
     python scripts/vehicles_at_once.py                                  # more of it
 """
 

@@ -12,16 +12,12 @@ def test_shipped_files_are_found_by_name(kind, name):
     assert path.parent.name == kind
 
 
-def test_a_file_is_found_by_its_absolute_path(tmp_path):
+def test_a_file_is_found_by_its_absolute_path_and_from_the_working_directory(tmp_path, monkeypatch):
     path = tmp_path / "mine.toml"
     path.touch()
     assert assets.find("worlds", str(path)) == path
-
-
-def test_a_file_is_found_by_its_path_from_the_working_directory(tmp_path, monkeypatch):
-    (tmp_path / "mine.toml").touch()
     monkeypatch.chdir(tmp_path)
-    assert assets.find("worlds", "mine.toml").resolve() == tmp_path / "mine.toml"
+    assert assets.find("worlds", "mine.toml").resolve() == path
 
 
 def test_a_folder_of_that_name_in_the_working_directory_hides_nothing(tmp_path, monkeypatch):
@@ -30,20 +26,16 @@ def test_a_folder_of_that_name_in_the_working_directory_hides_nothing(tmp_path, 
     assert assets.find("worlds", "paper").name == "paper.toml"
 
 
-@pytest.mark.parametrize("kind", ["worlds", "robots"])
-@pytest.mark.parametrize("name", ["atlantis", "atlantis.toml", "/nowhere/atlantis.toml", "", "."])
-def test_unknown_name_is_an_error_that_lists_the_shipped_ones(kind, name):
-    with pytest.raises(UserError) as refusal:
-        assets.find(kind, name)
-    message = str(refusal.value)
-    assert message.startswith(f"{kind}: there is no file '{name}'; give a path to a TOML file or one of: ")
-    assert ("paper" if kind == "worlds" else "tricycle") in message
-    assert "\n" not in message
-
-
-def test_robots_are_not_found_among_the_worlds():
-    with pytest.raises(UserError):
-        assets.find("worlds", "tricycle")
+@pytest.mark.parametrize(("kind", "shipped"), [("worlds", "paper"), ("robots", "tricycle")])
+def test_unknown_name_is_an_error_that_lists_the_shipped_ones(kind, shipped):
+    other = "tricycle" if kind == "worlds" else "paper"
+    for name in ("atlantis", "atlantis.toml", "/nowhere/atlantis.toml", "", ".", other):
+        with pytest.raises(UserError) as refusal:
+            assets.find(kind, name)
+        message = str(refusal.value)
+        assert message.startswith(f"{kind}: there is no file '{name}'; give a path to a TOML file or one of: ")
+        assert shipped in message
+        assert "\n" not in message
 
 
 @pytest.mark.parametrize("in_wheel", [True, False])

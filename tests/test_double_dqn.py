@@ -213,7 +213,7 @@ def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
         for b in range(size):
             at_target = corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)
             if a in (0, size - 1) or b in (0, size - 1) or at_target:
-                heappush(heap, (grid_map.CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
+                heappush(heap, (grid_map.MAP_CELL * hypot(corner[0] + a + 0.5, corner[1] + b + 0.5), a, b))
     while heap:
         way, a, b = heappop(heap)
         if way >= left[a, b]:
@@ -223,7 +223,7 @@ def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.flo
             if 0 <= c < size and 0 <= d < size:
                 beside = min(cost[a, d], cost[c, b]) if a != c and b != d else 0.0
                 through = max(cost[a, b], beside) + max(cost[c, d], beside)
-                longer = 0.5 * grid_map.CELL * hypot(a - c, b - d) * through
+                longer = 0.5 * grid_map.MAP_CELL * hypot(a - c, b - d) * through
                 heappush(heap, (way + longer, c, d))
     return left
 
@@ -247,7 +247,7 @@ class TestMap:
 
     def test_a_wall_is_gone_round(self) -> None:
         """A U around the vehicle, open away from the target: it is told to turn round."""
-        middle, cell = grid_map.SIZE // 2, grid_map.CELL
+        middle, cell = grid_map.SIZE // 2, grid_map.MAP_CELL
         cells, corner = np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), np.array([-100, -middle])
         cells[middle + 6, middle - 9 : middle + 10] = 1
         cells[middle - 6 : middle + 7, middle - 9] = cells[middle - 6 : middle + 7, middle + 9] = 1
@@ -294,12 +294,12 @@ class TestMap:
             for share in np.linspace(0, 1, 40)
             if np.hypot(*(hits[(i + k) % RAYS] - hits[i])) < (grid_map.NEIGHBOURS if k == 1 else grid_map.PASSAGE)
         ]
-        along = {tuple(cell) for cell in np.floor(np.array(places) / grid_map.CELL).astype(int).tolist()}
+        along = {tuple(cell) for cell in np.floor(np.array(places) / grid_map.MAP_CELL).astype(int).tolist()}
         entered = {tuple(cell) for cell in (np.argwhere(cells[0] > 0) + corners[0]).tolist()}
-        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / grid_map.CELL).astype(int).tolist()
+        at_hits = np.floor(hits[np.isfinite(hits[:, 0])] / grid_map.MAP_CELL).astype(int).tolist()
         assert {tuple(cell) for cell in at_hits} <= entered <= along
         assert all(any(max(abs(a - c), abs(b - d)) <= 1 for c, d in entered) for a, b in along)
-        middle = np.floor(pose[0, :2] / grid_map.CELL).astype(int) - grid_map.SIZE // 2
+        middle = np.floor(pose[0, :2] / grid_map.MAP_CELL).astype(int) - grid_map.SIZE // 2
         assert corners[0].tolist() == middle.tolist()
         for _ in range(grid_map.SEEN):
             assert cells.any()
@@ -311,7 +311,7 @@ class TestMap:
         cells = (generator.random((1, grid_map.SIZE, grid_map.SIZE)) < 0.3).astype(np.int8)
         before, corners = {tuple(c) for c in np.argwhere(cells[0]).tolist()}, np.zeros((1, 2), np.int64)
         middle = grid_map.SIZE // 2 + 0.5
-        pose = np.array([[grid_map.CELL * (middle + 3), grid_map.CELL * (middle - 3), 0.0]])
+        pose = np.array([[grid_map.MAP_CELL * (middle + 3), grid_map.MAP_CELL * (middle - 3), 0.0]])
         grid_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
         assert corners[0].tolist() == [3, -3]
         inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < grid_map.SIZE and 0 <= b + 3 < grid_map.SIZE}

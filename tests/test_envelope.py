@@ -346,7 +346,7 @@ def test_more_load_or_speed_takes_a_longer_way(bench: Bench) -> None:
 
 
 def test_a_vehicle_that_does_not_stop_is_an_error(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stopping, "PATIENCE", 0.01)
+    monkeypatch.setattr(stopping, "TIME_LIMIT_FACTOR", 0.01)
     with pytest.raises(UserError, match=r"does not stop from 4 m/s on friction 0\.4"):
         measure_stop(StopTask(bench, StopConditions(0.0, 0.4), 4.0, 0))
 

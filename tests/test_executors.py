@@ -1,4 +1,4 @@
-"""Executors: the same outcomes everywhere, errors told by seed, and nothing left running."""
+"""Executors: the same outcomes everywhere, errors told by index, and nothing left running."""
 
 import multiprocessing
 import os
@@ -10,13 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import Executor, Outcome, RayExecutor, make_executor
 from nnql_bullet.seeding import Stream, rng
+
+T = TypeVar("T")
 
 LIMIT = 60.0
 """Seconds after which a wait is given up: far more than a noisy machine needs."""
@@ -39,9 +41,18 @@ class CannotBeUnpickled(Exception):
         super().__init__(f"{first}\n{second}")
 
 
+class CannotBeReadBack:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return raise_value_error, ()
+
+
 class CannotBeShown(Exception):
     def __str__(self) -> str:
         raise RuntimeError
+
+
+def raise_value_error() -> None:
+    raise ValueError("cannot be read back")
 
 
 def draw(job: Job) -> list[float]:
@@ -68,6 +79,8 @@ def draw_or_die(job: Job) -> list[float]:
         os._exit(3)
     if job.seed == 3:
         os.kill(os.getpid(), signal.SIGKILL)
+    if job.seed == 4:
+        os._exit(0)
     return draw(job)
 
 
@@ -81,8 +94,13 @@ def draw_or_sleep(job: Job) -> list[float]:
     return []
 
 
-def open_file(job: Job) -> Any:
-    return sys.stdout
+def draw_what_cannot_be_sent(job: Job) -> Any:
+    return {1: sys.stdout, 2: CannotBeReadBack()}.get(job.seed, job.seed)
+
+
+def threads_of(text: str) -> tuple[str, str]:
+    """Takes and gives what has no seed."""
+    return text, os.environ["OMP_NUM_THREADS"]
 
 
 def meet(job: Job) -> str:
@@ -116,7 +134,7 @@ def sleepers(folder: Path) -> list[int]:
     return [int(path.name) for path in folder.iterdir()]
 
 
-def outcomes(executor: Executor, function: Callable[[Job], Any], jobs: list[Job]) -> list[Outcome[Job, Any]]:
+def outcomes(executor: Executor, function: Callable[[T], Any], jobs: list[T]) -> list[Outcome[T, Any]]:
     return sorted(executor.map(function, jobs), key=lambda outcome: outcome.index)
 
 
@@ -155,16 +173,17 @@ def outside(request: pytest.FixtureRequest) -> Executor:
 
 
 class TestEveryExecutor:
-    def test_yields_every_task_once_with_the_value_of_its_seed(self, executor: Executor) -> None:
+    def test_yields_every_task_once_with_its_value(self, executor: Executor) -> None:
         jobs = [Job(seed) for seed in (5, 3, 5, 0, 8)]
         found = outcomes(executor, draw, jobs)
         assert found == [Outcome(index, job, draw(job), None) for index, job in enumerate(jobs)]
 
-    def test_reports_what_raised_by_its_seed_and_finishes_the_others(self, executor: Executor) -> None:
+    def test_reports_what_raised_by_its_index_and_finishes_the_others(self, executor: Executor) -> None:
         jobs = [Job(seed) for seed in range(9)]
         found = outcomes(executor, draw_or_raise, jobs)
         assert [outcome.task for outcome in found] == jobs
         assert [outcome.value for outcome in found if not outcome.error] == [draw(Job(seed)) for seed in (0, 2, 7, 8)]
+        assert [outcome.index for outcome in found if outcome.error] == [1, 3, 4, 5, 6]
         errors = [outcome.error for outcome in found if outcome.error]
         assert errors[0].message == "ValueError: bad world"
         assert errors[2].message.endswith("CannotBeUnpickled: two lines")
@@ -187,9 +206,10 @@ class TestOutside:
     def test_a_dying_worker_takes_its_own_task_along_and_no_other(self, outside: Executor, tmp_path: Path) -> None:
         jobs = [Job(seed, tmp_path) for seed in range(6)]
         found = outcomes(outside, draw_or_die, jobs)
-        assert [outcome.value for outcome in found if not outcome.error] == [draw(Job(seed)) for seed in (0, 2, 4, 5)]
-        errors = [outcome.error for outcome in found if outcome.error]
-        assert all("\n" not in error.message for error in errors)
+        assert [outcome.value for outcome in found if not outcome.error] == [draw(Job(seed)) for seed in (0, 2, 5)]
+        errors = {outcome.index: outcome.error.message for outcome in found if outcome.error}
+        assert list(errors) == [1, 3, 4]
+        assert not any("\n" in message for message in errors.values())
         started = sorted(path.name.partition("-")[0] for path in tmp_path.iterdir())
         assert started == [str(job.seed) for job in jobs], "some task was run twice"
 
@@ -202,9 +222,13 @@ class TestOutside:
         wait_for(lambda: not any(map(runs, sleepers(tmp_path))))
 
     def test_a_value_that_cannot_be_sent_is_its_tasks_error(self, outside: Executor) -> None:
-        (found,) = outside.map(open_file, [Job(7)])
-        assert found.error is not None
-        assert "pickle" in found.error.traceback
+        found = outcomes(outside, draw_what_cannot_be_sent, [Job(seed) for seed in range(5)])
+        assert [outcome.value for outcome in found] == [0, None, None, 3, 4]
+        assert found[1].error and "pickle" in found[1].error.traceback
+        assert found[2].error
+
+    def test_any_value_is_a_task_and_a_worker_keeps_to_one_core(self, outside: Executor) -> None:
+        assert [outcome.value for outcome in outcomes(outside, threads_of, ["a"])] == [("a", "1")]
 
 
 class TestProcesses:
@@ -241,8 +265,7 @@ class TestRay:
         nodes = [outcome.value for outcome in found if outcome.index != 2]
         assert len(set(nodes)) == 2
         assert set(nodes) == {path.name for path in tmp_path.iterdir()}
-        assert found[2].error is not None
-        assert found[2].error.message == "ValueError: bad world"
+        assert found[2].error and found[2].error.message == "ValueError: bad world"
 
     def test_uses_the_ray_that_is_connected_and_leaves_it_so(self, ray: Any, cluster: str) -> None:
         ray.init(cluster, log_to_driver=False, logging_level="ERROR")

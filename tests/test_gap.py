@@ -15,9 +15,9 @@ import pytest
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.env import TOWARD_TARGET, Navigation, Observation
-from nnql_bullet.evaluation.causes import apart, departures, explain, parting
+from nnql_bullet.evaluation.causes import apart, explain, parting, period_errors
 from nnql_bullet.evaluation.gap import Pair, differences, divergence, outcome_matrix, success_p_value
-from nnql_bullet.evaluation.statistics import mcnemar, share
+from nnql_bullet.evaluation.statistics import mcnemar, proportion
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
@@ -63,8 +63,8 @@ class TestStatistics:
         p = k / n
         centre = (p + z * z / (2 * n)) / (1 + z * z / n)
         half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-        assert share(k, n) == pytest.approx((p, centre - half, centre + half))
-        assert str(share(k, n)) == "90.0 (78.6-95.7)"
+        assert proportion(k, n) == pytest.approx((p, centre - half, centre + half))
+        assert str(proportion(k, n)) == "90.0 (78.6-95.7)"
 
     def test_mcnemar_is_the_exact_binomial(self) -> None:
         # 1 against 7: twice the chance of at most one head in eight throws.
@@ -73,27 +73,27 @@ class TestStatistics:
         assert mcnemar(0, 0) == 1.0
 
 
-class TestDepartures:
+class TestPeriodErrors:
     def test_the_ideal_vehicle_neither_lags_nor_slips(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = departures(recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES), vehicle, 2.0)
+        parts = period_errors(recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES), vehicle, 2.0)
         assert parts.lag.max() < 1e-3
         assert parts.slip.max() < 1e-3
-        assert parts.way == pytest.approx(1.0)
+        assert parts.distance == pytest.approx(1.0)
 
     def test_contact_physics_keeps_within_two_hundredths(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = departures(recorded(contact(vehicle), empty_world, SWERVES), vehicle, 2.0)
+        parts = period_errors(recorded(contact(vehicle), empty_world, SWERVES), vehicle, 2.0)
         assert 1e-3 < parts.slip.max() < 0.02
         assert parts.lag.max() < 0.01
 
     def test_ice_shows_as_slip(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         icy = slippery(vehicle, 0.25)
-        parts = departures(recorded(contact(icy), empty_world, SWERVES), icy, 2.0)
+        parts = period_errors(recorded(contact(icy), empty_world, SWERVES), icy, 2.0)
         assert parts.slip.max() > 0.05
         assert parts.slip.max() > 3 * parts.lag.max()
 
     def test_weak_motors_show_as_lag(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         weak = replace(vehicle, wheel_torque=8.0)
-        parts = departures(recorded(contact(weak), empty_world, SWERVES), weak, 2.0)
+        parts = period_errors(recorded(contact(weak), empty_world, SWERVES), weak, 2.0)
         assert parts.lag.max() > 0.02
         assert parts.lag.max() > 3 * parts.slip.max()
 
@@ -104,9 +104,9 @@ class TestDepartures:
             contact(vehicle), world_of(side=20.0, start=Pose(15.0, 10.0, 0.0), target=(2.0, 2.0)), [STRAIGHT] * 10
         )
         assert recording.contact[-1]
-        parts = departures(recording, vehicle, 2.0)
-        assert parts.way[-1] < 1.0
-        assert parts.way.sum() == pytest.approx(20.0 - 15.0 - 0.90, abs=0.03)
+        parts = period_errors(recording, vehicle, 2.0)
+        assert parts.distance[-1] < 1.0
+        assert parts.distance.sum() == pytest.approx(20.0 - 15.0 - 0.90, abs=0.03)
         assert parts.lag.max() < 0.02
 
 

@@ -60,15 +60,12 @@ def ends_straight_on(simulator: Simulator, world: WorldSpec) -> str:
     return run_episode(Navigation(simulator, TaskOptions()), world, Straight()).ending
 
 
-TRAPS = [("traps", seed) for seed in range(8)] + [("traps", seed) for seed in (100_000, 1_000_000)]
-
-
-@pytest.fixture(scope="module", params=TRAPS, ids=lambda drawn: str(drawn[1]))
-def trapped(request: pytest.FixtureRequest) -> tuple[Traps, WorldSpec]:
-    name, seed = request.param
-    source = load_world(name)
+@pytest.fixture(scope="module")
+def traps() -> tuple[Traps, list[WorldSpec]]:
+    """The layout, and worlds that it gave."""
+    source = load_world("traps")
     assert isinstance(source.layout, Traps)
-    return source.layout, source.draw(seed, ROOM)
+    return source.layout, [source.draw(seed, ROOM) for seed in (*range(8), 100_000, 1_000_000)]
 
 
 def traps_of(world: WorldSpec) -> list[tuple[OrientedBox, OrientedBox, OrientedBox]]:
@@ -84,68 +81,72 @@ def in_the_frame_of(back: OrientedBox, box: OrientedBox) -> tuple[float, float]:
 
 
 class TestTraps:
-    def test_each_is_a_u_of_the_sizes_asked_for(self, trapped: tuple[Traps, WorldSpec]) -> None:
-        layout, world = trapped
-        assert len(world.obstacles) == 3 * layout.count
-        for back, left, right in traps_of(world):
-            thickness, depth = 2 * back.half_length, 2 * left.half_length
-            width = 2 * (back.half_width - thickness)
-            for value, what in ((thickness, "thickness"), (depth, "depth"), (width, "width")):
-                low, high = getattr(layout, f"min_{what}"), getattr(layout, f"max_{what}")
-                assert low - 0.01 <= value <= high + 0.01, what
-            assert left.yaw == right.yaw == back.yaw
-            assert (right.half_length, right.half_width) == (left.half_length, left.half_width)
-            assert left.half_width == pytest.approx(thickness / 2)
-            for wall, side in ((left, 1), (right, -1)):
-                expected = (-(depth + thickness) / 2, side * (width + thickness) / 2)
-                # A millimetre in each place, and 5e-5 rad over 15 m.
-                assert in_the_frame_of(back, wall) == pytest.approx(expected, abs=3 * MILLIMETRE)
+    def test_each_is_a_u_of_the_sizes_asked_for(self, traps: tuple[Traps, list[WorldSpec]]) -> None:
+        layout, worlds = traps
+        for world in worlds:
+            assert len(world.obstacles) == 3 * layout.count
+            for back, left, right in traps_of(world):
+                thickness, depth = 2 * back.half_length, 2 * left.half_length
+                width = 2 * (back.half_width - thickness)
+                for value, what in ((thickness, "thickness"), (depth, "depth"), (width, "width")):
+                    low, high = getattr(layout, f"min_{what}"), getattr(layout, f"max_{what}")
+                    assert low - 0.01 <= value <= high + 0.01, what
+                assert left.yaw == right.yaw == back.yaw
+                assert (right.half_length, right.half_width) == (left.half_length, left.half_width)
+                assert left.half_width == pytest.approx(thickness / 2)
+                for wall, side in ((left, 1), (right, -1)):
+                    expected = (-(depth + thickness) / 2, side * (width + thickness) / 2)
+                    # A millimetre in each place, and 5e-5 rad over 15 m.
+                    assert in_the_frame_of(back, wall) == pytest.approx(expected, abs=3 * MILLIMETRE)
 
-    def test_walls_meet_and_traps_keep_off_one_another(self, trapped: tuple[Traps, WorldSpec]) -> None:
-        _, world = trapped
-        assert overlap(world.obstacles) < 0.05  # corners are rounded to a millimetre, each
-        hulls = [shapely.union_all(polygons(walls)).convex_hull for walls in traps_of(world)]
-        for walls in traps_of(world):
-            back, *sides = polygons(walls)
-            assert max(back.distance(side) for side in sides) < 3 * MILLIMETRE
-        for k, hull in enumerate(hulls):
-            assert min((hull.distance(other) for other in hulls[:k]), default=1.0) > 0
+    def test_walls_meet_and_traps_keep_off_one_another(self, traps: tuple[Traps, list[WorldSpec]]) -> None:
+        _, worlds = traps
+        for world in worlds:
+            assert overlap(world.obstacles) < 0.05  # corners are rounded to a millimetre, each
+            hulls = [shapely.union_all(polygons(walls)).convex_hull for walls in traps_of(world)]
+            for walls in traps_of(world):
+                back, *sides = polygons(walls)
+                assert max(back.distance(side) for side in sides) < 3 * MILLIMETRE
+            for k, hull in enumerate(hulls):
+                assert min((hull.distance(other) for other in hulls[:k]), default=1.0) > 0
 
-    def test_they_stay_in_the_arena_and_off_start_and_target(self, trapped: tuple[Traps, WorldSpec]) -> None:
-        layout, world = trapped
-        hulls = [shapely.union_all(polygons(walls)).convex_hull for walls in traps_of(world)]
-        arena = shapely.box(0, 0, world.width, world.depth).buffer(2 * MILLIMETRE)
-        assert all(arena.covers(hull) for hull in hulls)
-        for end in straight_way(world).boundary.geoms:
-            assert min(end.distance(hull) for hull in hulls) >= layout.clear_radius - 2 * MILLIMETRE
+    def test_they_stay_in_the_arena_and_off_start_and_target(self, traps: tuple[Traps, list[WorldSpec]]) -> None:
+        layout, worlds = traps
+        for world in worlds:
+            hulls = [shapely.union_all(polygons(walls)).convex_hull for walls in traps_of(world)]
+            arena = shapely.box(0, 0, world.width, world.depth).buffer(2 * MILLIMETRE)
+            assert all(arena.covers(hull) for hull in hulls)
+            for end in straight_way(world).boundary.geoms:
+                assert min(end.distance(hull) for hull in hulls) >= layout.clear_radius - 2 * MILLIMETRE
 
     def test_the_straight_way_goes_into_the_first_and_ends_at_its_back_wall(
-        self, trapped: tuple[Traps, WorldSpec]
+        self, traps: tuple[Traps, list[WorldSpec]]
     ) -> None:
-        _, world = trapped
-        walls = traps_of(world)[0]
-        back, left, right = polygons(walls)
-        way = straight_way(world)
-        hull = shapely.union_all([back, left, right]).convex_hull
-        assert way.crosses(back)
-        assert not way.intersects(left) and not way.intersects(right)
-        inside = way.intersection(hull.difference(back))
-        begin = Point(world.start.x, world.start.y)
-        assert inside.distance(begin) < back.distance(begin)
-        # In the frame of the trap: in by the opening, and through the middle half of it.
-        enters = min(
-            map(Point, inside.geoms[0].coords if inside.geom_type == "MultiLineString" else inside.coords),
-            key=begin.distance,
-        )
-        depth, width = 2 * walls[1].half_length, 2 * (walls[0].half_width - 2 * walls[0].half_length)
-        along, across = in_the_frame_of(walls[0], OrientedBox(enters.x, enters.y, 0.0, 0.0))
-        assert along == pytest.approx(-depth - walls[0].half_length, abs=0.02)
-        assert abs(across) < width / 4 + 0.02
+        _, worlds = traps
+        for world in worlds:
+            walls = traps_of(world)[0]
+            back, left, right = polygons(walls)
+            way = straight_way(world)
+            hull = shapely.union_all([back, left, right]).convex_hull
+            assert way.crosses(back)
+            assert not way.intersects(left) and not way.intersects(right)
+            inside = way.intersection(hull.difference(back))
+            begin = Point(world.start.x, world.start.y)
+            assert inside.distance(begin) < back.distance(begin)
+            # In the frame of the trap: in by the opening, and through the middle half of it.
+            enters = min(
+                map(Point, inside.geoms[0].coords if inside.geom_type == "MultiLineString" else inside.coords),
+                key=begin.distance,
+            )
+            depth, width = 2 * walls[1].half_length, 2 * (walls[0].half_width - 2 * walls[0].half_length)
+            along, across = in_the_frame_of(walls[0], OrientedBox(enters.x, enters.y, 0.0, 0.0))
+            assert along == pytest.approx(-depth - walls[0].half_length, abs=0.02)
+            assert abs(across) < width / 4 + 0.02
 
     def test_whoever_drives_straight_on_does_not_get_through(
-        self, trapped: tuple[Traps, WorldSpec], kinematic: KinematicSimulator
+        self, traps: tuple[Traps, list[WorldSpec]], kinematic: KinematicSimulator
     ) -> None:
-        assert ends_straight_on(kinematic, trapped[1]) == "collision"
+        assert {ends_straight_on(kinematic, world) for world in traps[1]} == {"collision"}
 
     def test_they_face_every_way(self) -> None:
         yaws = [back.yaw for seed in range(10) for back, _, _ in traps_of(load_world("traps").draw(seed, ROOM))[1:]]
@@ -180,15 +181,12 @@ class TestTraps:
             source_of(layout=layout, width=60.0, depth=60.0, start=[10, 10], target=[50, 50]).draw(0, ROOM)
 
 
-AISLES = [("aisles", seed) for seed in (*range(8), 78, 100_000, 1_000_000)]
-
-
-@pytest.fixture(scope="module", params=AISLES, ids=lambda drawn: str(drawn[1]))
-def hall(request: pytest.FixtureRequest) -> tuple[Aisles, WorldSpec]:
-    name, seed = request.param
-    source = load_world(name)
+@pytest.fixture(scope="module")
+def halls() -> tuple[Aisles, list[WorldSpec]]:
+    """The layout, and worlds that it gave."""
+    source = load_world("aisles")
     assert isinstance(source.layout, Aisles)
-    return source.layout, source.draw(seed, ROOM)
+    return source.layout, [source.draw(seed, ROOM) for seed in (*range(8), 78, 100_000, 1_000_000)]
 
 
 def regular(seed: int, **changes: Any) -> tuple[Aisles, list[OrientedBox]]:
@@ -199,24 +197,27 @@ def regular(seed: int, **changes: Any) -> tuple[Aisles, list[OrientedBox]]:
 
 
 class TestAisles:
-    def test_nothing_overlaps_and_all_is_inside(self, hall: tuple[Aisles, WorldSpec]) -> None:
-        _, world = hall
-        assert overlap(world.obstacles) == pytest.approx(0.0, abs=1e-6)
-        assert shapely.box(0, 0, world.width, world.depth).covers(shapely.union_all(polygons(world.obstacles)))
+    def test_nothing_overlaps_and_all_is_inside(self, halls: tuple[Aisles, list[WorldSpec]]) -> None:
+        _, worlds = halls
+        for world in worlds:
+            assert overlap(world.obstacles) == pytest.approx(0.0, abs=1e-6)
+            assert shapely.box(0, 0, world.width, world.depth).covers(shapely.union_all(polygons(world.obstacles)))
 
-    def test_start_and_target_are_at_opposite_ends_and_free(self, hall: tuple[Aisles, WorldSpec]) -> None:
-        layout, world = hall
-        assert world.start.x < layout.dock
-        assert world.target[0] > world.width - layout.dock
-        for end in straight_way(world).boundary.geoms:
-            assert end.distance(shapely.union_all(polygons(world.obstacles))) >= layout.clear_radius - 1e-9
+    def test_start_and_target_are_at_opposite_ends_and_free(self, halls: tuple[Aisles, list[WorldSpec]]) -> None:
+        layout, worlds = halls
+        for world in worlds:
+            assert world.start.x < layout.dock
+            assert world.target[0] > world.width - layout.dock
+            for end in straight_way(world).boundary.geoms:
+                assert end.distance(shapely.union_all(polygons(world.obstacles))) >= layout.clear_radius - 1e-9
 
     def test_racks_stand_across_the_straight_way(
-        self, hall: tuple[Aisles, WorldSpec], kinematic: KinematicSimulator
+        self, halls: tuple[Aisles, list[WorldSpec]], kinematic: KinematicSimulator
     ) -> None:
-        _, world = hall
-        assert any(straight_way(world).crosses(polygon) for polygon in polygons(world.obstacles))
-        assert ends_straight_on(kinematic, world) == "collision"
+        _, worlds = halls
+        for world in worlds:
+            assert any(straight_way(world).crosses(polygon) for polygon in polygons(world.obstacles))
+            assert ends_straight_on(kinematic, world) == "collision"
 
     @pytest.mark.parametrize(("seed", "rack_depth"), [(0, 2.4), (1, 2.4), (2, 2.4), (3, 1.25), (4, 0.8)])
     def test_a_regular_hall_has_rows_from_wall_to_wall(self, seed: int, rack_depth: float) -> None:
@@ -243,12 +244,12 @@ class TestAisles:
         there, left = (sum(len(regular(seed, gap_chance=gap)[1]) for seed in range(40)) for gap in (0.0, 0.3))
         assert left / there == pytest.approx(0.7, abs=0.05)
 
-    @pytest.mark.parametrize("seed", range(5))
-    def test_where_everything_is_blocked_nothing_is_open(self, seed: int) -> None:
-        _, boxes = regular(seed, block_chance=1.0)
-        whole = shapely.union_all([polygon.buffer(0.006) for polygon in polygons(boxes)])
-        assert whole.geom_type == "Polygon"
-        assert (whole.bounds[1], whole.bounds[3]) == pytest.approx((0.0, 40.0), abs=0.007)
+    def test_where_everything_is_blocked_nothing_is_open(self) -> None:
+        for seed in range(5):
+            _, boxes = regular(seed, block_chance=1.0)
+            whole = shapely.union_all([polygon.buffer(0.006) for polygon in polygons(boxes)])
+            assert whole.geom_type == "Polygon"
+            assert (whole.bounds[1], whole.bounds[3]) == pytest.approx((0.0, 40.0), abs=0.007)
 
     def test_a_hall_with_every_aisle_blocked_is_refused(self) -> None:
         layout = {"kind": "aisles", "block_chance": 1.0}
@@ -260,10 +261,9 @@ class TestAisles:
         with pytest.raises(UserError, match="no rack stands between start and target"):
             source_of(layout=layout, width=60.0, depth=40.0, start=[4, 6], target=[4, 34]).draw(0, ROOM)
 
-    def test_what_blocks_an_aisle_is_seen_before_it_is_in(self, hall: tuple[Aisles, WorldSpec]) -> None:
+    def test_what_blocks_an_aisle_is_seen_before_it_is_in(self, halls: tuple[Aisles, list[WorldSpec]]) -> None:
         """An aisle along a rack is no longer than the sensors see."""
-        layout, _ = hall
-        assert layout.max_rack < 10.0
+        assert halls[0].max_rack < 10.0
 
 
 @pytest.mark.parametrize("name", ["traps", "aisles"])

@@ -23,11 +23,11 @@ from nnql_bullet.render.light import (
     with_movers,
 )
 from nnql_bullet.render.shading import LEAN
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.visuals import Kind, Shape, upright
 from nnql_bullet.worlds.spec import WorldSpec
 
 WorldOf = Callable[..., WorldSpec]
-Vector = tuple[float, float, float]
 
 UP = (0.0, 0.0, 1.0)
 HEIGHT = 1.5

@@ -15,7 +15,7 @@ from scipy.stats import chisquare
 from nnql_bullet import paper
 from nnql_bullet.agents import Agent, make_agent
 from nnql_bullet.agents.base import Overridable
-from nnql_bullet.agents.rules.look_ahead import LOOK_EVERY, LookAhead, LookAheadOptions
+from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import repulsion
 from nnql_bullet.agents.rules.vfh import (
     BINS,
@@ -30,7 +30,7 @@ from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, heading_change,
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, wrap_angle
 from nnql_bullet.mapping.point_cloud import point_cloud
-from nnql_bullet.mapping.prediction import scan_clearances
+from nnql_bullet.mapping.prediction import PREDICTION_STEP, scan_clearances
 from nnql_bullet.presets import load_config
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -211,7 +211,7 @@ class TestLookAhead:
         agent = LookAhead(LookAheadOptions(horizon=horizon), vehicle, DRIVE)
         turns = offered_turns(np.array([bearing]))
         foreseen = agent.predicted_poses(np.zeros(1), turns)
-        assert foreseen.shape == (1, ACTIONS, round(horizon / LOOK_EVERY), 3)
+        assert foreseen.shape == (1, ACTIONS, round(horizon / PREDICTION_STEP), 3)
         simulator = KinematicSimulator(vehicle, DriveOptions(decision_period=horizon))
         for turn, poses in zip(turns[0], foreseen[0], strict=True):
             simulator.reset(empty_world)
@@ -270,7 +270,7 @@ class TestLookAhead:
 
 def swept(vehicle: VehicleSpec, yaw_rate: float, turn: float, horizon: float) -> list[shapely.Polygon]:
     """The footprint a hundred times a second along a turn, by summing up small steps."""
-    step = LOOK_EVERY / 10
+    step = PREDICTION_STEP / 10
     times = np.arange(1, round(horizon / step) + 1) * step
     _, headings = sample_turn(plan_turn(yaw_rate, turn, vehicle.limits), times)
     x = y = before = 0.0

@@ -40,7 +40,15 @@ from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import EpisodeSummary, overridden, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles
-from nnql_bullet.shield.recovery import FARTHEST, FIRST_GAIN, FIRST_LIMIT, GAIN_GROWTH, LIMIT_GROWTH, PATIENCE, Recovery
+from nnql_bullet.shield.recovery import (
+    FARTHEST,
+    FIRST_GAIN,
+    FIRST_LIMIT,
+    GAIN_GROWTH,
+    LIMIT_GROWTH,
+    STUCK_AFTER,
+    Recovery,
+)
 from nnql_bullet.shield.shield import Shield, ShieldOptions
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import contact_simulator
@@ -546,7 +554,7 @@ class TestEscape:
 
     def test_it_begins_after_some_time_without_progress_to_the_more_open_side(self) -> None:
         recovery = Recovery()
-        self.waiting(recovery, PATIENCE)
+        self.waiting(recovery, STUCK_AFTER)
         assert recovery.side == 0
         self.waiting(recovery, 1.0)
         assert recovery.side == 1
@@ -554,7 +562,7 @@ class TestEscape:
 
     def test_it_ends_nearer_than_ever_and_leads_on_for_a_while(self) -> None:
         recovery = Recovery()
-        self.waiting(recovery, PATIENCE + 1)
+        self.waiting(recovery, STUCK_AFTER + 1)
         recovery.notice(49.0, self.SEES, 0, 0.5)
         assert recovery.side == 0
         assert recovery.leads(50.0 - FIRST_GAIN + 0.1)
@@ -573,7 +581,7 @@ class TestEscape:
 
     def test_one_that_leads_far_away_comes_to_nothing(self) -> None:
         recovery = Recovery()
-        self.waiting(recovery, PATIENCE + 1)
+        self.waiting(recovery, STUCK_AFTER + 1)
         recovery.notice(50.0 + FARTHEST - 0.1, self.SEES, 0, 0.5)
         assert recovery.side == 1
         recovery.notice(50.0 + FARTHEST + 0.1, self.SEES, 0, 0.5)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from nnql_bullet.evaluation.statistics import interquartile_mean, mean_interval, seeds_share
+from nnql_bullet.evaluation.statistics import interquartile_mean, mean_interval, success_over_seeds
 from nnql_bullet.geometry import Array
 
 
@@ -20,13 +20,10 @@ def naive_iqm(scores: Sequence[float]) -> float:
     return sum(middle) / len(middle)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 10, 13])
-def test_the_interquartile_mean_leaves_a_quarter_out_on_either_side(count: int) -> None:
-    scores = np.random.default_rng(count).uniform(0, 1, count)
-    assert interquartile_mean(scores) == pytest.approx(naive_iqm(scores.tolist()))
-
-
-def test_one_bad_seed_of_eight_does_not_count() -> None:
+def test_the_interquartile_mean_leaves_a_quarter_out_on_either_side() -> None:
+    for count in range(1, 14):
+        scores = np.random.default_rng(count).uniform(0, 1, count)
+        assert interquartile_mean(scores) == pytest.approx(naive_iqm(scores.tolist()))
     assert interquartile_mean(np.array([0.0, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9])) == pytest.approx(0.9)
 
 
@@ -44,7 +41,7 @@ def naive_interval(scores: Sequence[Array], draws: int) -> tuple[float, float]:
 def test_the_interval_is_that_of_a_stratified_bootstrap(tasks: int) -> None:
     chance = np.random.default_rng(3)
     scores = [np.clip(chance.normal(0.9 - 0.3 * task, 0.05, 10), 0, 1) for task in range(tasks)]
-    found = seeds_share(scores, generator())
+    found = success_over_seeds(scores, generator())
     assert found is not None
     assert found.value == pytest.approx(naive_iqm(np.concatenate(scores).tolist()))
     low, high = naive_interval(scores, 4000)
@@ -52,16 +49,16 @@ def test_the_interval_is_that_of_a_stratified_bootstrap(tasks: int) -> None:
 
 
 def test_a_single_seed_says_nothing_of_the_spread() -> None:
-    assert seeds_share([np.array([0.9])], generator()) is None
+    assert success_over_seeds([np.array([0.9])], generator()) is None
 
 
 def test_seeds_that_all_do_alike_have_no_spread() -> None:
-    assert seeds_share([np.ones(5)], generator()) == (1.0, 1.0, 1.0)
+    assert success_over_seeds([np.ones(5)], generator()) == (1.0, 1.0, 1.0)
 
 
 def test_the_same_generator_gives_the_same_interval() -> None:
     scores = [np.linspace(0.2, 0.9, 10)]
-    assert seeds_share(scores, generator()) == seeds_share(scores, generator())
+    assert success_over_seeds(scores, generator()) == success_over_seeds(scores, generator())
 
 
 def test_an_interval_of_means_is_worked_out_place_by_place() -> None:

@@ -1,3 +1,5 @@
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,12 +9,14 @@ from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.task import (
     ENDINGS,
-    GOES_ON,
+    NO_ENDING,
     REWARD_TERMS,
+    RewardTerm,
     StateProperty,
     TaskOptions,
     ending,
     is_safe,
+    paper_reward,
     readings_of,
     reward_terms,
     state_property,
@@ -42,6 +46,20 @@ def reading(sector, value):
 def sensed(values, task):
     """The property that the readings alone give."""
     return state_property(values, False, False, task)
+
+
+@dataclass(frozen=True)
+class State:
+    """What a reward term sees of a state, and a part of an observation that only a term of one's own uses."""
+
+    state_property: int
+    readings: np.ndarray
+    yaw_rate: float = 0.0
+
+
+def rewarded(before, after, readings_before, readings_after, task=DEFAULT):
+    """The paper's terms of one step or of many."""
+    return reward_terms(State(before, readings_before), State(after, readings_after), task, paper_reward(task))
 
 
 def named(terms):
@@ -132,7 +150,7 @@ NEAR, FAR = reading(3, 2.0), reading(5, 4.0)
     ],
 )
 def test_rewards_are_the_papers(before, after, readings_before, readings_after, term, value):
-    terms = reward_terms(before, after, readings_before, readings_after, DEFAULT)
+    terms = rewarded(before, after, readings_before, readings_after)
     assert named(terms) == {name: value if name == term else 0.0 for name in REWARD_TERMS}
 
 
@@ -143,13 +161,13 @@ def test_reward_terms_are_named_in_the_papers_order():
 @pytest.mark.parametrize("reward", [0.2, 0.4, 1.0, -0.3])
 def test_reward_that_the_paper_leaves_illegible_is_an_option(reward):
     task = TaskOptions(reward_non_safe_to_safe=reward)
-    assert reward_terms(NS, SS, NEAR, FAR, task).tolist() == [reward, 0, 0, 0, 0, 0]
+    assert rewarded(NS, SS, NEAR, FAR, task).tolist() == [reward, 0, 0, 0, 0, 0]
 
 
 @given(going_on, properties, readings, readings)
 @settings(max_examples=100, deadline=None)
 def test_at_most_one_reward_term_is_not_zero(before, after, readings_before, readings_after):
-    terms = reward_terms(before, after, readings_before, readings_after, DEFAULT)
+    terms = rewarded(before, after, readings_before, readings_after)
     given_terms = [value for value in terms.tolist() if value]
     assert len(given_terms) == (0 if (before, after) == (SS, SS) else 1)
     assert terms.sum() in {-0.6, -0.4, -0.2, 0.0, 0.4, 1.0}
@@ -169,23 +187,42 @@ def by_the_table(before, after, readings_before, readings_after):
 @given(rows_of(going_on, properties, readings, readings))
 @settings(max_examples=100, deadline=None)
 def test_rewards_of_many_steps_are_those_of_each(rows):
-    terms = reward_terms(*(np.array(column) for column in zip(*rows, strict=True)), DEFAULT)
+    terms = rewarded(*(np.array(column) for column in zip(*rows, strict=True)))
     assert terms.shape == (len(rows), 6)
     for row, got in zip(rows, terms, strict=True):
         assert [name for name, value in named(got).items() if value] == list(filter(None, [by_the_table(*row)]))
-        assert got.tolist() == reward_terms(*row, DEFAULT).tolist()
+        assert got.tolist() == rewarded(*row).tolist()
 
 
 @pytest.mark.parametrize("before", [WS, FS])
 @pytest.mark.parametrize("after", list(StateProperty))
 def test_there_is_no_reward_after_an_ending(before, after):
-    assert reward_terms(before, after, FAR, NEAR, DEFAULT).tolist() == [0] * 6
+    assert rewarded(before, after, FAR, NEAR).tolist() == [0] * 6
+
+
+def turning(s_tm1, s_t, task):
+    return np.abs(s_t.yaw_rate)
+
+
+def test_a_reward_takes_a_term_of_ones_own_without_touching_the_papers():
+    reward = (*paper_reward(DEFAULT), RewardTerm(turning, -0.1))
+    s_tm1, s_t = (
+        State(np.array([SS, NS]), np.stack([FAR, FAR])),
+        State(np.array([NS, NS]), np.stack([NEAR, FAR]), np.array([0.5, -2.0])),
+    )
+    terms = reward_terms(s_tm1, s_t, DEFAULT, reward)
+    assert [term.name for term in reward] == [*REWARD_TERMS, "turning"]
+    assert (
+        terms[:, :-1].tolist()
+        == rewarded(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings).tolist()
+    )
+    assert terms[:, -1] == pytest.approx([-0.05, -0.2])
 
 
 def ended(after, steps, task=DEFAULT):
     """The name of the ending of one episode, or None."""
     index = int(ending(after, steps, task))
-    return None if index == GOES_ON else ENDINGS[index]
+    return None if index == NO_ENDING else ENDINGS[index]
 
 
 CASES = [
@@ -209,8 +246,8 @@ def test_episode_ends_at_goal_collision_or_after_500_steps(after, steps, expecte
 def test_endings_of_many_episodes_are_those_of_each():
     after, steps, expected = zip(*CASES, strict=True)
     got = ending(np.array(after), np.array(steps), DEFAULT)
-    assert [None if index == GOES_ON else ENDINGS[index] for index in got.tolist()] == list(expected)
-    assert GOES_ON not in range(len(ENDINGS))
+    assert [None if index == NO_ENDING else ENDINGS[index] for index in got.tolist()] == list(expected)
+    assert NO_ENDING not in range(len(ENDINGS))
 
 
 def test_steps_of_an_episode_are_an_option():
@@ -264,7 +301,7 @@ class TestHysteresis:
 def test_closer_may_mean_the_mean_reading():
     before, after = reading(0, 3.0), reading(0, 3.5)
     after[4] = 8.0  # the smallest rose, the mean fell
-    smallest = named(reward_terms(NS, NS, before, after, TaskOptions()))
-    mean = named(reward_terms(NS, NS, before, after, TaskOptions(closer="mean")))
+    smallest = named(rewarded(NS, NS, before, after))
+    mean = named(rewarded(NS, NS, before, after, TaskOptions(closer="mean")))
     assert (smallest["away"], smallest["closer"]) == (0.4, 0.0)
     assert (mean["away"], mean["closer"]) == (0.0, -0.4)

@@ -10,7 +10,7 @@ import trimesh
 
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 ROBOTS = assets.folder("robots")
 URDF = (ROBOTS / "tricycle.urdf").read_text(encoding="utf-8")
@@ -77,31 +77,26 @@ def test_script_finds_the_committed_file_up_to_date_and_a_changed_one_not(script
     assert "120 kg" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("link", "mass"), [("chassis", 104.5), ("left_wheel", 6), ("right_wheel", 6), ("fork", 1.5), ("caster_wheel", 2)]
-)
-def test_masses_are_those_of_the_table(link, mass):
-    assert mass_of(link) == mass
+def test_masses_are_those_of_the_table():
+    masses = {"chassis": 104.5, "left_wheel": 6, "right_wheel": 6, "fork": 1.5, "caster_wheel": 2}
+    assert {link: mass_of(link) for link in LINKS} == masses
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("mass", 120.0),
-        ("com_ahead", 0.125),
-        ("com_height", 0.206),
-        ("yaw_inertia", 13.3),
-        ("track", 0.60),
-        ("wheelbase", 0.70),
-        ("wheel_radius", 0.125),
-        ("caster_radius", 0.05),
-        ("caster_trail", 0.04),
-        ("wheel_spin_inertia", 0.0469),
-        ("wheel_torque", 40.0),
-    ],
-)
-def test_vehicle_is_the_one_of_the_table_within_one_percent(vehicle, field, value):
-    assert getattr(vehicle, field) == pytest.approx(value, rel=0.01)
+def test_vehicle_is_the_one_of_the_table_within_one_percent(vehicle):
+    table = {
+        "mass": 120.0,
+        "com_ahead": 0.125,
+        "com_height": 0.206,
+        "yaw_inertia": 13.3,
+        "track": 0.60,
+        "wheelbase": 0.70,
+        "wheel_radius": 0.125,
+        "caster_radius": 0.05,
+        "caster_trail": 0.04,
+        "wheel_spin_inertia": 0.0469,
+        "wheel_torque": 40.0,
+    }
+    assert {field: getattr(vehicle, field) for field in table} == pytest.approx(table, rel=0.01)
 
 
 def test_chassis_inertia_and_centre_of_mass_are_those_of_the_table():
@@ -140,60 +135,48 @@ def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
     assert vehicle.yaw_inertia == pytest.approx(scene.moment_inertia[2, 2], rel=1e-3)
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_inertia_is_that_of_the_links_solid(script, link):
-    (part,) = [part for part in script.vehicle()[0] if part.name == link]
-    if part.solid.shape == "box":
-        exact = trimesh.primitives.Box(extents=part.solid.size)
-    else:
-        turned = trimesh.transformations.euler_matrix(*part.solid.rpy)
-        radius, width = part.solid.size
-        exact = trimesh.creation.cylinder(radius=radius, height=width, sections=2048, transform=turned)
-    expected = exact.moment_inertia * mass_of(link) / exact.mass
-    assert inertia_of(link) == pytest.approx(expected, rel=1e-3, abs=1e-6)
-    assert centre_of(link) == pytest.approx(np.array(part.solid.at))
+def test_inertia_is_that_of_the_links_solid(script):
+    for part in script.vehicle()[0]:
+        if part.solid.shape == "box":
+            exact = trimesh.primitives.Box(extents=part.solid.size)
+        else:
+            turned = trimesh.transformations.euler_matrix(*part.solid.rpy)
+            radius, width = part.solid.size
+            exact = trimesh.creation.cylinder(radius=radius, height=width, sections=2048, transform=turned)
+        expected = exact.moment_inertia * mass_of(part.name) / exact.mass
+        assert inertia_of(part.name) == pytest.approx(expected, rel=1e-3, abs=1e-6)
+        assert centre_of(part.name) == pytest.approx(np.array(part.solid.at))
 
 
-@pytest.mark.parametrize(
-    ("link", "size"), [("chassis", (1.0, 0.5, 0.26)), ("fork", (0.06, 0.06, 0.08))], ids=["chassis", "fork"]
-)
-def test_inertia_of_a_block_is_the_closed_form(link, size):
-    x, y, z = np.square(size)
-    assert np.diag(inertia_of(link)) == pytest.approx(mass_of(link) / 12 * np.array([y + z, x + z, x + y]), rel=1e-4)
+def test_inertia_of_a_block_is_the_closed_form():
+    for link, size in {"chassis": (1.0, 0.5, 0.26), "fork": (0.06, 0.06, 0.08)}.items():
+        x, y, z = np.square(size)
+        expected = mass_of(link) / 12 * np.array([y + z, x + z, x + y])
+        assert np.diag(inertia_of(link)) == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("link", ["left_wheel", "right_wheel", "caster_wheel"])
-def test_inertia_of_a_wheel_is_that_of_the_tyre_that_is_seen(link):
-    tyre = TREE.find(f"link[@name='{link}']/visual/geometry/cylinder")
-    r, width, m = float(tyre.get("radius")), float(tyre.get("length")), mass_of(link)
-    across = m / 12 * (3 * r**2 + width**2)
-    assert np.diag(inertia_of(link)) == pytest.approx([across, m * r**2 / 2, across], rel=1e-3)
+def test_inertia_of_a_wheel_is_that_of_the_tyre_that_is_seen_and_it_touches_the_ground_there():
+    for wheel in ("left_wheel", "right_wheel", "caster_wheel"):
+        tyre = TREE.find(f"link[@name='{wheel}']/visual/geometry/cylinder")
+        r, width, m = float(tyre.get("radius")), float(tyre.get("length")), mass_of(wheel)
+        across = m / 12 * (3 * r**2 + width**2)
+        assert np.diag(inertia_of(wheel)) == pytest.approx([across, m * r**2 / 2, across], rel=1e-3)
+        assert float(TREE.find(f"link[@name='{wheel}']/collision/geometry/sphere").get("radius")) == r
+        assert link_places()[wheel][2] - r == pytest.approx(-0.125)
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_inertia_is_one_that_a_solid_can_have(link):
-    moments = np.linalg.eigvalsh(inertia_of(link))
-    assert moments[0] > 0
-    assert moments[0] + moments[1] >= moments[2] * (1 - 1e-6)
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script, link):
+def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script):
     """What lies between `low` and `high` spreads about `c` by at most (high - c)(c - low): Bhatia and Davis, 2000."""
-    (part,) = [part for part in script.vehicle()[0] if part.name == link]
-    low, high = trimesh.util.concatenate([solid.mesh() for solid in part.visuals]).bounds
-    moments, centre = np.diag(inertia_of(link)), centre_of(link)
-    spread = (moments.sum() / 2 - moments) / mass_of(link)
-    assert np.all(spread > 0)
-    assert np.all(spread <= (high - centre) * (centre - low))
-
-
-@pytest.mark.parametrize("wheel", ["left_wheel", "right_wheel", "caster_wheel"])
-def test_wheel_touches_the_ground_where_its_tyre_does(wheel):
-    tyre = TREE.find(f"link[@name='{wheel}']/visual/geometry/cylinder")
-    sphere = TREE.find(f"link[@name='{wheel}']/collision/geometry/sphere")
-    assert sphere.get("radius") == tyre.get("radius")
-    assert link_places()[wheel][2] - float(sphere.get("radius")) == pytest.approx(-0.125)
+    assert {part.name for part in script.vehicle()[0]} == set(LINKS)
+    for part in script.vehicle()[0]:
+        low, high = trimesh.util.concatenate([solid.mesh() for solid in part.visuals]).bounds
+        principal = np.linalg.eigvalsh(inertia_of(part.name))
+        assert principal[0] > 0
+        assert principal[0] + principal[1] >= principal[2] * (1 - 1e-6)
+        moments, centre = np.diag(inertia_of(part.name)), centre_of(part.name)
+        spread = (moments.sum() / 2 - moments) / mass_of(part.name)
+        assert np.all(spread > 0)
+        assert np.all(spread <= (high - centre) * (centre - low))
 
 
 def test_footprint_covers_everything_that_is_seen_within_a_centimetre(script, vehicle):
@@ -352,11 +335,11 @@ def test_link_without_inertial_is_refused(robot):
         load_vehicle(robot(urdf=bare))
 
 
-@pytest.mark.parametrize("text", ["", "hello", "<robot", "<a/>", "<html><body>404</body></html>"])
-def test_file_that_is_no_urdf_is_refused_in_one_line(robot, text):
-    with pytest.raises(UserError, match=r"tricycle\.urdf: ") as refusal:
-        load_vehicle(robot(urdf=text))
-    assert "\n" not in str(refusal.value)
+def test_file_that_is_no_urdf_is_refused_in_one_line(robot):
+    for text in ("", "hello", "<robot", "<a/>", "<html><body>404</body></html>"):
+        with pytest.raises(UserError, match=r"tricycle\.urdf: ") as refusal:
+            load_vehicle(robot(urdf=text))
+        assert "\n" not in str(refusal.value)
 
 
 def test_missing_urdf_is_refused(robot):

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-PATIENCE = 300.0
+TIMEOUT = 300.0
 
 pytestmark = pytest.mark.slow
 
 
 def call(*command: object, **options: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [sys.executable, *map(str, command)], capture_output=True, text=True, timeout=PATIENCE, check=False, **options
+        [sys.executable, *map(str, command)], capture_output=True, text=True, timeout=TIMEOUT, check=False, **options
     )
 
 

@@ -13,7 +13,7 @@ from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.worlds.grid import CELL, is_solvable
+from nnql_bullet.worlds.grid import GRID_CELL, is_solvable
 from nnql_bullet.worlds.layouts import random_boxes
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -29,11 +29,10 @@ DRAWN = [("paper", 0), ("paper", 1), ("paper", 100_000), ("cover_10", 0), ("cove
 PATROL = Patrol(OrientedBox(10.0, 12.0, 1.0, 0.5, 0.2), (30.0, 12.0), 0.5, 0.25)
 
 
-@pytest.fixture(scope="module", params=DRAWN, ids=lambda drawn: f"{drawn[0]}-{drawn[1]}")
-def drawn(request):
-    name, seed = request.param
-    source = load_world(name)
-    return source, source.draw(seed, ROOM)
+@pytest.fixture(scope="module")
+def drawn():
+    """The file and the world of each."""
+    return [((source := load_world(name)), source.draw(seed, ROOM)) for name, seed in DRAWN]
 
 
 def source_of(**values):
@@ -86,24 +85,25 @@ def is_free(world, x, y, room):
 
 def is_solvable_on_the_whole_grid(world, room):
     """What `is_solvable` says, from every cell of the world at once."""
-    shape = round(world.depth / CELL), round(world.width / CELL)
+    shape = round(world.depth / GRID_CELL), round(world.width / GRID_CELL)
     rows, columns = np.indices(shape)
-    centres = shapely.points((columns + 0.5) * CELL, (rows + 0.5) * CELL)
-    growth = hypot(CELL, CELL) / 2
+    centres = shapely.points((columns + 0.5) * GRID_CELL, (rows + 0.5) * GRID_CELL)
+    growth = hypot(GRID_CELL, GRID_CELL) / 2
     taken = np.zeros(shape, dtype=bool)
     for box in world.obstacles:
         grown = replace(box, half_length=box.half_length + growth, half_width=box.half_width + growth)
         taken |= shapely.covers(polygon(grown), centres)
-    distances = ndimage.distance_transform_edt(~np.pad(taken, 1, constant_values=True), sampling=CELL)[1:-1, 1:-1]
-    regions, _ = ndimage.label(distances >= room + hypot(CELL, CELL), structure=np.ones((3, 3)))
-    start, target = (regions[int(y / CELL), int(x / CELL)] for x, y in ((world.start.x, world.start.y), world.target))
+    distances = ndimage.distance_transform_edt(~np.pad(taken, 1, constant_values=True), sampling=GRID_CELL)[1:-1, 1:-1]
+    regions, _ = ndimage.label(distances >= room + hypot(GRID_CELL, GRID_CELL), structure=np.ones((3, 3)))
+    start, target = (
+        regions[int(y / GRID_CELL), int(x / GRID_CELL)] for x, y in ((world.start.x, world.start.y), world.target)
+    )
     return bool(start == target != 0)
 
 
 # A generator that gives other worlds makes every published number another number. Change these only on purpose.
-@pytest.mark.parametrize(
-    ("name", "seed", "digest"),
-    [
+def test_seeds_give_the_worlds_that_they_always_gave():
+    digests = [
         ("paper", 0, "28fd1ec1093fbd66"),
         ("paper", 1, "319ee147c30ea01f"),
         ("paper", 2, "6176fd3ef0a35e19"),
@@ -127,15 +127,9 @@ def is_solvable_on_the_whole_grid(world, room):
         ("moving", 0, "1c5845fa57a3994f"),
         ("moving", 1, "af40b0865fe8a459"),
         ("moving", 100_000, "6460b8ef1ea2ba18"),
-    ],
-)
-def test_seeds_give_the_worlds_that_they_always_gave(name, seed, digest):
-    assert load_world(name).draw(seed, ROOM).digest == digest
-
-
-def test_digest_of_a_redrawn_world_is_the_one_it_always_was():
-    world = crowded().draw(2, ROOM)
-    assert world.digest == "bd8c43aed64c1ca5"  # of the fifth attempt; see above
+    ]
+    assert [(name, seed, load_world(name).draw(seed, ROOM).digest) for name, seed, _ in digests] == digests
+    assert crowded().draw(2, ROOM).digest == "bd8c43aed64c1ca5"  # of the fifth attempt
 
 
 def test_same_seed_gives_the_same_world_from_any_source():
@@ -149,9 +143,8 @@ def test_different_seeds_give_different_worlds():
     assert len({source.draw(seed, ROOM).digest for seed in range(6)}) == 6
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_digest_tells_worlds_apart_but_not_by_name_or_seed():
+    changes = [
         {"start": Pose(20, 20, 0.1)},
         {"target": (90.0, 89.0)},
         {"target_radius": 1.0},
@@ -165,9 +158,9 @@ def test_different_seeds_give_different_worlds():
         {"patrols": (replace(PATROL, phase=0.26),)},
         {"patrols": (replace(PATROL, end=(31.0, 12.0)),)},
         {"patrols": (replace(PATROL, box=replace(PATROL.box, half_width=0.7)),)},
-    ],
-)
-def test_digest_tells_worlds_apart_but_not_by_name_or_seed(change):
+        {"patrols": (PATROL, PATROL, PATROL)},
+        {},
+    ]
     values = {
         "name": "a",
         "seed": 1,
@@ -179,42 +172,36 @@ def test_digest_tells_worlds_apart_but_not_by_name_or_seed(change):
         "target_radius": 2.0,
         "obstacle_height": 1.5,
     }
-    world = WorldSpec(**values)
-    assert WorldSpec(**{**values, "name": "b", "seed": 2}).digest == world.digest
-    changed = WorldSpec(**{**values, **change})
-    assert len({changed.digest, world.digest, replace(world, patrols=(PATROL, PATROL, PATROL)).digest}) == 3
+    assert WorldSpec(**{**values, "name": "b", "seed": 2}).digest == WorldSpec(**values).digest
+    assert len({WorldSpec(**{**values, **change}).digest for change in changes}) == len(changes)
 
 
-def test_boxes_do_not_overlap(drawn):
-    _, world = drawn
-    union = shapely.union_all([polygon(box) for box in world.obstacles])
-    assert union.area == pytest.approx(sum(box.area for box in world.obstacles), rel=1e-9)
-
-
-def test_boxes_lie_inside_the_arena(drawn):
-    _, world = drawn
-    assert shapely.box(0, 0, world.width, world.depth).covers(obstacles_of(world))
+def test_boxes_lie_apart_inside_the_arena(drawn):
+    for _, world in drawn:
+        union = shapely.union_all([polygon(box) for box in world.obstacles])
+        assert union.area == pytest.approx(sum(box.area for box in world.obstacles), rel=1e-9)
+        assert shapely.box(0, 0, world.width, world.depth).covers(union)
 
 
 def test_boxes_have_the_sides_asked_for(drawn):
-    file, world = drawn
-    sides = [2 * side for box in world.obstacles for side in (box.half_length, box.half_width)]
-    assert file.layout.min_side - 2e-3 <= min(sides)
-    assert max(sides) <= file.layout.max_side + 2e-3
+    for file, world in drawn:
+        sides = [2 * side for box in world.obstacles for side in (box.half_length, box.half_width)]
+        assert file.layout.min_side - 2e-3 <= min(sides)
+        assert max(sides) <= file.layout.max_side + 2e-3
 
 
 def test_boxes_stay_clear_of_start_and_target(drawn):
-    file, world = drawn
-    for point in (shapely.Point(world.start.x, world.start.y), shapely.Point(world.target)):
-        assert point.distance(obstacles_of(world)) >= file.layout.clear_radius - 1e-9
+    for file, world in drawn:
+        for point in (shapely.Point(world.start.x, world.start.y), shapely.Point(world.target)):
+            assert point.distance(obstacles_of(world)) >= file.layout.clear_radius - 1e-9
 
 
 def test_boxes_cover_what_is_asked_but_for_the_last_box(drawn):
-    file, world = drawn
-    missing = file.layout.cover * world.width * world.depth - obstacles_of(world).area
-    assert missing <= MEAN_BOX / 2
-    assert missing > MEAN_BOX / 2 - file.layout.max_side**2
-    assert world.cover == pytest.approx(obstacles_of(world).area / (world.width * world.depth))
+    for file, world in drawn:
+        missing = file.layout.cover * world.width * world.depth - obstacles_of(world).area
+        assert missing <= MEAN_BOX / 2
+        assert missing > MEAN_BOX / 2 - file.layout.max_side**2
+        assert world.cover == pytest.approx(obstacles_of(world).area / (world.width * world.depth))
 
 
 def test_cover_is_within_half_a_mean_box_of_what_is_asked_on_average():
@@ -230,15 +217,9 @@ def test_boxes_point_every_way():
     assert abs(np.mean(yaws)) < 0.3
 
 
-def test_drawn_world_can_be_crossed(drawn):
-    _, world = drawn
-    assert is_crossable(world, ROOM)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_world_that_had_to_be_drawn_again_can_be_crossed(seed):
-    world = crowded().draw(seed, ROOM)
-    assert is_crossable(world, ROOM)
+def test_drawn_worlds_can_be_crossed_even_if_they_had_to_be_drawn_again(drawn):
+    for world in [*(world for _, world in drawn), *(crowded().draw(seed, ROOM) for seed in range(3))]:
+        assert is_crossable(world, ROOM)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -247,13 +228,13 @@ def test_cells_are_free_where_there_is_room_and_only_there(seed):
     solid = shapely.union_all([obstacles_of(world), shapely.box(0, 0, world.width, world.depth).exterior])
     spared = 0
     for x, y in np.random.default_rng(seed).uniform(0, 24, (1000, 2)).tolist():
-        left, low = (CELL * int(number / CELL) for number in (x, y))
-        distance = shapely.box(left, low, left + CELL, low + CELL).distance(solid)
+        left, low = (GRID_CELL * int(number / GRID_CELL) for number in (x, y))
+        distance = shapely.box(left, low, left + GRID_CELL, low + GRID_CELL).distance(solid)
         if is_free(world, x, y, ROOM):
             assert distance >= ROOM - 1e-9
         else:
-            assert distance <= ROOM + 2 * CELL
-        spared += distance > ROOM + 2 * CELL
+            assert distance <= ROOM + 2 * GRID_CELL
+        spared += distance > ROOM + 2 * GRID_CELL
     assert spared > 10
 
 
@@ -262,7 +243,7 @@ def test_solvable_worlds_are_those_that_the_whole_grid_shows(room):
     layout = crowded().layout
     arena = random_boxes.Arena(24.0, 24.0, ((5.0, 5.0), (19.0, 19.0)))
     answers = []
-    for seed in range(40):
+    for seed in range(20):
         obstacles = layout.place(arena, np.random.default_rng(seed))
         world = WorldSpec("t", 0, 24.0, 24.0, obstacles, Pose(5, 5, 0), (19.0, 19.0), 1.0, 1.5)
         answers.append(is_solvable(world, room))
@@ -297,7 +278,7 @@ def test_solvable_worlds_can_be_crossed_and_those_with_room_to_spare_are_solvabl
     if is_solvable(world, room):
         assert is_crossable(world, room - 1e-6)
     else:
-        assert not is_crossable(world, room + 4 * CELL)
+        assert not is_crossable(world, room + 4 * GRID_CELL)
 
 
 def test_start_faces_the_target_unless_told_otherwise():
@@ -377,15 +358,15 @@ def test_start_or_target_in_a_box_near_a_wall_or_outside_is_refused(values, what
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("name", PAPERS)
-def test_shipped_worlds_load_and_draw(name):
-    source = load_world(name)
-    world = source.draw(0, ROOM)
-    assert (world.name, world.seed) == (name, 0)
-    assert (world.start.x, world.start.y, *world.target) == (20, 20, 90, 90)
-    assert (world.width, world.depth) == (100, 100)
-    asked = {"paper": 0.05, "empty": 0.0}.get(name)
-    assert world.cover == pytest.approx(float(name[6:]) / 100 if asked is None else asked, abs=0.006)
+def test_the_papers_worlds_differ_in_their_cover_alone():
+    for name in PAPERS:
+        world = load_world(name).draw(0, ROOM)
+        assert (world.name, world.seed) == (name, 0)
+        assert (world.start.x, world.start.y) == paper.START
+        assert world.target == paper.TARGET
+        assert world.width == world.depth == paper.ARENA_SIDE
+        asked = {"paper": 0.05, "empty": 0.0}.get(name)
+        assert world.cover == pytest.approx(float(name[6:]) / 100 if asked is None else asked, abs=0.006)
 
 
 def test_every_shipped_world_is_tested():
@@ -495,24 +476,26 @@ def test_unknown_world_lists_the_shipped_ones():
 
 def test_free_cells_of_an_empty_arena_fill_it_up_to_the_clearance():
     world = small_world().draw(0, ROOM)
-    centres = [(x, y) for x in np.arange(0.1, 20, CELL).tolist() for y in np.arange(0.1, 10, CELL).tolist()]
-    area = sum(is_free(world, x, y, ROOM) for x, y in centres) * CELL**2
-    assert (20 - 2 * ROOM - 4 * CELL) * (10 - 2 * ROOM - 4 * CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
+    centres = [(x, y) for x in np.arange(0.1, 20, GRID_CELL).tolist() for y in np.arange(0.1, 10, GRID_CELL).tolist()]
+    area = sum(is_free(world, x, y, ROOM) for x, y in centres) * GRID_CELL**2
+    assert (
+        (20 - 2 * ROOM - 4 * GRID_CELL) * (10 - 2 * ROOM - 4 * GRID_CELL) <= area <= (20 - 2 * ROOM) * (10 - 2 * ROOM)
+    )
 
 
-@pytest.mark.parametrize("room", [0.65, 0.7, 0.71, 0.75, 0.8])
-def test_free_cells_keep_off_walls_that_no_cell_ends_at(room):
-    world = small_world(width=20.01, depth=10.01).draw(0, room)
-    edges = CELL * np.arange(1, 50)
-    assert max(x for x in edges + 10 if is_free(world, x - CELL / 2, 5.0, room)) <= 20.01 - room
-    assert max(y for y in edges if is_free(world, 10.0, y - CELL / 2, room)) <= 10.01 - room
-
-
-@pytest.mark.parametrize("end", [(20.005, 5.0), (20.01, 5.0), (20.02, 5.0), (5.0, 10.005), (-0.1, 5.0), (5.0, -0.1)])
-def test_end_beyond_the_last_whole_cell_is_reached_from_nowhere(end):
+def test_free_cells_keep_off_walls_that_no_cell_ends_at():
     world = small_world(width=20.01, depth=10.01).draw(0, ROOM)
-    assert not is_solvable(replace(world, target=end), ROOM)
-    assert not is_solvable(replace(world, start=Pose(*end, 0.0)), ROOM)
+    edges = GRID_CELL * np.arange(1, 50)
+    for room in (0.65, 0.7, 0.71, 0.75, 0.8):
+        assert max(x for x in edges + 10 if is_free(world, x - GRID_CELL / 2, 5.0, room)) <= 20.01 - room
+        assert max(y for y in edges if is_free(world, 10.0, y - GRID_CELL / 2, room)) <= 10.01 - room
+
+
+def test_end_beyond_the_last_whole_cell_is_reached_from_nowhere():
+    world = small_world(width=20.01, depth=10.01).draw(0, ROOM)
+    for end in ((20.005, 5.0), (20.01, 5.0), (20.02, 5.0), (5.0, 10.005), (-0.1, 5.0), (5.0, -0.1)):
+        assert not is_solvable(replace(world, target=end), ROOM)
+        assert not is_solvable(replace(world, start=Pose(*end, 0.0)), ROOM)
 
 
 @pytest.mark.parametrize("tries", [2, 33, random_boxes.MOST_TRIES])
@@ -527,13 +510,3 @@ def test_two_ends_in_one_cell_are_joined_and_none_is_joined_in_no_room():
     assert is_solvable(world, ROOM)
     assert not is_solvable(world, hypot(5, 5))
     assert not is_solvable(world, inf)
-
-
-def test_the_world_named_paper_is_the_papers():
-    file = load_world("paper")
-    assert (file.width, file.depth, file.start, file.target) == (
-        paper.ARENA_SIDE,
-        paper.ARENA_SIDE,
-        paper.START,
-        paper.TARGET,
-    )

@@ -19,7 +19,8 @@ from nnql_bullet.reports import fidelity as report
 from nnql_bullet.reports import stopping as stopping_report
 from nnql_bullet.reports.fidelity import Fidelity
 from nnql_bullet.sim.engines import EngineName, PhysicsName
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.work import OnProgress, Progress, run_all, silent
 
 REFINEMENTS = (1, 2, 4)

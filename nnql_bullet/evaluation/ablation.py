@@ -18,7 +18,7 @@ from nnql_bullet.config import merged, parse, to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
-from nnql_bullet.evaluation.statistics import RESAMPLES, Share, seeds_share
+from nnql_bullet.evaluation.statistics import RESAMPLES, Estimate, success_over_seeds
 from nnql_bullet.evaluation.studies import Factor, Study, Variant
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
@@ -119,11 +119,11 @@ class Entry:
 
     factor: Factor
     variant: Variant
-    success: dict[str, Share | None]
+    success: dict[str, Estimate | None]
     """In each tier: inter-quartile mean over seeds with its interval; None with a single seed."""
     by_seed: dict[str, tuple[float, ...]]
     """In each tier, of each training seed."""
-    difference: Share
+    difference: Estimate
     """Of success against the default: mean over seeds and tiers of paired differences, with a bootstrap interval."""
     verdict: Verdict
 
@@ -147,7 +147,7 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
                     factor=factor,
                     variant=variant,
                     success={
-                        world: seeds_share([row], rng(0, Stream.BOOTSTRAP))
+                        world: success_over_seeds([row], rng(0, Stream.BOOTSTRAP))
                         for world, row in zip(study.tiers, scores, strict=True)
                     },
                     by_seed={world: tuple(row.tolist()) for world, row in zip(study.tiers, scores, strict=True)},
@@ -163,18 +163,18 @@ def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     return np.array([[t.goal / (t.goal + t.collision + t.timeout) for t in training] for training in trainings]).T
 
 
-def _difference(differences: Array) -> Share:
+def _difference(differences: Array) -> Estimate:
     """The mean of paired differences (tiers, seeds), with a bootstrap interval over seeds."""
     by_seed = differences.mean(axis=0)
     value = float(by_seed.mean())
     if len(by_seed) < 2 or np.ptp(by_seed) == 0:
-        return Share(value, value, value)
+        return Estimate(value, value, value)
     generator = rng(0, Stream.BOOTSTRAP)
     result = bootstrap((by_seed,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=generator)
-    return Share(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
+    return Estimate(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
 
 
-def _verdict(is_default: bool, difference: Share) -> Verdict:
+def _verdict(is_default: bool, difference: Estimate) -> Verdict:
     if is_default:
         return "default"
     if difference.low > 0:

@@ -1,9 +1,9 @@
-"""Why a drive went another way: what its recording says of slip, lag and near misses.
+"""Why two drives through one world ended differently: slip, tracking lag or a near miss, found in their recordings.
 
-Each control period of a recording is taken apart. From its true start, the drive's profile leads to an ideal end; the
-turning of the wheels, taken at their word, leads to the end that odometry knows (Siegwart and Nourbakhsh, Autonomous
-Mobile Robots, 5.2.4); the vehicle ended where it did. From the ideal end to odometry's the wheels lagged; from there to
-the true end they slipped.
+Each control period has three ends. From the period's true start, the planned profile leads to the ideal end; the
+measured rotation of the wheels leads to odometry's end (Siegwart and Nourbakhsh, Autonomous Mobile Robots, 5.2.4); the
+recording gives the true end. The wheels lagged by the distance from the ideal end to odometry's, and slipped by the
+distance from odometry's end to the true one.
 """
 
 from dataclasses import dataclass
@@ -24,40 +24,39 @@ Cause = Literal["slip", "tracking lag", "grazing contact", "other"]
 CAUSES: tuple[Cause, ...] = ("slip", "tracking lag", "grazing contact", "other")
 
 NOTABLE = 0.03
-"""What a control period may end off for its way, before it counts as slip or lag: a share. The shipped vehicle keeps to
-0.016 on a floor that it grips."""
+"""Smallest slip or lag of a control period that counts, over the distance driven in it."""
 DRIFT = 0.1
-"""Drives that are farther apart than this when they part have drifted there, little by little [m]."""
+"""Drives that are farther apart than this when they part have drifted apart little by little [m]."""
 GRAZE = 0.05
-"""A miss by less is as good as a hit [m]."""
-TOGETHER = 0.3
+"""A miss by less counts as a near miss [m]."""
+SAME_PLACE = 0.3
 """Vehicles closer than this are at the same place [m]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Departures:
-    """How far each control period ended from where it should have (n,) [m]."""
+class PeriodErrors:
+    """Lag, slip and distance driven of each control period (n,) [m]."""
 
     lag: Array
-    """From the ideal end to odometry's."""
+    """Distance from the ideal end to odometry's."""
     slip: Array
-    """From odometry's end to the true one."""
-    way: Array
-    """What was driven."""
+    """Distance from odometry's end to the true one."""
+    distance: Array
+    """Distance driven at the commanded speed."""
 
 
-def departures(recording: Recording, vehicle: VehicleSpec, speed: float) -> Departures:
-    """Takes the control periods of a recording apart.
+def period_errors(recording: Recording, vehicle: VehicleSpec, speed: float) -> PeriodErrors:
+    """Measures the lag and slip of every control period of a recording.
 
     Args:
         recording: The drive.
-        vehicle: What drove.
-        speed: Of the drive [m/s].
+        vehicle: The vehicle that drove.
+        speed: Commanded speed of the drive [m/s].
     """
     n = len(recording.action)
     times = np.concatenate([[0.0], recording.sample_time])
     wheels = np.concatenate([np.zeros((1, 2)), recording.joint_angles[:, :2]]) * vehicle.wheel_radius
-    rate, lag, slip, way = 0.0, np.zeros(n), np.zeros(n), np.zeros(n)
+    rate, lag, slip, distance = 0.0, np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(n):
         begin, end = recording.state_time[k], recording.state_time[k + 1]
         start, reached = recording.state_pose[k], recording.state_pose[k + 1]
@@ -71,24 +70,24 @@ def departures(recording: Recording, vehicle: VehicleSpec, speed: float) -> Depa
         left, right = np.diff(wheels[within], axis=0).T
         known = rolled_path(start[2], (left + right) / 2, (right - left) / vehicle.track)[-1]
         lag[k], slip[k] = hypot(*(known - ideal)), hypot(*(reached[:2] - start[:2] - known))
-        way[k] = (end - begin) * speed
-    return Departures(lag, slip, way)
+        distance[k] = (end - begin) * speed
+    return PeriodErrors(lag, slip, distance)
 
 
 def apart(first: Recording, second: Recording) -> tuple[Array, Array]:
-    """How far two drives through one world are apart, at the decisions that both came to.
+    """Measures how far two drives through one world are apart, at the decisions that both made.
 
     Returns:
-        Times (m,) [s] and distances (m,) [m]; the last step of a drive, which its ending cuts short, is left out.
+        Times (m,) [s] and distances (m,) [m], without the last step of a drive, which may end early.
     """
     m = min(len(first.action), len(second.action))
     return first.state_time[:m], np.hypot(*(first.state_pose[:m, :2] - second.state_pose[:m, :2]).T)
 
 
 def parting(first: Recording, second: Recording) -> int:
-    """The first decision in which two drives differ; the number of common ones if there is none.
+    """Index of the first decision in which two drives differ, or the number of common decisions if there is none.
 
-    "Toward the target" turns by what bearing it finds, so it counts as the same decision.
+    "Toward the target" counts as the same decision whatever the bearing of the target is.
     """
     m = min(len(first.action), len(second.action))
     differ: NDArray[np.bool_] = first.action[:m] != second.action[:m]
@@ -101,31 +100,38 @@ class Explanation:
 
     cause: Cause
     time: float
-    """When they decided differently for the first time, or when the first of them ended [s]."""
+    """Time of the first different decision, or of the end of the shorter drive if there is none [s]."""
     apart: float
-    """How far apart they were then [m]."""
+    """Distance between the vehicles at that time [m]."""
     slip: float
-    """The largest up to then, as a share of a control period's way."""
+    """Largest slip of a control period up to that time, over the distance driven in it."""
     lag: float
-    """Likewise."""
+    """Largest lag of a control period up to that time, over the distance driven in it."""
     q_margin: float
-    """How much the network preferred its choice over the other's, where they decided differently: the smaller of both;
-    NaN where one found the state safe and did not ask it, or they never did."""
+    """Difference between the Q-values of the two different decisions, the smaller of both drives. NaN where a drive did
+    not compute Q-values, or the decisions never differ."""
     miss: float
-    """Clearance of the drive that got through where the other touched [m]; infinite where nothing was touched there."""
+    """Clearance of one drive at the place where the other collided [m]; infinite if it did not pass that place."""
 
 
 def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: float) -> Explanation:
-    """The first of the causes that holds: slip or lag before the drives part, a near miss, or something else.
+    """Explains why two drives through one world ended differently.
 
-    Slip and lag count if a control period shows much of one, or if the drives have drifted apart; of the two, what adds
-    up to more. "Other" is what is left: decisions that hang on differences too small to be either.
+    The cause is slip or lag if a control period before the drives part shows more than `NOTABLE`, or if the drives are
+    more than `DRIFT` apart by then; of the two it is the one that adds up to more. Otherwise it is a grazing contact if
+    one drive missed by less than `GRAZE` what the other touched, and "other" in the remaining cases.
+
+    Args:
+        first: A drive.
+        second: Another drive through the same world.
+        vehicle: The vehicle that drove.
+        speed: Commanded speed of the drives [m/s].
     """
     k = parting(first, second)
     until = max(k, 1)
-    parts = [departures(recording, vehicle, speed) for recording in (first, second)]
-    slip = max(float(np.max((part.slip / part.way)[:until])) for part in parts)
-    lag = max(float(np.max((part.lag / part.way)[:until])) for part in parts)
+    parts = [period_errors(recording, vehicle, speed) for recording in (first, second)]
+    slip = max(float(np.max((part.slip / part.distance)[:until])) for part in parts)
+    lag = max(float(np.max((part.lag / part.distance)[:until])) for part in parts)
     slipped = sum(float(np.sum(part.slip[:until])) for part in parts)
     lagged = sum(float(np.sum(part.lag[:until])) for part in parts)
     miss = min(_miss(first, second), _miss(second, first))
@@ -148,7 +154,7 @@ def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: fl
 
 
 def _q_margin(first: Recording, second: Recording, k: int) -> float:
-    """How close the call was that two drives made differently in decision k."""
+    """`Explanation.q_margin` of two drives that decide differently in decision k."""
     if k == min(len(first.action), len(second.action)):
         return float("nan")
     one, other = int(first.action[k]), int(second.action[k])
@@ -159,11 +165,11 @@ def _q_margin(first: Recording, second: Recording, k: int) -> float:
 
 
 def _miss(touched: Recording, through: Recording) -> float:
-    """By how little one drive missed what the other touched, if it came by the same place [m]."""
+    """Clearance of one drive at the place where the other collided [m]; infinite if it did not pass that place."""
     if not touched.contact[-1]:
         return float("inf")
     place = touched.state_pose[-1, :2]
     steps = len(through.action)
-    near = np.hypot(*(through.sample_pose[:, :2] - place).T) < TOGETHER
+    near = np.hypot(*(through.sample_pose[:, :2] - place).T) < SAME_PLACE
     step = np.searchsorted(through.state_time, through.sample_time[near] - 1e-9, side="left") - 1
     return float(np.min(through.clearance[np.clip(step, 0, steps - 1)], initial=np.inf))

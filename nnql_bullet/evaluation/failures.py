@@ -1,7 +1,7 @@
-"""How a drive failed, as far as its recording shows: features of its end, and the one group that they put it in.
+"""Groups failed drives by features of their end that the recordings show.
 
-Collisions are told apart by what was touched, at what angle, and how the vehicle came there; drives that ran out of
-time by how they spent their last minute. Groups describe what is seen; they are not causes.
+A collision is grouped by the obstacle touched, the angle, and the turns before it; a timeout by the last minute of the
+drive. Groups describe what is seen; they are not causes.
 """
 
 from dataclasses import dataclass
@@ -25,102 +25,98 @@ GROUPS: dict[Group, str] = {
     "trapped": "Time ran out while it went, to and fro or in loops, where it had been before: it found no other way.",
     "wandering": "Time ran out on the way: it came to new places, but had not arrived.",
 }
-"""What each shows, in the order of the rules: a failure belongs to the first that fits."""
+"""What the drives of each group show. A failure belongs to the first group that fits."""
 
 HEAD_ON = pi / 3
-"""Largest angle from the heading to the way straight through what was touched, for it to be ahead [rad]: beyond it less
-than half of the speed goes into the surface."""
+"""Largest angle between the heading and the normal into the touched surface in a head-on collision [rad]; at a larger
+angle less than half of the speed is along the normal."""
 STRUCK = 0.5
-"""Least share of the speed at which vehicle and box meet that is the box's own, if it struck the vehicle."""
+"""Smallest share of the closing speed that is the box's own when the box struck the vehicle."""
 HESITATION = 4.0
-"""Turns to and fro count so long before a collision [s]: time in which the paper's vehicle drives 8 m, and could have
-turned right round."""
-TURN = pi / 12
-"""A smaller change of heading is no turn to a side [rad]: half of the smallest of the paper's."""
+"""Time before a collision in which turns to and fro count [s]; the paper's vehicle could turn right round in it."""
+SMALLEST_TURN = pi / 12
+"""Smallest heading change that counts as a turn to a side [rad]: half of the paper's smallest turn."""
 REVERSALS = 2
-"""Changes of side that make dithering: left, right, left."""
-LATE = 60.0
-"""The end of a drive that ran out of time [s], in which the paper's vehicle could drive across its arena."""
+"""Smallest number of changes of side in dithering: left, right, left."""
+LAST_PART = 60.0
+"""Last part of a drive that ran out of time [s]; the paper's vehicle could cross its arena in it."""
 NEAR_TARGET = 10.0
-"""Who circles the target goes no farther from it [m]: as far as the sensors reach."""
+"""Largest distance from the target of a vehicle that circles it [m]: the sensors' range."""
 ROUNDS = 2.0
-"""Full turns to one side, less those to the other, in the last minute of a drive that circles: at the paper's speed
-round something up to 19 m across, or on the spot up to 15 times."""
+"""Smallest number of full turns to one side, less those to the other, in the last part of a drive that circles."""
 REVISITED = 0.75
-"""Least share of the last minute that a trapped drive spends where it has been before."""
-RETURN = 10.0
-"""It has been somewhere before if it went on from there for so long before it came back [s]; the paper's vehicle needs
-4 s to turn round on the spot."""
-SAME = 1.0
-"""Places closer than this are the same [m]: about the vehicle's length."""
-_EVERY = 6
-"""Of this many samples one is compared with others: five a second, 0.4 m apart at the paper's speed."""
-_FLAT = 0.01
-"""Corners that are level within this touch together [m]."""
+"""Smallest share of its last part that a trapped drive spends at places where it was before."""
+RETURN_AFTER = 10.0
+"""Time after which a vehicle that is at a place again has come back to it [s]."""
+SAME_PLACE = 1.0
+"""Places closer together than this are the same [m]: about the vehicle's length."""
+_STRIDE = 6
+"""Every so many samples are compared with the others."""
+_LEVEL = 0.01
+"""Corners whose distances along a normal differ by less touch together [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What a drive that collided ended at."""
+    """The collision at the end of a drive."""
 
     touched: Literal["wall", "box", "moving box"]
     place: tuple[float, float]
-    """Where, in the arena [m]."""
+    """x, y in the arena [m]."""
     bearing: float
-    """Where on the footprint, seen from its middle, in the frame of the vehicle [rad], positive to the left."""
+    """Direction from the footprint's centre, in the vehicle frame [rad], positive to the left."""
     angle: float
-    """From the heading to the way straight through the surface that was touched, at least 0 [rad]."""
+    """Angle between the heading and the normal into the touched surface, at least 0 [rad]."""
     share: float
-    """Of the speed at which they met, what was the box's own; 1 where the vehicle did not come nearer by itself."""
+    """Share of the closing speed that was the box's own; 1 if the vehicle did not move toward it."""
     reversals: int
-    """How often the turns asked for changed sides in the last `HESITATION`."""
+    """How often the commanded turns changed sides in the last `HESITATION`."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lateness:
-    """How a drive that ran out of time spent the last `LATE` of it."""
+class Timeout:
+    """The last part, `LAST_PART` long, of a drive that ran out of time."""
 
     extent: float
-    """The longer side of the part of the arena that it stayed in, along the walls [m]."""
+    """Longer side of the rectangle, parallel to the walls, that the vehicle stayed in [m]."""
     rounds: float
-    """Full turns to the left, less those to the right."""
+    """Number of full turns to the left, less those to the right."""
     revisited: float
-    """Share of it spent where it had been before."""
+    """Share of the time at places where the vehicle was before."""
     farthest: float
-    """From the target [m]."""
+    """Largest distance from the target [m]."""
     progress: float
-    """How much nearer to the target it was at the end than a `LATE` before [m]."""
+    """Decrease of the distance to the target [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """What a recording shows of a failure."""
+    """Features of a failed drive."""
 
     time: float
-    """When it ended [s]."""
+    """Duration [s]."""
     target_distance: float
-    """At the end [m]."""
+    """Distance to the target at the end [m]."""
     least_target_distance: float
-    """Ever [m]."""
-    end: Contact | Lateness
-    """Of a collision, or of a drive that ran out of time."""
+    """Smallest distance to the target [m]."""
+    end: Contact | Timeout
 
 
 def features(recording: Recording) -> Features:
-    """Of a drive that collided or ran out of time."""
+    """Features of a recorded drive that collided or ran out of time."""
     away = np.hypot(*(recording.sample_pose[:, :2] - recording.world.target).T)
     return Features(
         time=float(recording.state_time[-1]),
         target_distance=float(away[-1]),
         least_target_distance=float(away.min()),
-        end=_contact(recording) if recording.about["ending"] == "collision" else _lateness(recording, away),
+        end=_contact(recording) if recording.about["ending"] == "collision" else _timeout(recording, away),
     )
 
 
 def group(features: Features) -> Group:
-    """The first of `GROUPS` that fits."""
+    """The first of `GROUPS` that fits the features."""
     end = features.end
-    return _group_of_contact(end) if isinstance(end, Contact) else _group_of_lateness(end)
+    return _group_of_contact(end) if isinstance(end, Contact) else _group_of_timeout(end)
 
 
 def _group_of_contact(contact: Contact) -> Group:
@@ -131,7 +127,7 @@ def _group_of_contact(contact: Contact) -> Group:
     return "dithering" if contact.reversals >= REVERSALS else "head-on"
 
 
-def _group_of_lateness(late: Lateness) -> Group:
+def _group_of_timeout(late: Timeout) -> Group:
     if late.farthest <= NEAR_TARGET:
         return "target circling"
     if abs(late.rounds) >= ROUNDS:
@@ -164,20 +160,20 @@ def _contact(recording: Recording) -> Contact:
 
 
 def _surface(footprint: OrientedBox, box: OrientedBox) -> tuple[float, Array]:
-    """The side through which a footprint and a box come least into each other (separating-axis theorem).
+    """Finds the side across which a footprint and a box are farthest apart (separating-axis theorem).
 
     Returns:
-        How far they are apart that way, negative where they overlap [m], and the direction (2,) from the footprint to
-        the box across that side.
+        Their distance along the normal of that side, negative where they overlap [m], and the normal (2,) from the
+        footprint to the box.
     """
     yaws = [yaw + quarter * pi / 2 for yaw in (footprint.yaw, box.yaw) for quarter in range(4)]
-    ways = np.column_stack([np.cos(yaws), np.sin(yaws)])  # (8, 2)
-    apart = (ways @ box.corners().T).min(axis=1) - (ways @ footprint.corners().T).max(axis=1)
-    return float(apart.max()), ways[np.argmax(apart)]
+    normals = np.column_stack([np.cos(yaws), np.sin(yaws)])  # (8, 2)
+    apart = (normals @ box.corners().T).min(axis=1) - (normals @ footprint.corners().T).max(axis=1)
+    return float(apart.max()), normals[np.argmax(apart)]
 
 
 def _place(footprint: OrientedBox, box: OrientedBox, normal: Array) -> tuple[float, float]:
-    """The middle of where a footprint and a box touch across a side: a corner, or what two sides share."""
+    """x, y of the middle of the contact of a footprint and a box across a side: a corner or a common piece of side."""
     sideways = np.array([-normal[1], normal[0]])
     nearest = [_foremost(footprint.corners(), normal), _foremost(box.corners(), -normal)]
     ranges = np.array([[np.min(its @ sideways), np.max(its @ sideways)] for its in nearest])
@@ -186,29 +182,29 @@ def _place(footprint: OrientedBox, box: OrientedBox, normal: Array) -> tuple[flo
     return float(x), float(y)
 
 
-def _foremost(corners: Array, way: Array) -> Array:
-    """Those of some corners (4, 2) that are farthest in a direction: one, or two of a side that lies across."""
-    far = corners @ way
-    return np.asarray(corners[far >= far.max() - _FLAT])
+def _foremost(corners: Array, direction: Array) -> Array:
+    """The one or two of four corners (4, 2) that are farthest in a direction (2,)."""
+    far = corners @ direction
+    return np.asarray(corners[far >= far.max() - _LEVEL])
 
 
 def _last_speed(recording: Recording) -> float:
-    """In the last step [m/s]."""
+    """Mean speed of the last step [m/s]."""
     begin, end = recording.state_time[-2:]
     return float(np.hypot(*(recording.state_pose[-1, :2] - recording.state_pose[-2, :2])) / (end - begin))
 
 
 def _reversals(commands: Array) -> int:
-    """How often turns (n,) [rad] change sides."""
-    sides = np.sign(commands[np.abs(commands) >= TURN])
+    """How often heading changes (n,) [rad] change sides."""
+    sides = np.sign(commands[np.abs(commands) >= SMALLEST_TURN])
     return int(np.count_nonzero(np.diff(sides)))
 
 
-def _lateness(recording: Recording, away: Array) -> Lateness:
-    late = recording.sample_time >= recording.sample_time[-1] - LATE
+def _timeout(recording: Recording, away: Array) -> Timeout:
+    late = recording.sample_time >= recording.sample_time[-1] - LAST_PART
     x, y, yaw = recording.sample_pose[late].T
     turned = np.unwrap(yaw)
-    return Lateness(
+    return Timeout(
         extent=float(max(np.ptp(x), np.ptp(y))),
         rounds=float(turned[-1] - turned[0]) / (2 * pi),
         revisited=_revisited(recording),
@@ -218,8 +214,8 @@ def _lateness(recording: Recording, away: Array) -> Lateness:
 
 
 def _revisited(recording: Recording) -> float:
-    times, places = recording.sample_time[::_EVERY], recording.sample_pose[::_EVERY, :2]
-    late = times >= recording.sample_time[-1] - LATE
-    earlier = times <= times[late, None] - RETURN  # (late, all)
+    times, places = recording.sample_time[::_STRIDE], recording.sample_pose[::_STRIDE, :2]
+    late = times >= recording.sample_time[-1] - LAST_PART
+    earlier = times <= times[late, None] - RETURN_AFTER  # (late, all)
     apart = np.hypot(*(places[late, None] - places).transpose(2, 0, 1))
-    return float(np.mean(np.any(earlier & (apart < SAME), axis=1)))
+    return float(np.mean(np.any(earlier & (apart < SAME_PLACE), axis=1)))

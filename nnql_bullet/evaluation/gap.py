@@ -13,7 +13,7 @@ from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.evaluation.statistics import Share, mcnemar, share
+from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
@@ -319,11 +319,11 @@ class FaultRow:
 
     fault: str
     """Empty for none."""
-    shares: dict[str, Share]
+    shares: dict[str, Estimate]
     """Of each ending, on the second side."""
     p_value: float
     """McNemar's, against the same drives without the fault."""
-    first_goal: Share | None
+    first_goal: Estimate | None
     """Success on the first side; None where the fault changes nothing there."""
 
 
@@ -341,9 +341,9 @@ def fault_rows(gap: Gap) -> list[FaultRow]:
     return rows
 
 
-def _goals(endings: Sequence[str]) -> Share | None:
-    return share(endings.count("goal"), len(endings)) if endings else None
+def _goals(endings: Sequence[str]) -> Estimate | None:
+    return proportion(endings.count("goal"), len(endings)) if endings else None
 
 
-def _shares(endings: Sequence[str]) -> dict[str, Share]:
-    return {ending: share(endings.count(ending), len(endings)) for ending in ENDINGS}
+def _shares(endings: Sequence[str]) -> dict[str, Estimate]:
+    return {ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS}

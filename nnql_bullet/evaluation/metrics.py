@@ -1,4 +1,4 @@
-"""What drives come to: outcomes with intervals, quality, and tests of one method against another."""
+"""Metrics of drives: outcomes with intervals, quality of the drives, and tests of one method against another."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -10,36 +10,36 @@ import numpy as np
 
 from nnql_bullet.evaluation.drives import Setting, Tier
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.statistics import Share, mcnemar, seeds_share, share
+from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion, success_over_seeds
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.worlds.paths import Difficulty
 
 EVERYWHERE = "all worlds"
-"""Stands for all tiers together."""
+"""Name of all tiers together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Several policies through the same worlds."""
+    """Drives of several policies through the same worlds."""
 
     setting: Setting
     policies: Sequence[Policy]
     tiers: Sequence[Tier]
     difficulties: Mapping[str, Sequence[Difficulty]]
-    """Of the worlds of each tier, by its name."""
+    """Difficulties of a tier's worlds, by the tier's name."""
     drives: Mapping[tuple[str, str], Sequence[EpisodeSummary]]
-    """By the names of policy and tier, in the order of the tier's worlds."""
+    """Summaries in the order of a tier's worlds, by the names of the policy and the tier."""
 
     @property
     def methods(self) -> list[str]:
-        """In the order in which they were given."""
+        """Methods in the order in which their policies were given."""
         return list(dict.fromkeys(policy.method for policy in self.policies))
 
     @property
     def command(self) -> str:
-        """What drives it again."""
+        """The command that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
         worlds = ",".join(tier.file for tier in self.tiers)
         count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
@@ -48,62 +48,62 @@ class Evaluation:
 
     @property
     def shielded(self) -> bool:
-        """Whether every policy drives in a shield, too."""
+        """Whether the policies also drive with a shield."""
         return any(policy.shielded for policy in self.policies)
 
     @property
     def groups(self) -> list[tuple[str, list[Tier]]]:
-        """What is summed up, by name: each tier and, if there are several, all of them."""
+        """Names and tiers of each row: every tier and, if there are several, all of them together."""
         everywhere = [(EVERYWHERE, list(self.tiers))] if len(self.tiers) > 1 else []
         return [*((tier.name, [tier]) for tier in self.tiers), *everywhere]
 
     def of_method(self, method: str) -> list[Policy]:
-        """Its policies."""
+        """The policies of a method."""
         return [policy for policy in self.policies if policy.method == method]
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A method in the worlds of a tier, or in all of them."""
+    """Metrics of a method in the worlds of one tier or of all tiers."""
 
     method: str
     world: str
     """Name of the tier, or `EVERYWHERE`."""
     policies: int
-    """Training seeds."""
+    """Number of policies: one for each training seed."""
     drives: int
-    outcomes: dict[str, Share]
-    """Of each ending, over all drives."""
-    over_seeds: Share | None
-    """Inter-quartile mean of success over training seeds, with its bootstrap interval; None with a single one."""
+    outcomes: dict[str, Estimate]
+    """Proportion of each ending, over all drives."""
+    over_seeds: Estimate | None
+    """Inter-quartile mean of success over training seeds; None for a single seed."""
     by_seed: tuple[float, ...]
     """Success of each policy."""
     spl: float
     """Success weighted by path length (Anderson et al., arXiv 1807.06757): mean of success x shortest / driven."""
     path_ratio: float
-    """Driven over shortest path, mean of the drives that arrive; NaN if none does."""
+    """Driven over shortest path length, mean over the drives that arrive; NaN if none arrives."""
     time: float
-    """To the target, mean of the drives that arrive; NaN if none does [s]."""
+    """Time to the target, mean over the drives that arrive; NaN if none arrives [s]."""
     clearance: float
-    """Smallest of a drive, mean of the drives that arrive; NaN if none does [m]."""
+    """Smallest clearance of a drive, mean over the drives that arrive; NaN if none arrives [m]."""
     mean_clearance: float
-    """Mean of a drive, mean over all [m]."""
+    """Mean clearance of a drive, mean over all drives [m]."""
     lateral_acceleration: float
-    """Largest of a drive, mean over all [m/s2]."""
+    """Largest lateral acceleration of a drive, mean over all drives [m/s2]."""
     heading_error: float
-    """Root mean square of a drive, mean over all [rad]."""
+    """Root mean square heading error of a drive, mean over all drives [rad]."""
     non_safe: float
-    """Share of decisions that were taken in non-safe states."""
+    """Share of decisions made in non-safe states."""
     overridden: float
-    """Share of decisions that a shield took in its agent's place."""
+    """Share of decisions that a shield made in place of its agent."""
     stops: float
-    """Share of decisions to brake, to stand or to turn on the spot."""
+    """Share of decisions to stop or to turn on the spot."""
     standing: float
-    """Time that a drive stands, mean over all [s]."""
+    """Time at a standstill in a drive, mean over all drives [s]."""
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
-    """Every method in every tier and, if there are several, in all of them."""
+    """Rows of every method in every tier and, if there are several, in all of them together."""
     e = evaluation
     return [_row(e, method, name, tiers) for method in e.methods for name, tiers in e.groups]
 
@@ -125,8 +125,8 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         world=world,
         policies=len(policies),
         drives=len(drives),
-        outcomes={ending: share(endings.count(ending), len(endings)) for ending in ENDINGS},
-        over_seeds=seeds_share(scores, rng(0, Stream.BOOTSTRAP)),
+        outcomes={ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS},
+        over_seeds=success_over_seeds(scores, rng(0, Stream.BOOTSTRAP)),
         by_seed=tuple(np.mean(scores, axis=0).tolist()),
         spl=sum(shortest / max(summary.path_length, shortest) for summary, shortest in arrived) / len(drives),
         path_ratio=_mean([summary.path_length / shortest for summary, shortest in arrived]),
@@ -152,10 +152,10 @@ def _mean(values: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two methods in the worlds of a tier, or in all of them.
+    """Test of two methods in the worlds of one tier or of all tiers.
 
-    Each policy of one is paired with one of the other, in order; a method with a single policy has it paired with each.
-    Drives of several policies through one world are not independent, so p is then too small.
+    The policies of both methods are paired in order; a single policy is paired with every policy of the other method.
+    Drives of several policies through one world are not independent, so p is too small for several pairs.
     """
 
     world: str
@@ -163,14 +163,15 @@ class Comparison:
     second: str
     pairs: int
     only_first: int
-    """Pairs in which the first alone arrived."""
+    """Pairs of drives in which only the first method arrived."""
     only_second: int
+    """Pairs of drives in which only the second method arrived."""
     p_value: float
-    """McNemar's exact test."""
+    """p of McNemar's exact test."""
 
 
 def comparisons(evaluation: Evaluation) -> list[Comparison]:
-    """Every method against every other, in every tier and in all of them together."""
+    """Tests of every method against every other, in every tier and in all of them together."""
     e, found = evaluation, []
     for world, tiers in e.groups:
         for first, second in combinations(e.methods, 2):

@@ -26,7 +26,7 @@ class FailedDrive:
 
     @property
     def seed(self) -> int:
-        """Of the world."""
+        """Seed of the world."""
         return self.film.seed
 
     @property

@@ -1,6 +1,6 @@
-"""Studies of factors: what each asks, the variants, and what they are trained and tested with.
+"""Studies for ablations: the factors of each preset and their variants.
 
-Each variant departs from a study's preset in one thing.
+A variant changes one thing in the study's preset.
 """
 
 from collections.abc import Mapping
@@ -13,23 +13,23 @@ from nnql_bullet.presets import PRESETS
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to answer a factor."""
+    """One value of a factor."""
 
     label: str
     changes: Mapping[str, Any]
-    """To the preset; none for the default."""
+    """Changes to the preset; empty for the default."""
 
 
 @dataclass(frozen=True)
 class Factor:
-    """A point that the paper leaves open, a number that it states, or a part of a method."""
+    """A choice that the paper leaves open, a number that it states, or a part of a method."""
 
     name: str
     question: str
     section: str
-    """Of the paper; "-" where it has none about it."""
+    """Section of the paper; "-" if there is none."""
     variants: tuple[Variant, ...]
-    """The default among them is the one without changes."""
+    """The variants; the default is the one without changes."""
     stated: bool = False
     """Whether the paper states the default."""
 
@@ -41,17 +41,17 @@ class Study:
     preset: str
     title: str
     tiers: Mapping[str, str]
-    """World files that policies are tested in, and how they are called."""
+    """Titles of the worlds that policies are tested in, by world file."""
     factors: tuple[Factor, ...]
-    """In the order of the table."""
+    """The factors in the order of the table."""
     episodes: int
-    """Of a training, unless another number is asked for."""
+    """Default number of episodes of a training."""
     seeds: int
-    """Trainings of each variant, likewise."""
+    """Default number of trainings of each variant."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Changes to the preset that all trainings share."""
     not_varied: str = ""
-    """What it has no factors about, for the report."""
+    """Choices without a factor, as a sentence for the report."""
 
 
 def _drive(**values: Any) -> dict[str, Any]:
@@ -430,4 +430,4 @@ STUDIES = {
         ),
     )
 }
-"""By their presets."""
+"""Studies by the names of their presets."""

@@ -28,7 +28,7 @@ RAMP = 1 / 3
 HEADINGS = (0.0, radians(60.0), radians(75.0))
 """From which a turn is tried; the worst counts [rad]. Friction with axes fixed in the world grips worse in some
 directions than in others: PyBullet's worst at the last two, for a turn to the left."""
-SETTLING = 0.25
+SETTLE_TIME = 0.25
 """Run straight before the turn [s]."""
 
 HEADING_TOLERANCE = radians(1.0)
@@ -215,7 +215,7 @@ def _followed(engine: ContactEngine, case: Case, heading: float) -> Followed:
     engine.reset(open_ground(start=replace(MIDDLE, yaw=heading)))
     rolling = case.speed / vehicle.wheel_radius
     engine.command_wheels(rolling, rolling)
-    engine.run(SETTLING)
+    engine.run(SETTLE_TIME)
     begin = engine.pose()
     turn, after = follow_turn(engine, case.heading_change), follow_turn(engine, 0.0)
     forces = forces_by_command(turn, SAMPLE_EVERY)

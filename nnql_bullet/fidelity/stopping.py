@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
-from nnql_bullet.fidelity.envelope import SETTLING
+from nnql_bullet.fidelity.envelope import SETTLE_TIME
 from nnql_bullet.fidelity.probe import Bench, open_ground
 from nnql_bullet.fidelity.turning import mean_forces
 from nnql_bullet.sim.base import SAMPLE_EVERY
@@ -18,9 +18,9 @@ from nnql_bullet.vehicle.limits import Braking, braking, braking_rear_load, stat
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-STANDING = 0.01
+STANDSTILL_SPEED = 0.01
 """Speed below which a vehicle stands [m/s]."""
-PATIENCE = 10.0
+TIME_LIMIT_FACTOR = 10.0
 """Times the stopping time on paper and a second, after which a vehicle is taken not to stop."""
 REACTION = DriveOptions().decision_period
 """What passes at most until the brakes act: an obstacle comes into sight just after a decision [s]."""
@@ -110,12 +110,12 @@ def measure_stop(task: StopTask) -> Stop:
         engine.reset(open_ground())
         rolling = task.speed / vehicle.wheel_radius
         engine.command_wheels(rolling, rolling)
-        engine.run(SETTLING)
+        engine.run(SETTLE_TIME)
         begin, began = engine.pose(), engine.time()
-        patience = PATIENCE * (1 + task.speed / paper_says.deceleration)
+        patience = TIME_LIMIT_FACTOR * (1 + task.speed / paper_says.deceleration)
         times, forces = [], []
         engine.command_wheels(0.0, 0.0)
-        while engine.speed() > STANDING:
+        while engine.speed() > STANDSTILL_SPEED:
             if engine.time() - began > patience:
                 friction = task.conditions.friction
                 raise UserError(f"the vehicle does not stop from {task.speed:g} m/s on friction {friction:g}; raise it")

@@ -20,7 +20,7 @@ from nnql_bullet.jit import njit
 
 Cells = NDArray[np.int8]
 
-CELL = 0.75
+MAP_CELL = 0.75
 """Side of a cell [m]."""
 SIZE = 56
 """Cells along a side of the map, in whose middle the vehicle stays: 21 m to each side, which holds a trap."""
@@ -93,16 +93,16 @@ def add_scans(
     """
     for i in range(len(cells)):
         x, y, yaw = poses[i]
-        corner_x, corner_y = floor(x / CELL) - SIZE // 2, floor(y / CELL) - SIZE // 2
+        corner_x, corner_y = floor(x / MAP_CELL) - SIZE // 2, floor(y / MAP_CELL) - SIZE // 2
         _shift(cells[i], corner_x - corners[i, 0], corner_y - corners[i, 1])
         corners[i, 0], corners[i, 1] = corner_x, corner_y
         c, s = np.cos(yaw), np.sin(yaw)
         x, y = x + c * sensor[0] - s * sensor[1], y + s * sensor[0] + c * sensor[1]
         for j in range(len(angles)):
             c, s = np.cos(yaw + angles[j]), np.sin(yaw + angles[j])
-            for k in range(int(distances[i, j] / CELL)):
-                way = (k + 0.5) * CELL
-                a, b = floor((x + c * way) / CELL) - corner_x, floor((y + s * way) / CELL) - corner_y
+            for k in range(int(distances[i, j] / MAP_CELL)):
+                way = (k + 0.5) * MAP_CELL
+                a, b = floor((x + c * way) / MAP_CELL) - corner_x, floor((y + s * way) / MAP_CELL) - corner_y
                 if 0 <= a < SIZE and 0 <= b < SIZE and cells[i, a, b] > 0:
                     cells[i, a, b] -= 1
         for j in range(len(angles)):
@@ -126,11 +126,11 @@ def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, 
 @njit(nogil=True)
 def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: float, to_y: float) -> None:
     """Enters that something is all the way from one place to another."""
-    points = int(np.hypot(to_x - x, to_y - y) / (CELL / 2)) + 2
+    points = int(np.hypot(to_x - x, to_y - y) / (MAP_CELL / 2)) + 2
     for k in range(points):
         share = k / (points - 1)
-        a = floor((x + share * (to_x - x)) / CELL) - corner[0]
-        b = floor((y + share * (to_y - y)) / CELL) - corner[1]
+        a = floor((x + share * (to_x - x)) / MAP_CELL) - corner[0]
+        b = floor((y + share * (to_y - y)) / MAP_CELL) - corner[1]
         if 0 <= a < SIZE and 0 <= b < SIZE:
             cells[a, b] = SEEN
 
@@ -165,9 +165,9 @@ def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
     cost, left = np.empty((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
     for a in range(SIZE):
         for b in range(SIZE):
-            cost[a, b] = CELL / 2 * metre[walls[a, b]]
+            cost[a, b] = MAP_CELL / 2 * metre[walls[a, b]]
             if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
-                left[a, b] = CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
+                left[a, b] = MAP_CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
     # Whether a row may get shorter by the row before it, and by the one after it.
     by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
     for _ in range(_MOST_SWEEPS):
@@ -250,8 +250,8 @@ def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float
         x: [m]; a place outside counts as the nearest inside.
         y: [m]
     """
-    a = min(max(x / CELL - corner[0] - 0.5, 0.0), SIZE - 1.000001)
-    b = min(max(y / CELL - corner[1] - 0.5, 0.0), SIZE - 1.000001)
+    a = min(max(x / MAP_CELL - corner[0] - 0.5, 0.0), SIZE - 1.000001)
+    b = min(max(y / MAP_CELL - corner[1] - 0.5, 0.0), SIZE - 1.000001)
     i, j = int(a), int(b)
     a, b = a - i, b - j
     low = (1 - b) * left[i, j] + b * left[i, j + 1]
@@ -266,11 +266,11 @@ def _free_way(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: fl
 
     The cell that the place is in does not count.
     """
-    first_a, first_b = floor(x / CELL) - corner[0], floor(y / CELL) - corner[1]
+    first_a, first_b = floor(x / MAP_CELL) - corner[0], floor(y / MAP_CELL) - corner[1]
     way = 0.0
     while way < REACHES[-1]:
-        way += CELL / 2
-        a, b = floor((x + way * c) / CELL) - corner[0], floor((y + way * s) / CELL) - corner[1]
+        way += MAP_CELL / 2
+        a, b = floor((x + way * c) / MAP_CELL) - corner[0], floor((y + way * s) / MAP_CELL) - corner[1]
         if cells[a, b] > 0 and (a != first_a or b != first_b):
             return way
     return way

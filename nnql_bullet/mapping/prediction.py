@@ -7,19 +7,22 @@ from nnql_bullet.jit import njit
 from nnql_bullet.vehicle.profiles import rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import Limits
 
+PREDICTION_STEP = 0.1
+"""Time between predicted poses [s]."""
 
-def predicted_poses(yaw_rates: Array, turns: Array, ways: Array, limits: Limits, times: Array) -> Array:
+
+def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limits, times: Array) -> Array:
     """Poses in the present frame of each vehicle (n, m, k, 3) along turns under the drive's own profile.
 
     Args:
         yaw_rates: At the start (n,) [rad/s].
         turns: Heading changes (n, m) [rad].
-        ways: Driven from each time to the next (n, k) [m].
+        lengths: Path lengths from each time to the next (n, k) [m].
         limits: Of the vehicle.
         times: (k,) [s]
     """
     headings = turn_headings(yaw_rates[:, None], turns, limits, times)
-    places = rolled_path(0.0, ways[:, None, :], np.diff(headings, prepend=0.0))
+    places = rolled_path(0.0, lengths[:, None, :], np.diff(headings, prepend=0.0))
     return np.concatenate([places, headings[..., None]], axis=-1)
 
 

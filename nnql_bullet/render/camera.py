@@ -85,7 +85,7 @@ class Camera:
 Path = Callable[[Moment], Camera]
 """How a camera follows what happens."""
 
-SETTLING = 0.7
+CHASE_TIME_CONSTANT = 0.7
 """Time constant with which a chasing camera turns after the vehicle [s]."""
 STEP = 1 / 30
 """In which that is worked out [s]."""
@@ -100,7 +100,7 @@ def chase(timeline: Timeline, width: int, height: int) -> Path:
     followed = np.empty_like(yaws)
     followed[0] = yaws[0]
     for k in range(1, len(yaws)):
-        followed[k] = followed[k - 1] + (yaws[k] - followed[k - 1]) * STEP / SETTLING
+        followed[k] = followed[k - 1] + (yaws[k] - followed[k - 1]) * STEP / CHASE_TIME_CONSTANT
 
     def camera(moment: Moment) -> Camera:
         yaw, (x, y) = float(np.interp(moment.time, times, followed)), (moment.pose.x, moment.pose.y)

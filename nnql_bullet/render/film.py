@@ -15,8 +15,8 @@ from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.types import Bytes
 
 HOLD = 1.5
 """How long the ending stays in the picture [s]."""

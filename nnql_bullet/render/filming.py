@@ -12,10 +12,10 @@ from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import HOLD, Film, frame_times, frames
 from nnql_bullet.render.renderers import RendererName, best_renderer, check_renderer
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat, write_picture, write_pictures, write_video
+from nnql_bullet.types import Bytes
 from nnql_bullet.work import OnProgress, Progress, silent
 
 SIZE = (1280, 720)

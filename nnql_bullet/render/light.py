@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, OrientedBox, as_rows, squared_distance
-from nnql_bullet.render.shading import LEAN, Eye, Vector, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.render.shading import LEAN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.visuals import Kind, Shape
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -33,9 +34,9 @@ VEHICLE_REACH = 0.8
 """Nor does the vehicle, from the sphere that holds it [m]."""
 FAR = 1e9
 """As good as infinite [m], which the compiler's fast arithmetic does not know."""
-CELL = 1.0
+NEARBY_CELL = 1.0
 """Of the grid that says which boxes are near [m]."""
-MARGIN = 3.0
+NEARBY_MARGIN = 3.0
 """That it reaches beyond the arena [m]."""
 KINDS: dict[Kind, int] = {"box": 0, "cylinder": 1, "sphere": 2}
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -99,7 +100,7 @@ ROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 2 * np.pi * (np.ar
 
 def standing_boxes(world: WorldSpec) -> Boxes:
     """The world's boxes and walls, sorted into the grid."""
-    rows, columns = (int(np.ceil((side + 2 * MARGIN) / CELL)) for side in (world.depth, world.width))
+    rows, columns = (int(np.ceil((side + 2 * NEARBY_MARGIN) / NEARBY_CELL)) for side in (world.depth, world.width))
     first, near = _sorted_into_cells(world.solids, rows, columns)
     return Boxes(world.solids, world.obstacle_height, len(world.solids), first, near)
 
@@ -134,10 +135,10 @@ def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[n
         count = 0
         for row in range(rows):
             for column in range(columns):
-                x, y = (column + 0.5) * CELL - MARGIN, (row + 0.5) * CELL - MARGIN
+                x, y = (column + 0.5) * NEARBY_CELL - NEARBY_MARGIN, (row + 0.5) * NEARBY_CELL - NEARBY_MARGIN
                 first[row, column] = count
                 for k in range(len(boxes)):
-                    if squared_distance(x, y, boxes[k]) < (REACH + CELL) ** 2:
+                    if squared_distance(x, y, boxes[k]) < (REACH + NEARBY_CELL) ** 2:
                         if noting:
                             near[count] = k
                         count += 1
@@ -216,7 +217,7 @@ def _find_near(place: Vector, boxes: Boxes, near: NDArray[np.int64]) -> int:
     count = 0
     if place[2] >= boxes.height:
         return count
-    row, column = int((place[1] + MARGIN) / CELL), int((place[0] + MARGIN) / CELL)
+    row, column = int((place[1] + NEARBY_MARGIN) / NEARBY_CELL), int((place[0] + NEARBY_MARGIN) / NEARBY_CELL)
     if 0 <= row < boxes.first.shape[0] and 0 <= column < boxes.first.shape[1] - 1:
         for k in range(boxes.first[row, column], boxes.first[row, column + 1]):
             near[count] = boxes.near[k]

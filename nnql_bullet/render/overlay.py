@@ -11,20 +11,15 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from nnql_bullet import colours, paper
-from nnql_bullet.env import STOP, TOWARD_TARGET
+from nnql_bullet.colours import INK, PANEL, TIMEOUT
+from nnql_bullet.geometry import Pose, placed
 from nnql_bullet.render.camera import Camera
-from nnql_bullet.render.shading import Bytes
+from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES
 from nnql_bullet.render.timeline import Moment, Timeline
+from nnql_bullet.types import Bytes
 
 Box = tuple[float, float, float, float]
 
-PAPER, FAINT, INK = (255, 255, 255, 205), (134, 142, 150, 255), (33, 37, 41, 255)
-STATES = {
-    "SS": ("safe", colours.SAFE),
-    "NS": ("non-safe", colours.NON_SAFE),
-    "WS": ("at the target", colours.GOAL),
-    "FS": ("collision", colours.COLLISION),
-}
 DESIGNED_FOR = 720
 """Height of the picture in which sizes below are pixels."""
 FAR_OFF = 40.0
@@ -95,21 +90,18 @@ class Overlay:
         ((x, y),), _ = camera.project(np.array([[moment.pose.x, moment.pose.y, 0.3]]))
         r = self._px(13)
         ring = (left + x - r, y - r, left + x + r, y + r)
-        draw.ellipse(ring, outline=colours.INK, width=round(self._px(2)) or 1)
+        draw.ellipse(ring, outline=INK, width=round(self._px(2)) or 1)
 
     def _mark_readings(
         self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
     ) -> None:
         """What each sector reads, at its rim, if that is on the ground that is seen."""
         recording, font = self._recording, self._font(15)
-        (x, y, yaw), readings = recording.state_pose[moment.step].tolist(), recording.readings[moment.step]
-        ahead = recording.about["vehicle"]["sensor"][0]
-        angles = yaw + np.arange(paper.SECTORS) * 2 * np.pi / paper.SECTORS
+        pose, readings = Pose(*recording.state_pose[moment.step].tolist()), recording.readings[moment.step]
+        x, y = placed(pose, *recording.about["vehicle"]["sensor"][:2])
+        angles = pose.yaw + np.arange(paper.SECTORS) * paper.SECTOR_ANGLE
         reach = readings - 0.45
-        across, along = (
-            x + ahead * np.cos(yaw) + reach * np.cos(angles),
-            y + ahead * np.sin(yaw) + reach * np.sin(angles),
-        )
+        across, along = x + reach * np.cos(angles), y + reach * np.sin(angles)
         pixels, _ = camera.project(np.column_stack([across, along, np.zeros(len(angles))]))
         for (u, v), reading in zip(pixels, readings, strict=True):
             inside = 0 <= u < camera.width and 0 <= v < camera.height
@@ -139,7 +131,7 @@ class Overlay:
         self._panel(draw, (left, pad, width - pad, 2.6 * pad + line * len(rows)))
         for row, (name, value) in enumerate(rows):
             y = 1.8 * pad + row * line
-            draw.text((left + pad, y), name, fill=FAINT, font=self._font(17))
+            draw.text((left + pad, y), name, fill=TIMEOUT, font=self._font(17))
             draw.text((width - 2 * pad, y), value, fill=INK, font=self._font(17, bold=True), anchor="ra")
 
     def _values(self, draw: ImageDraw.ImageDraw, moment: Moment, height: int) -> None:
@@ -147,7 +139,7 @@ class Overlay:
         values, action = self._recording.q_values[moment.step], int(self._recording.action[moment.step])
         pad, bar, tall = self._px(12), self._px(40), self._px(86)
         asked = bool(np.isfinite(values).all())
-        text = _manoeuvre(action)
+        text = MANOEUVRES[action]
         if self._recording.overridden[moment.step]:
             text = f"shield: {text}"
         elif asked:
@@ -172,13 +164,13 @@ class Overlay:
             draw.rectangle(box, fill=colours.NON_SAFE if chosen else colours.TIMEOUT)
             middle, above_bar = x + bar / 2, box[1] - self._px(3)
             draw.text((middle, above_bar), f"{values[k]:.2f}", fill=INK, font=self._font(11), anchor="ms")
-            ink, font = INK if chosen else FAINT, self._font(14, bold=chosen)
+            ink, font = INK if chosen else TIMEOUT, self._font(14, bold=chosen)
             draw.text((middle, floor + self._px(14)), _turn(k), fill=ink, font=font, anchor="mm")
         draw.line((left + pad, zero, left + pad + 5 * bar, zero), fill=INK, width=1)
 
     def _state(self, draw: ImageDraw.ImageDraw, moment: Moment, width: int, height: int) -> None:
         step = len(self._recording.action) if moment.over else moment.step
-        text, colour = STATES[str(self._recording.state_property[step])]
+        text, colour = PROPERTIES[str(self._recording.state_property[step])]
         font = self._font(20, bold=True)
         across, pad = font.getlength(text), self._px(12)
         right, below = width - pad, height - self._px(30)
@@ -190,12 +182,12 @@ class Overlay:
         """All of the episode: safe and non-safe states so far, and how much is left."""
         pad, tall = self._px(12), max(self._px(8), 2)
         left, across, below = pad, width - 2 * pad, height - pad
-        draw.rectangle((left, below - tall, left + across, below), fill=PAPER)
+        draw.rectangle((left, below - tall, left + across, below), fill=PANEL)
         times = np.minimum(self._recording.state_time, moment.time) / self._timeline.duration
         for begin, end, state in zip(times[:-1], times[1:], self._recording.state_property[:-1], strict=True):
             if begin < end:
                 box = (left + begin * across, below - tall, left + end * across, below)
-                draw.rectangle(box, fill=STATES[str(state)][1])
+                draw.rectangle(box, fill=PROPERTIES[str(state)][1])
 
     def _ending(self, draw: ImageDraw.ImageDraw, width: int) -> None:
         ending = self._recording.about["ending"]
@@ -207,19 +199,13 @@ class Overlay:
         draw.text((width / 2, (box[1] + box[3]) / 2), text, fill="white", font=font, anchor="mm")
 
     def _panel(self, draw: ImageDraw.ImageDraw, box: Box) -> None:
-        draw.rounded_rectangle(box, radius=self._px(8), fill=PAPER)
+        draw.rounded_rectangle(box, radius=self._px(8), fill=PANEL)
 
 
 def _turn(action: int) -> str:
-    """What one of the five turns is called."""
+    """One of the five turns in degrees, as text."""
     turn = degrees(paper.TURNS[action])
     return f"{turn:+.0f}°" if turn else "0°"
-
-
-def _manoeuvre(action: int) -> str:
-    """What an action is called, or one with a stop."""
-    turn = "toward the target" if action % STOP == TOWARD_TARGET else _turn(action % STOP)
-    return f"stop, {turn}" if action >= STOP else turn
 
 
 RANGE_SHOWN = paper.SENSOR_RANGE - 0.05

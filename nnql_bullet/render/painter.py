@@ -1,19 +1,17 @@
 """A recording's instants as pictures: solid things, ground and light, and what is written over them."""
 
 from dataclasses import replace
-from math import cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import colours, paper
-from nnql_bullet.geometry import Array, as_rows, moved
+from nnql_bullet.geometry import Array, Pose, as_rows, moved, placed
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.shading import (
     NON_SAFE_PATH,
     SAFE_PATH,
     SHADOW,
-    Bytes,
     Ground,
     Inks,
     eye_of,
@@ -25,6 +23,7 @@ from nnql_bullet.render.shading import (
 )
 from nnql_bullet.render.solids import Renderer
 from nnql_bullet.render.timeline import Moment, Timeline
+from nnql_bullet.types import Bytes
 
 MOST_CELLS = 2200
 """Of the ground's map, along the arena's longer side."""
@@ -35,22 +34,21 @@ PATH_WIDTH = 0.16
 VEHICLE_HEIGHT = 0.4
 """That its shadow is cast from [m]."""
 INKS = Inks(
-    floor=(233.0, 234.0, 232.0),
-    outside=(205.0, 207.0, 208.0),
+    floor=colours.rgb(colours.FLOOR),
+    outside=colours.rgb(colours.OUTSIDE),
     target=colours.rgb(colours.COLLISION),
     safe=colours.rgb(colours.SAFE),
     non_safe=colours.rgb(colours.NON_SAFE),
-    horizon=(214.0, 224.0, 233.0),
+    horizon=colours.rgb(colours.HORIZON),
 )
-NEAR_TINT, MIDDLE_TINT, FAR_TINT = (214, 39, 40), (245, 170, 30), (46, 160, 67)
-"""Of a sector that reads nothing but what is close, half of the range, the whole range."""
 
 
 def tint(reading: Array) -> Array:
     """Colours (..., 3) of sensor readings (...) [m]: from red over yellow to green."""
     share = np.clip(np.asarray(reading) / paper.SENSOR_RANGE, 0.0, 1.0)[..., None]
-    low, middle, high = (np.array(colour, dtype=np.float64) for colour in (NEAR_TINT, MIDDLE_TINT, FAR_TINT))
-    return np.where(share < 0.5, low + 2 * share * (middle - low), middle + (2 * share - 1) * (high - middle))
+    low, middle, high = (np.array(colours.rgb(colour)) for colour in (colours.NEAR, colours.MIDDLE, colours.FAR))
+    rising, falling = low + 2 * share * (middle - low), middle + (2 * share - 1) * (high - middle)
+    return np.asarray(np.where(share < 0.5, rising, falling))
 
 
 class Painter:
@@ -108,15 +106,13 @@ class Painter:
     def _ground(self, moment: Moment) -> Ground:
         recording = self._timeline.recording
         world = recording.world
-        x, y, yaw = recording.state_pose[moment.step].tolist()
-        ahead, left, _ = recording.about["vehicle"]["sensor"]
-        c, s = cos(yaw), sin(yaw)
+        pose = Pose(*recording.state_pose[moment.step].tolist())
         return Ground(
             cell=self._cell,
             width=world.width,
             depth=world.depth,
             target=(*world.target, world.target_radius),
-            scan=(x + c * ahead - s * left, y + s * ahead + c * left, yaw),
+            scan=(*placed(pose, *recording.about["vehicle"]["sensor"][:2]), pose.yaw),
         )
 
 

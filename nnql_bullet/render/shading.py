@@ -6,8 +6,7 @@ surfaces back, on which light falls from one direction and from the sky, and wha
 rendering of 3-D shapes, SIGGRAPH 1990.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.render.camera import Camera
-
-F = TypeVar("F", bound=Callable[..., Any])
-Bytes = NDArray[np.uint8]
-Vector = tuple[float, float, float]
+from nnql_bullet.types import Bytes, Vector
 
 SHADOW, SAFE_PATH, NON_SAFE_PATH = 0, 1, 2
 """Layers of the ground's map."""
@@ -34,14 +30,10 @@ RANGE = paper.SENSOR_RANGE
 HALF_ROOT = 0.5**0.5
 
 
-def kernel(function: F) -> F:
-    """Compiles a function."""
-    return njit(fastmath=True, error_model="numpy")(function)
-
-
-def _part(function: F) -> F:
-    """Compiles a function into those that call it."""
-    return njit(fastmath=True, error_model="numpy", inline="always")(function)
+kernel = njit(fastmath=True, error_model="numpy")
+"""Compiles a function."""
+_part = njit(fastmath=True, error_model="numpy", inline="always")
+"""Compiles a function into the functions that call it."""
 
 
 class Eye(NamedTuple):

@@ -8,8 +8,8 @@ from PIL import Image, ImageDraw
 
 from nnql_bullet import colours
 from nnql_bullet.render.overlay import text_font
-from nnql_bullet.render.shading import Bytes
 from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.types import Bytes
 
 COLUMNS = 3
 WIDTH = 640

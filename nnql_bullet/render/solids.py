@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet.colours import SOLID_BOX, SOLID_MOVING, SOLID_WALL, unit_rgb
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.recording import Recording
@@ -13,9 +14,9 @@ from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
 from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind
 
-BOX: Colour = (0.52, 0.58, 0.66)
-WALL: Colour = (0.74, 0.75, 0.77)
-MOVING: Colour = (0.60, 0.44, 0.93)
+BOX: Colour = unit_rgb(SOLID_BOX)
+WALL: Colour = unit_rgb(SOLID_WALL)
+MOVING: Colour = unit_rgb(SOLID_MOVING)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
-from nnql_bullet.render.shading import Bytes
+from nnql_bullet.types import Bytes
 
 VideoFormat = Literal["mp4", "gif"]
 

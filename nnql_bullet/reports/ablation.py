@@ -7,51 +7,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
-from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, TIMEOUT
+from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
 from nnql_bullet.evaluation.ablation import Budget, Entry
 from nnql_bullet.evaluation.studies import Factor, Study
-from nnql_bullet.reports.plots import save_figure
-from nnql_bullet.reports.tables import csv_text, markdown_table
+from nnql_bullet.reports.document import Picture, Report, Section, table
+from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, new_figure, save_figure
+from nnql_bullet.reports.tables import csv_text
 
 COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}
 
 
 def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) -> str:
     """The report."""
-    lines = [
-        f"# {study.title}",
-        "",
+    variants = table(
+        ("factor", "section", "variant", *study.tiers.values(), "difference, points", "evidence"),
+        [_row(study, entry) for entry in entries],
+    )
+    lead = (
         f"{about(study, budget)} nnql-bullet {__version__}.",
-        "",
         "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is "
-        "that of success over all kinds of worlds, paired by seed, from the default's; an variant is better or "
-        "worse where its 95 % interval leaves zero out. With so many variants, one or two will do so by chance.",
-        "",
-        "![the ablation](ablation.png)",
-        "",
-        markdown_table(
-            (
-                "factor",
-                "section",
-                "variant",
-                *study.tiers.values(),
-                "difference, points",
-                "evidence",
-            ),
-            [_row(study, entry) for entry in entries],
-        ),
-        "",
-        "## What it decides",
-        "",
-        *(f"- {factor.question}: {decision(factor, entries)}" for factor in study.factors),
-        "",
-        *([f"Not varied: {study.not_varied}.", ""] if study.not_varied else []),
-    ]
-    return "\n".join(lines)
+        "that of success over all kinds of worlds, paired by seed, from the default's; a variant is better or worse "
+        "where its 95 % interval leaves zero out. With so many variants, one or two will do so by chance.",
+        Picture("ablation.png", "the ablation"),
+        variants,
+    )
+    decisions = "\n".join(f"- {factor.question}: {decision(factor, entries)}" for factor in study.factors)
+    not_varied = (f"Not varied: {study.not_varied}.",) if study.not_varied else ()
+    return Report(study.title, (Section("", lead), Section("What it decides", (decisions, *not_varied)))).markdown()
 
 
 def about(study: Study, budget: Budget) -> str:
@@ -157,7 +142,7 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
     gaps = np.cumsum([0.0] + [1.6 * (a.factor is not b.factor) for a, b in pairwise(entries)])
     places = -(np.arange(len(entries)) + gaps)
     size = 3.0 + max(2.0 * len(study.tiers), 8.0), 0.23 * float(-places[-1]) + 1.9
-    figure = Figure(figsize=size, layout="constrained")
+    figure = new_figure(*size)
     panels = figure.subplots(1, len(study.tiers), sharey=True, squeeze=False)[0]
     for axes, (world, title) in zip(panels, study.tiers.items(), strict=True):
         for place, entry in zip(places.tolist(), entries, strict=True):
@@ -169,11 +154,9 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
                 axes.plot([100 * interval.low, 100 * interval.high], [place] * 2, color=colour, lw=1.8, zorder=3)
                 axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
             if entry.verdict == "default":
-                axes.axhspan(place - 0.42, place + 0.42, color="#f1f3f5", lw=0, zorder=0)
+                axes.axhspan(place - 0.42, place + 0.42, color=SHADE, lw=0, zorder=0)
         axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 1.6), xlabel="success [%]")
-        axes.set_title(title, fontsize=10, color=INK)
-        axes.grid(axis="x", color="#e9ecef", lw=0.8)
-        axes.spines[["top", "right", "left"]].set_visible(False)
+        finish_axes(axes, title, grid="x", hidden=(*OPEN, "left"))
         axes.tick_params(axis="y", length=0)
     panels[0].set_yticks(places, [entry.variant.label for entry in entries], fontsize=8)
     for factor in study.factors:
@@ -184,7 +167,7 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
         Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
     ]
     handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    legend_below(figure, 5, handles)
     title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it"
     figure.suptitle(title, fontsize=10, color=INK)
     save_figure(figure, path)

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from nnql_bullet.colours import INK
+from nnql_bullet.colours import DISTINCT, HATCH_DARK, HATCH_LIGHT, INK
 from nnql_bullet.fidelity.envelope import (
     HEADING_TOLERANCE,
     HEADINGS,
@@ -32,8 +32,9 @@ from nnql_bullet.fidelity.envelope import (
 )
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array
-from nnql_bullet.reports.plots import save_figure
-from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
+from nnql_bullet.reports.document import Report, Section, Table, table
+from nnql_bullet.reports.drawing import legend_below, new_figure, save_figure
+from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
 from nnql_bullet.vehicle.limits import (
     braking,
     grip_acceleration,
@@ -45,9 +46,9 @@ from nnql_bullet.vehicle.limits import (
 from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
+OWN_LIMITS = DISTINCT[-1]
 PAPER_GRID = 40
 """Points along each axis at which the limits on paper are worked out."""
-HATCH_DARK, HATCH_LIGHT = "#00000099", "#ffffff99"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,7 @@ class _Measure:
 
 
 def _measures() -> tuple[_Measure, ...]:
+    percent, ticks = Normalize(0.0, 100.0, clip=True), (0.0, 50.0, 100.0)
     return (
         _Measure(
             "heading error [°]",
@@ -94,27 +96,9 @@ def _measures() -> tuple[_Measure, ...]:
         _Measure(
             "slip [% of speed]", lambda m: 100 * m.slip, LogNorm(0.2, 50.0, clip=True), "viridis", (0.2, 1.0, 5.0, 50.0)
         ),
-        _Measure(
-            "rear load [% of rest]",
-            lambda m: 100 * m.least_load,
-            Normalize(0.0, 100.0, clip=True),
-            "viridis_r",
-            (0.0, 50.0, 100.0),
-        ),
-        _Measure(
-            "tip margin [%]",
-            lambda m: 100 * m.tip_margin,
-            Normalize(0.0, 100.0, clip=True),
-            "viridis_r",
-            (0.0, 50.0, 100.0),
-        ),
-        _Measure(
-            "friction used [%]",
-            lambda m: 100 * m.friction_used,
-            Normalize(0.0, 100.0, clip=True),
-            "viridis",
-            (0.0, 50.0, 100.0),
-        ),
+        _Measure("rear load [% of rest]", lambda m: 100 * m.least_load, percent, "viridis_r", ticks),
+        _Measure("tip margin [%]", lambda m: 100 * m.tip_margin, percent, "viridis_r", ticks),
+        _Measure("friction used [%]", lambda m: 100 * m.friction_used, percent, "viridis", ticks),
     )
 
 
@@ -132,7 +116,7 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
     """
     vehicle, found, measures = bench.vehicle, {result.case: result for result in results}, _measures()
     with matplotlib.rc_context({"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
-        figure = Figure(figsize=(8.6, 2.15 * len(slices) + 1.5), layout="constrained")
+        figure = new_figure(8.6, 2.15 * len(slices) + 1.5)
         panels = figure.subplots(len(slices), len(measures), squeeze=False, sharex="col")
         for row, part in zip(panels, slices, strict=True):
             limits = _paper_limits(vehicle, part)
@@ -147,7 +131,7 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
                     _add_colour_bar(figure, axes, mesh, measure)
         for axes in panels[-1]:
             axes.set_xlabel("control period [s]")
-        figure.legend(handles=_envelope_legend(), loc="outside lower center", ncols=2, frameon=False)
+        legend_below(figure, 2, _envelope_legend())
         figure.suptitle(_described(bench, slices[0].base), fontsize=9, color=INK)
         save_figure(figure, path)
 
@@ -206,7 +190,7 @@ def _mark_own_turn(axes: Axes, vehicle: VehicleSpec, part: Slice) -> None:
     """Where the vehicle's own limits put the base case's turn."""
     value = _AXES[part.quantity].shown(getattr(part.base, part.quantity))
     own = plan_turn(0.0, part.base.heading_change, vehicle.limits).duration
-    axes.plot(own, value, "*", ms=10, mfc="#e69f00", mec="black", mew=0.8, zorder=5)
+    axes.plot(own, value, "*", ms=10, mfc=OWN_LIMITS, mec="black", mew=0.8, zorder=5)
 
 
 def _envelope_legend() -> list[Any]:
@@ -218,19 +202,8 @@ def _envelope_legend() -> list[Any]:
     ]
     missed = f"off by over {degrees(HEADING_TOLERANCE):g}°, slips over {SLIP_TOLERANCE:.0%}, or lifts a wheel"
     return [
-        lines[0],
-        lines[1],
-        lines[2],
-        Line2D(
-            [],
-            [],
-            ls="",
-            marker="*",
-            ms=10,
-            mfc="#e69f00",
-            mec="black",
-            label="the vehicle's own limits",
-        ),
+        *lines,
+        Line2D([], [], ls="", marker="*", ms=10, mfc=OWN_LIMITS, mec="black", label="the vehicle's own limits"),
         Patch(fc="white", ec=HATCH_DARK, hatch="/////", lw=0.5, label=f"not followed: {missed}"),
     ]
 
@@ -305,8 +278,7 @@ def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[R
         results: Of every case of the slices.
     """
     found = {result.case: result for result in results}
-    parts = [
-        "# What the vehicle can follow",
+    lead = (
         NOT_A_CERTIFICATE,
         f"{_described(bench, slices[0].base)} "
         "Each turn goes from straight to straight in one control period: its yaw rate rises for a third of it, holds "
@@ -316,22 +288,28 @@ def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[R
         f"A turn is followed if the heading ends within {degrees(HEADING_TOLERANCE):g}° of the command, no drive "
         f"wheel's contact point moves over the ground at more than {SLIP_TOLERANCE:.0%} of the speed, and no rear "
         "wheel lifts.",
-        _vehicle_markdown(bench.vehicle),
-        "## Measured against paper",
-        _agreement_markdown(results),
-        *(_shortest_markdown(part, found) for part in slices),
-        "## Every case",
+        _vehicle_table(bench.vehicle),
+    )
+    about_cases = (
         "Friction and torque on paper are over what there is; loads are over the load at rest. The tip margin is 1 "
         "less the load transfer ratio of the drive wheels: at 0 one lifts. Friction used is of both drive wheels "
         "together. Forces are means over a look of the controller, 1/30 s. A rigid axle leaves open "
         "how its wheels share the side force, and an engine may have them push against each other: friction used is "
-        "then more than paper asks for.",
-        *(_cases_markdown(part, found) for part in slices),
-    ]
-    return "\n\n".join(parts) + "\n"
+        "then more than paper asks for."
+    )
+    compared = (_agreement_table(results), *(_shortest_table(part, found) for part in slices))
+    return Report(
+        "What the vehicle can follow",
+        (
+            Section("", lead),
+            Section("Measured against paper", compared),
+            Section("Every case", (about_cases,)),
+            *(_cases_section(part, found) for part in slices),
+        ),
+    ).markdown()
 
 
-def _vehicle_markdown(vehicle: VehicleSpec) -> str:
+def _vehicle_table(vehicle: VehicleSpec) -> Table:
     base = base_case(vehicle)
     turn = plan_turn(0.0, base.heading_change, vehicle.limits)
     asked, brakes = turn_demand(vehicle, base.speed, turn), braking(vehicle)
@@ -347,25 +325,25 @@ def _vehicle_markdown(vehicle: VehicleSpec) -> str:
             f"{vehicle.wheel_torque:g} N m, least rear load {asked.least_load:.0%}",
         ),
     ]
-    return markdown_table(("on paper", "value"), rows)
+    return table(("on paper", "value"), rows)
 
 
-def _agreement_markdown(results: Sequence[Result]) -> str:
+def _agreement_table(results: Sequence[Result]) -> Table:
     counted = {
         (followed, allowed): sum(r.measured.follows == followed and r.allowed == allowed for r in results)
         for followed in (True, False)
         for allowed in (True, False)
     }
-    return markdown_table(
+    return table(
         ("cases", "allowed on paper", "not allowed on paper"),
         [
-            ("follows", str(counted[True, True]), str(counted[True, False])),
-            ("does not follow", str(counted[False, True]), str(counted[False, False])),
+            ("follows", counted[True, True], counted[True, False]),
+            ("does not follow", counted[False, True], counted[False, False]),
         ],
     )
 
 
-def _shortest_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
+def _shortest_table(part: Slice, found: Mapping[Case, Result]) -> Table:
     """From which of the periods on every longer one is followed too."""
     axis = _AXES[part.quantity]
 
@@ -380,23 +358,14 @@ def _shortest_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
     header = (axis.label, *(f"{axis.shown(value):.4g}" for value in part.values))
     measured = ("shortest period followed [s]", *(shortest(v, lambda r: r.measured.follows) for v in part.values))
     paper = ("on paper [s]", *(shortest(v, lambda r: r.allowed) for v in part.values))
-    return markdown_table(header, [measured, paper])
+    return table(header, [measured, paper])
 
 
-def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
+def _cases_section(part: Slice, found: Mapping[Case, Result]) -> Section:
     axis = _AXES[part.quantity]
     header = (
-        axis.label,
-        "period [s]",
-        "friction asked, paper [%]",
-        "friction used [%]",
-        "torque asked, paper [%]",
-        "least load, paper [%]",
-        "least load [%]",
-        "tip margin [%]",
-        "heading error [°]",
-        "slip [%]",
-        "roll [°]",
+        *(axis.label, "period [s]", "friction asked, paper [%]", "friction used [%]", "torque asked, paper [%]"),
+        *("least load, paper [%]", "least load [%]", "tip margin [%]", "heading error [°]", "slip [%]", "roll [°]"),
         "follows",
     )
     rows = []
@@ -419,7 +388,7 @@ def _cases_markdown(part: Slice, found: Mapping[Case, Result]) -> str:
                 "fell over" if measured.fell_over else "yes" if measured.follows else "no",
             )
         )
-    return f"### {axis.name.capitalize()}\n\n{markdown_table(header, rows)}"
+    return Section(axis.name.capitalize(), (table(header, rows),), level=3)
 
 
 def _described(bench: Bench, base: Case) -> str:

@@ -9,24 +9,32 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
-from nnql_bullet import __version__, colours
-from nnql_bullet.colours import COLLISION, INK, LINES, NON_SAFE, SAFE
+from nnql_bullet import __version__
+from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
-from nnql_bullet.reports.tables import csv_text, finite, markdown_table
+from nnql_bullet.reports.document import Commands, Picture, Report, Section, table
+from nnql_bullet.reports.drawing import (
+    MARKS,
+    OPEN,
+    draw_drive,
+    draw_endings,
+    finish_axes,
+    legend_below,
+    legend_entries,
+    new_figure,
+    save_figure,
+    without_ticks,
+)
+from nnql_bullet.reports.tables import csv_text, finite
 from nnql_bullet.task import ENDINGS
 
-MARKS = "osD^vPX"
 
-
-def success(row: Row) -> Share:
+def success(row: Row) -> Estimate:
     """What is shown as a method's success: over training seeds where there are several, else over drives."""
     return row.over_seeds or row.outcomes["goal"]
 
@@ -73,38 +81,26 @@ def quality_row(row: Row, title: str) -> tuple[str, ...]:
     )
 
 
-def _shield_lines(rows: Sequence[Row], named: Mapping[str, str]) -> list[str]:
-    """What the shield did, beside the same methods without it."""
+def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
+    """The shield's decisions, beside the same methods without it."""
     header = (
-        "method",
-        "worlds",
-        "goal %",
-        "collision %",
-        "decisions overridden %",
-        "stops %",
-        "standing [s]",
-        "time [s]",
+        *("method", "worlds", "goal %", "collision %"),
+        *("decisions overridden %", "stops %", "standing [s]", "time [s]"),
     )
-    return [
-        "## The shield",
-        "",
-        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot; "
-        "time that a drive stands, mean over all, and to the target, mean over the drives that arrive.",
-        "",
-        markdown_table(
-            header,
-            [
-                (
-                    *(row.method, named[row.world]),
-                    *(str(row.outcomes[ending]) for ending in ("goal", "collision")),
-                    *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
-                    _or_none(row.time, ".1f"),
-                )
-                for row in rows
-            ],
-        ),
-        "",
+    cells = [
+        (
+            *(row.method, named[row.world]),
+            *(row.outcomes[ending] for ending in ("goal", "collision")),
+            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
+            _or_none(row.time, ".1f"),
+        )
+        for row in rows
     ]
+    caption = (
+        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot; "
+        "time that a drive stands, mean over all, and to the target, mean over the drives that arrive."
+    )
+    return Section("The shield", (table(header, cells, caption),))
 
 
 def _or_none(value: float, form: str) -> str:
@@ -117,86 +113,85 @@ ABOUT_INTERVALS = (
 )
 
 
-def evaluation_markdown(
+FAILURES = "Failures"
+"""Title of the section that shows failures."""
+
+
+def evaluation_report(
     evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
-) -> str:
-    """The report."""
+) -> Report:
+    """The report as data."""
     e = evaluation
     named = titles(e)
-    first = e.methods[0]
-    lines = [
-        "# Methods through the same worlds",
-        "",
+    cover = (Picture("cover.png", "success against cover"),) if len(_covers(e)) > 1 else ()
+    lead = (
         f"{e.setting.title}; {_worlds(e)}. nnql-bullet {__version__}.",
-        "",
-        ABOUT_INTERVALS,
-        "",
-        markdown_table(*success_table(e, rows)),
-        "",
-        "![how drives ended](outcomes.png)",
-        "",
-        *(["![success against cover](cover.png)", ""] if len(_covers(e)) > 1 else []),
-        "## Quality",
-        "",
+        table(*success_table(e, rows), ABOUT_INTERVALS),
+        Picture("outcomes.png", "how drives ended"),
+        *cover,
+    )
+    quality = table(
+        QUALITY,
+        [quality_row(row, named[row.world]) for row in rows],
         "Outcomes are over all drives, with Wilson intervals. SPL is success weighted by path length (arXiv "
         "1807.06757), against the shortest path of a disc as large as the circle around the vehicle; path ratio, time "
         "and clearance are means over the drives that arrive, the rest over all.",
-        "",
-        markdown_table(QUALITY, [quality_row(row, named[row.world]) for row in rows]),
-        "",
-        *(_shield_lines(rows, named) if e.shielded else []),
-        "## The methods",
-        "",
-        markdown_table(
-            ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
-            [_method_row(e, method) for method in e.methods],
+    )
+    methods = table(
+        ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
+        [_method_row(e, method) for method in e.methods],
+    )
+    worlds = table(
+        ("worlds", "seeds", "cover %", "shortest path [m]", "tortuosity", "closest obstacle [m]", "visibility [m]"),
+        [_difficulty_row(e, tier.name) for tier in e.tiers],
+        note="Means; the last three along the shortest path.",
+    )
+    return Report(
+        "Methods through the same worlds",
+        (
+            Section("", lead),
+            Section("Quality", (quality,)),
+            *((_shield_section(rows, named),) if e.shielded else ()),
+            Section("The methods", (methods,)),
+            Section("The worlds", (worlds,)),
+            *((_comparison_section(e, comparisons, named),) if len(e.methods) > 1 else ()),
+            *((_failure_section(films),) if films else ()),
         ),
-        "",
-        "## The worlds",
-        "",
-        markdown_table(
-            ("worlds", "seeds", "cover %", "shortest path [m]", "tortuosity", "closest obstacle [m]", "visibility [m]"),
-            [_difficulty_row(e, tier.name) for tier in e.tiers],
-        ),
-        "",
-        "Means; the last three along the shortest path.",
-        "",
+    )
+
+
+def _comparison_section(e: Evaluation, comparisons: Sequence[Comparison], named: Mapping[str, str]) -> Section:
+    first = e.methods[0]
+    cells = [
+        (named[c.world], c.second, c.pairs, c.only_first, c.only_second, f"{c.p_value:.2g}")
+        for c in comparisons
+        if c.first == first
     ]
-    if len(e.methods) > 1:
-        against = [c for c in comparisons if first in (c.first, c.second)]
-        lines += [
-            f"## Against {first}",
-            "",
-            f"Pairs of drives through the same world that {first} alone survived, or the other alone; McNemar's exact "
-            "test. Drives of several policies through one world are not independent: with several seeds p is too "
-            "small.",
-            "",
-            markdown_table(
-                ("worlds", "method", "pairs", f"only {first} arrives", "only it arrives", "p"),
-                [
-                    (named[c.world], c.second, c.pairs, c.only_first, c.only_second, f"{c.p_value:.2g}")
-                    for c in against
-                    if c.first == first
-                ],
-            ),
-            "",
-        ]
-    if films:
-        lines += [
-            "## Failures",
-            "",
+    caption = (
+        f"Pairs of drives through the same world that {first} alone survived, or the other alone; McNemar's exact "
+        "test. Drives of several policies through one world are not independent: with several seeds p is too small."
+    )
+    header = ("worlds", "method", "pairs", f"only {first} arrives", "only it arrives", "p")
+    return Section(f"Against {first}", (table(header, cells, caption),))
+
+
+def _failure_section(films: Sequence[FilmTask]) -> Section:
+    return Section(
+        FAILURES,
+        (
             "The first of each method in each kind of world.",
-            "",
-            "![failures](failures.png)",
-            "",
+            Picture("failures.png", "failures"),
             "Each is driven again, exactly, by:",
-            "",
-            "```",
-            *(task.replay for task in films),
-            "```",
-            "",
-        ]
-    return "\n".join(lines)
+            Commands(tuple(task.replay for task in films)),
+        ),
+    )
+
+
+def evaluation_markdown(
+    evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
+) -> str:
+    """The report as Markdown."""
+    return evaluation_report(evaluation, rows, comparisons, films).markdown()
 
 
 def _worlds(e: Evaluation) -> str:
@@ -258,6 +253,7 @@ def evaluation_values(
         ],
         "rows": [finite(asdict(row)) for row in rows],
         "comparisons": [asdict(comparison) for comparison in comparisons],
+        "report": asdict(evaluation_report(evaluation, rows, comparisons, films)),
         "failures": [
             {
                 "policy": task.policy.name,
@@ -313,27 +309,15 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
     """How drives ended: a panel for each tier, a bar for each method, with the interval of success."""
     e = evaluation
-    figure = Figure(figsize=(1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7), layout="constrained")
+    figure = new_figure(1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7)
     panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
-    places = np.arange(len(e.methods))[::-1]
     for axes, tier in zip(panels, e.tiers, strict=True):
         its = [row for row in rows if row.world == tier.name]
-        left = np.zeros(len(its))
-        for ending, colour in colours.ENDINGS.items():
-            widths = np.array([100 * row.outcomes[ending].value for row in its])
-            axes.barh(places, widths, left=left, color=colour, height=0.7, label=ending)
-            left += widths
-        for place, row in zip(places, its, strict=True):
-            shown = success(row)
-            axes.plot([100 * shown.low, 100 * shown.high], [place] * 2, color=INK, lw=1.4, solid_capstyle="butt")
-            axes.text(102, place, f"{100 * shown.value:.0f}", va="center", fontsize=8, color=INK)
+        draw_endings(axes, e.methods, [row.outcomes for row in its], [success(row) for row in its])
         axes.set(xlim=(0, 118), xlabel="drives [%]")
         axes.xaxis.set_major_locator(FixedLocator([0, 50, 100]))
-        axes.set_title(tier.title, fontsize=10, color=INK)
-        axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_yticks(places, e.methods)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        finish_axes(axes, tier.title, grid="none", hidden=OPEN)
+    legend_below(figure, 3)
     figure.suptitle(f"{e.setting.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
     save_figure(figure, path)
 
@@ -348,7 +332,7 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
     e, covers = evaluation, _covers(evaluation)
     if len(covers) < 2:
         return
-    figure = Figure(figsize=(8.4, 5.2), layout="constrained")
+    figure = new_figure(8.4, 5.2)
     axes = figure.add_subplot()
     by_place = {(row.method, row.world): success(row) for row in rows}
     last = covers[-1][1]
@@ -363,10 +347,8 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
         axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
     axes.set(xlabel="arena under boxes [%]", ylabel="success [%]", ylim=(-2, 102))
     axes.set_xticks([100 * cover for cover, _ in covers])
-    axes.grid(color="#e9ecef", lw=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
+    finish_axes(axes, f"{e.setting.title}; lines: 95 % intervals", hidden=OPEN)
     figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    axes.set_title(f"{e.setting.title}; lines: 95 % intervals", fontsize=10, color=INK)
     save_figure(figure, path)
 
 
@@ -381,24 +363,15 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
         return
     methods = list(dict.fromkeys(task.policy.method for task, _ in films))
     tiers = list(dict.fromkeys(task.tier.name for task, _ in films))
-    figure = Figure(figsize=(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6), layout="constrained")
+    figure = new_figure(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6)
     grid = figure.subplots(len(methods), len(tiers), squeeze=False)
     for axes in grid.flat:
         axes.set_visible(False)
     for task, recording in films:
-        axes, world = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)], recording.about["world"]
+        axes = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)]
         axes.set_visible(True)
-        draw_world(axes, recording, recording.state_time[-1])
-        draw_path(axes, recording, 0.6)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        without_ticks(axes)
         axes.spines[:].set_visible(False)
-        axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
-        axes.set_title(f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", fontsize=7.5, color=INK)
-    handles = [
-        Line2D([], [], color=SAFE, lw=1.6, label="safe"),
-        Line2D([], [], color=NON_SAFE, lw=1.6, label="non-safe"),
-        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=9, label="collision"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+        draw_drive(axes, recording, 0.6, 1.0, f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", 7.5)
+    legend_below(figure, 3, legend_entries(safe="safe", non_safe="non-safe", collision="collision"))
     save_figure(figure, path)

@@ -9,25 +9,24 @@ from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from nnql_bullet import __version__
-from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, INK, MOVING, MOVING_EDGE, NON_SAFE, SAFE, VEHICLE
+from nnql_bullet.colours import COLLISION, INK
 from nnql_bullet.evaluation.failures import (
     GROUPS,
     HEAD_ON,
     HESITATION,
-    LATE,
+    LAST_PART,
     NEAR_TARGET,
-    RETURN,
+    RETURN_AFTER,
     REVERSALS,
     REVISITED,
     ROUNDS,
-    SAME,
+    SAME_PLACE,
+    SMALLEST_TURN,
     STRUCK,
-    TURN,
     Contact,
     Features,
     Group,
@@ -35,8 +34,17 @@ from nnql_bullet.evaluation.failures import (
 from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
-from nnql_bullet.reports.plots import draw_path, draw_world, save_figure
-from nnql_bullet.reports.tables import markdown_table
+from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, Table, table
+from nnql_bullet.reports.drawing import (
+    draw_drive,
+    draw_path,
+    draw_world,
+    legend_below,
+    legend_entries,
+    new_figure,
+    save_figure,
+    without_ticks,
+)
 
 T = TypeVar("T")
 
@@ -46,20 +54,21 @@ COLUMNS = 6
 """Of them, side by side."""
 CLOSE = 4.0
 """Least half side of what is shown enlarged [m]."""
-MARGIN = 1.0
+ARENA_MARGIN = 1.0
 """Around the arena [m]."""
 
 RULES: dict[Group, str] = {
     "struck": f"A moving box was touched, and at least {STRUCK:.0%} of the speed at which they met was its own.",
     "flank": f"From the heading to the way straight through what was touched it is more than {degrees(HEAD_ON):.0f} "
     "degrees.",
-    "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(TURN):.0f} degrees changed sides at least "
-    f"{REVERSALS} times.",
+    "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(SMALLEST_TURN):.0f} degrees changed sides "
+    f"at least {REVERSALS} times.",
     "head-on": "Every other collision.",
-    "target circling": f"In the last {LATE:g} s it was never more than {NEAR_TARGET:g} m from the target.",
-    "circling": f"In the last {LATE:g} s it made at least {ROUNDS:g} full turns more to one side than to the other.",
-    "trapped": f"At least {REVISITED:.0%} of the last {LATE:g} s it was less than {SAME:g} m from where it had been "
-    f"{RETURN:g} s before or earlier.",
+    "target circling": f"In the last {LAST_PART:g} s it was never more than {NEAR_TARGET:g} m from the target.",
+    "circling": f"In the last {LAST_PART:g} s it made at least {ROUNDS:g} full turns more to one side than to the "
+    "other.",
+    "trapped": f"At least {REVISITED:.0%} of the last {LAST_PART:g} s it was less than {SAME_PLACE:g} m from where it "
+    f"had been {RETURN_AFTER:g} s before or earlier.",
     "wandering": "Every other drive that ran out of time.",
 }
 """Of `evaluation.failures`, in words."""
@@ -105,45 +114,36 @@ def count_table(found: Failures) -> tuple[tuple[str, ...], list[tuple[str, ...]]
 
 def failures_markdown(found: Failures) -> str:
     """The report: counts, and of each group a description, its contact sheet and its drives."""
-    lines = [
-        "# How drives failed",
-        "",
+    lead: tuple[Block, ...] = (
         f"{counted(found).capitalize()}. `{found.evaluation.command}`; nnql-bullet {__version__}.",
-        "",
-    ]
-    if not found.replays:
-        return "\n".join(lines)
-    lines += [
-        "Each was driven again and is in one group: the first whose rule fits. Groups describe what is seen; they are "
-        "not causes.",
-        "",
-        _counts(found),
-        "",
-        markdown_table(("group", "ending", "rule"), [(name, _ending(name), RULES[name]) for name in GROUPS]),
-        "",
-    ]
-    for name, its in found.groups.items():
-        few = f" The sheet shows {SHOWN} of them." if len(its) > SHOWN else ""
-        lines += [
-            f"## {name.capitalize()}: {len(its)}",
-            "",
+    )
+    if found.replays:
+        lead += (
+            "Each was driven again and is in one group: the first whose rule fits. Groups describe what is seen; they "
+            "are not causes.",
+            _counts(found),
+            table(("group", "ending", "rule"), [(name, _ending(name), RULES[name]) for name in GROUPS]),
+        )
+    groups = [_group_section(name, its) for name, its in found.groups.items()]
+    return Report("How drives failed", (Section("", lead), *groups)).markdown()
+
+
+def _group_section(name: Group, its: Sequence[Replay]) -> Section:
+    few = f" The sheet shows {SHOWN} of them." if len(its) > SHOWN else ""
+    rows = [{"drive": one.failed.title, **_cells(one.features)} for one in its]
+    return Section(
+        f"{name.capitalize()}: {len(its)}",
+        (
             f"{GROUPS[name]}{few}",
-            "",
-            f"![{name}]({sheet(name)})",
-            "",
-            markdown_table(*_drive_table(its)),
-            "",
+            Picture(sheet(name), name),
+            table(tuple(rows[0]), [row.values() for row in rows]),
             "They are driven again, exactly, by:",
-            "",
-            "```",
-            *(one.failed.film.replay for one in its),
-            "```",
-            "",
-        ]
-    return "\n".join(lines)
+            Commands(tuple(one.failed.film.replay for one in its)),
+        ),
+    )
 
 
-def _counts(found: Failures) -> str:
+def _counts(found: Failures) -> Table:
     """Failures of each method in each kind of world: all, those driven again, and those of each group."""
     everything = Counter(one.place for one in found.evaluation.failed)
     driven = Counter(one.failed.place for one in found.replays)
@@ -151,25 +151,16 @@ def _counts(found: Failures) -> str:
     titles = {one.failed.place: one.failed.film.tier.title for one in found.replays}
     rows = [
         (
-            place[0],
-            titles[place],
-            everything[place],
-            driven[place],
+            *(place[0], titles[place], everything[place], driven[place]),
             *(counts[place, name] or "" for name in found.groups),
         )
         for place in found.places
     ]
-    return markdown_table(("method", "worlds", "failures", "driven again", *found.groups), rows)
+    return table(("method", "worlds", "failures", "driven again", *found.groups), rows)
 
 
 def _ending(group: Group) -> str:
     return "collision" if group in ("struck", "flank", "dithering", "head-on") else "timeout"
-
-
-def _drive_table(replays: Sequence[Replay]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows: drives of one group with their features."""
-    rows = [{"drive": one.failed.title, **_cells(one.features)} for one in replays]
-    return tuple(rows[0]), [tuple(row.values()) for row in rows]
 
 
 def _cells(features: Features) -> dict[str, str]:
@@ -258,7 +249,7 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
     """
     columns = min(COLUMNS, len(drives))
     rows = -(-len(drives) // columns)
-    figure = Figure(figsize=(max(2.25 * columns, 5.0), 4.85 * rows + 0.6), layout="constrained")
+    figure = new_figure(max(2.25 * columns, 5.0), 4.85 * rows + 0.6)
     grid = figure.subplots(2 * rows, columns, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
@@ -266,10 +257,9 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
         row, column = divmod(number, columns)
         whole, end = grid[2 * row][column], grid[2 * row + 1][column]
         middle, half = _frame(recording, features)
-        _draw_whole(whole, recording)
+        draw_drive(whole, recording, 0.6, ARENA_MARGIN, title, 7.5)
         left, low = middle - half
         whole.add_patch(Rectangle((left, low), 2 * half, 2 * half, fc="none", ec=INK, lw=0.8, alpha=0.8, zorder=8))
-        whole.set_title(title, fontsize=7.5, color=INK)
         _draw_end(end, recording, features)
         end.set(xlim=middle[0] + (-half, half), ylim=middle[1] + (-half, half), aspect="equal")
         end.set_title(_what(features), fontsize=7, color=INK, pad=3)
@@ -278,8 +268,7 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
             0.03, 0.03, f"{2 * half:.0f} m", transform=end.transAxes, fontsize=7, color=INK, zorder=9, bbox=about_size
         )
     handles = _legend([recording for _, recording, _ in drives])
-    across = min(len(handles), columns + 1)
-    figure.legend(handles=handles, loc="outside lower center", ncols=across, frameon=False, fontsize=8.5)
+    legend_below(figure, min(len(handles), columns + 1), handles)
     save_figure(figure, path)
 
 
@@ -288,17 +277,10 @@ def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
     world = recording.world
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE
-    late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LATE, :2]
-    half = max(float(np.ptp(late, axis=0).max()) / 2 + MARGIN, CLOSE)
-    least, most = half - MARGIN, np.array([world.width, world.depth]) - half + MARGIN
+    late = recording.sample_pose[recording.sample_time >= recording.sample_time[-1] - LAST_PART, :2]
+    half = max(float(np.ptp(late, axis=0).max()) / 2 + ARENA_MARGIN, CLOSE)
+    least, most = half - ARENA_MARGIN, np.array([world.width, world.depth]) - half + ARENA_MARGIN
     return np.clip((late.min(axis=0) + late.max(axis=0)) / 2, least, np.maximum(most, least)), half
-
-
-def _draw_whole(axes: Axes, recording: Recording) -> None:
-    world = recording.world
-    draw_world(axes, recording, recording.state_time[-1])
-    draw_path(axes, recording, 0.6)
-    axes.set(xlim=(-MARGIN, world.width + MARGIN), ylim=(-MARGIN, world.depth + MARGIN), aspect="equal")
 
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
@@ -307,27 +289,25 @@ def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
     if isinstance(features.end, Contact):
         axes.plot(*features.end.place, "o", mfc=COLLISION, mec="white", ms=6, zorder=8)
     axes.set_axis_on()
-    axes.set_xticks([])
-    axes.set_yticks([])
+    without_ticks(axes)
     axes.spines[:].set(color=INK, lw=0.8, alpha=0.8)
 
 
 def _what(features: Features) -> str:
     if isinstance(features.end, Contact):
         return f"{features.end.touched}, {degrees(features.end.angle):.0f} degrees, at {features.time:.1f} s"
-    return f"the last minute of {features.time:.0f} s" if features.time > LATE else f"all {features.time:.0f} s"
+    return f"the last minute of {features.time:.0f} s" if features.time > LAST_PART else f"all {features.time:.0f} s"
 
 
 def _legend(recordings: Sequence[Recording]) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=SAFE, lw=2, label="in a safe state"),
-        Line2D([], [], color=NON_SAFE, lw=2, label="in a non-safe state"),
-        Patch(facecolor=VEHICLE, edgecolor=INK, label="vehicle at the end"),
-        Line2D([], [], marker="o", ls="", mfc="#ffe3e3", mec=COLLISION, ms=8, label="target"),
-        Patch(facecolor=BOX, edgecolor=BOX_EDGE, label="box"),
-    ]
-    if any(recording.patrols for recording in recordings):
-        handles.append(Patch(facecolor=MOVING, edgecolor=MOVING_EDGE, label="moving box, at the end"))
-    if any(recording.about["ending"] == "collision" for recording in recordings):
-        handles.append(Line2D([], [], marker="o", ls="", mfc=COLLISION, mec="white", ms=7, label="touched here"))
-    return handles
+    moves = any(recording.patrols for recording in recordings)
+    collides = any(recording.about["ending"] == "collision" for recording in recordings)
+    return legend_entries(
+        safe="in a safe state",
+        non_safe="in a non-safe state",
+        vehicle="vehicle at the end",
+        target="target",
+        obstacle="box",
+        **({"moving": "moving box, at the end"} if moves else {}),
+        **({"touched": "touched here"} if collides else {}),
+    )

@@ -7,22 +7,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from nnql_bullet import __version__
-from nnql_bullet.colours import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT
+from nnql_bullet.colours import ACTIONS, COLLISION, GOAL, INK, NON_SAFE, REFERENCE, SAFE, TIMEOUT
 from nnql_bullet.fidelity.actions import WatchedTurn, tightest
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
-from nnql_bullet.reports.plots import save_figure
-from nnql_bullet.reports.tables import finite, markdown_table
+from nnql_bullet.reports.document import Picture, Report, Section, table
+from nnql_bullet.reports.drawing import OPEN, finish_axes, new_figure, save_figure
+from nnql_bullet.reports.tables import finite
 from nnql_bullet.vehicle.controller import COMMAND_RATE
 from nnql_bullet.vehicle.limits import Demand, quasi_steady
 from nnql_bullet.vehicle.profiles import sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-COLOURS = ("#212529", "#74c0fc", "#1864ab", "#ffa94d", "#d9480f")
-"""Of the five actions."""
 
 
 @dataclass(frozen=True)
@@ -85,44 +82,47 @@ def fidelity_markdown(fidelity: Fidelity) -> str:
     f, count, turns = fidelity, len(fidelity.measurements), fidelity.actions[0][1]
     verdict = "all within tolerance" if not f.out else f"{len(f.out)} out of tolerance"
     limits = ("in the limit", *(f"{1e3 * gap:.2f} mm" for gap in f.limits))
-    parts = [
-        f"# Fidelity: {f.title}",
+    lead = (
         f"{count} quantities of {len(f.probes)} probes, {verdict}. The time step is 1/{1 / f.time_step:.0f} s; the "
         "last column is what comes out at half of it. What is expected follows from the vehicle's files alone. "
         f"nnql-bullet {__version__}.",
-        "![how much of each tolerance is used](tolerances.png)",
-        markdown_table(
+        Picture("tolerances.png", "how much of each tolerance is used"),
+        table(
             ("probe", "quantity", "expected", "measured", "accepted", "verdict", "at half the step"),
             [row for probe in f.probes for row in _measured_rows(*probe)],
         ),
-        "## Where the expectations come from",
-        markdown_table(
-            ("probe", "closed form", "source"),
-            [(probe.title, probe.closed_form, probe.source) for probe, _, _ in f.probes],
-        ),
-        "## The five actions",
+    )
+    sources = table(
+        ("probe", "closed form", "source"),
+        [(probe.title, probe.closed_form, probe.source) for probe, _, _ in f.probes],
+    )
+    actions = (
         "Against the unicycle that follows the same yaw-rate profile without slip or lag. What an engine adds by its "
         "time step halves with the step; what is left in the limit is slip: the wheel controllers take each of the "
         f"{COMMAND_RATE:.0f} commands a second at a stroke, and a wheel that is asked for more than its grip slides.",
-        "![paths, and distance from the ideal](actions.png)",
-        markdown_table(
+        Picture("actions.png", "paths, and distance from the ideal"),
+        table(
             ("time step [s]", *map(_name, turns)),
             [*((f"1/{1 / step:.0f}", *(f"{1e3 * t.gap:.2f} mm" for t in ts)) for step, ts in f.actions), limits],
+            note="Distance: root mean square over the turn. The limit is Richardson's, from the last two steps.",
         ),
-        "Distance: root mean square over the turn. The limit is Richardson's, from the last two steps.",
-        "## Grip used and wheel loads",
-        "![grip used, and load on each wheel through the tightest turn](grip.png)",
-        markdown_table(
-            (
-                "action",
-                "most grip used by a drive wheel",
-                "most by both together",
-                "least load on a drive wheel [N]",
-            ),
+    )
+    grip = (
+        Picture("grip.png", "grip used, and load on each wheel through the tightest turn"),
+        table(
+            ("action", "most grip used by a drive wheel", "most by both together", "least load on a drive wheel [N]"),
             [_grip_row(turn, f.bench.vehicle) for turn in turns],
         ),
-    ]
-    return "\n\n".join(parts) + "\n"
+    )
+    return Report(
+        f"Fidelity: {f.title}",
+        (
+            Section("", lead),
+            Section("Where the expectations come from", (sources,)),
+            Section("The five actions", actions),
+            Section("Grip used and wheel loads", grip),
+        ),
+    ).markdown()
 
 
 def _measured_rows(probe: Probe, measured: list[Measurement], halved: list[Measurement]) -> list[tuple[str, ...]]:
@@ -198,14 +198,14 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
 def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
     """How much of its tolerance each probe uses, at the time step and at half of it: its worst quantity."""
     rows = fidelity.probes
-    figure = Figure(figsize=(9.0, 0.3 * len(rows) + 1.3), layout="constrained")
+    figure = new_figure(9.0, 0.3 * len(rows) + 1.3)
     axes = figure.add_subplot()
     floor, labels = 1e-4, []
     for place, (probe, measured, halved) in enumerate(rows):
         worst = max(measured, key=share_used)
         half = {m.quantity: m for m in halved}.get(worst.quantity)
         used = max(share_used(worst), floor)
-        axes.plot([floor, used], [place, place], color="#ced4da", lw=1.4, zorder=1)
+        axes.plot([floor, used], [place, place], color=REFERENCE, lw=1.4, zorder=1)
         axes.plot(used, place, "o", color=GOAL if worst.ok else COLLISION, ms=6, zorder=3, clip_on=False)
         if half:
             axes.plot(max(share_used(half), floor), place, "o", mfc="white", mec=INK, ms=5, zorder=4, clip_on=False)
@@ -214,44 +214,40 @@ def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
     axes.set_yticks(range(len(rows)), labels, fontsize=9)
     axes.set(xscale="log", xlim=(floor, None), ylim=(len(rows) - 0.4, -0.6))
     axes.set_xlabel("share of the tolerance used (full: at the time step; open: at half of it)")
-    axes.set_title(f"{fidelity.title}: the worst quantity of each probe", fontsize=11, color=INK)
-    axes.grid(axis="x", color="#e9ecef", lw=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
+    finish_axes(axes, f"{fidelity.title}: the worst quantity of each probe", 11, grid="x", hidden=OPEN)
     save_figure(figure, path)
 
 
 def draw_actions(fidelity: Fidelity, path: Path) -> None:
     """Paths of the five actions, ideal against contact; how far apart they are; and what the time step does to that."""
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    figure = new_figure(11.0, 4.2)
     paths, gaps, steps = figure.subplots(1, 3, width_ratios=(1.0, 1.15, 0.9))
     step, turns = fidelity.actions[0]
-    for turn, colour in zip(turns, COLOURS, strict=True):
+    for turn, colour in zip(turns, ACTIONS, strict=True):
         label = _name(turn)
-        paths.plot(*turn.ideal.T, color="#ced4da", lw=5.0, solid_capstyle="round", zorder=1)
+        paths.plot(*turn.ideal.T, color=REFERENCE, lw=5.0, solid_capstyle="round", zorder=1)
         paths.plot(*turn.path.T, color=colour, lw=1.4, label=label, zorder=2)
         gaps.plot(turn.times, 1e3 * np.hypot(*(turn.path - turn.ideal).T), color=colour, lw=1.4, label=label)
     paths.set(xlabel="ahead [m]", ylabel="to the left [m]", aspect="equal")
-    paths.set_title("paths; grey: ideal", fontsize=10)
+    finish_axes(paths, "paths; grey: ideal")
     paths.legend(frameon=False, fontsize=8, loc="upper left")
     gaps.set(xlabel="time [s]", ylabel="distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
-    gaps.set_title(f"distance from the ideal, step 1/{1 / step:.0f} s", fontsize=10)
+    finish_axes(gaps, f"distance from the ideal, step 1/{1 / step:.0f} s")
     sizes = np.array([s for s, _ in fidelity.actions])
-    for i, colour in enumerate(COLOURS):
+    for i, colour in enumerate(ACTIONS):
         distances = [1e3 * watched[i].gap for _, watched in fidelity.actions]
         steps.plot(1e3 * sizes, distances, "o-", color=colour, lw=1.2, ms=4)
     steps.set(xlabel="time step [ms]", ylabel="RMS distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
-    steps.set_title("what the time step does to that", fontsize=10)
-    for axes in (paths, gaps, steps):
-        axes.grid(color="#e9ecef", lw=0.8)
+    finish_axes(steps, "what the time step does to that")
     save_figure(figure, path)
 
 
 def draw_grip(fidelity: Fidelity, path: Path) -> None:
     """How much of the friction circle the drive wheels use in each action, and the loads through the tightest turn."""
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    figure = new_figure(11.0, 4.2)
     used, loads = figure.subplots(1, 2)
     vehicle, turns = fidelity.bench.vehicle, fidelity.actions[0][1]
-    for turn, colour in zip(turns, COLOURS, strict=True):
+    for turn, colour in zip(turns, ACTIONS, strict=True):
         times, label = turn.forces.times, _name(turn)
         used.plot(times, 100 * turn.forces.used_by_axle(vehicle), color=colour, lw=1.6, label=label)
         used.plot(times, 100 * turn.forces.used(vehicle).max(axis=1), color=colour, lw=0.8, ls=":")
@@ -261,11 +257,9 @@ def draw_grip(fidelity: Fidelity, path: Path) -> None:
     used.axhline(100, color=COLLISION, lw=1.2)
     used.text(0.01, 101, "slides", color=COLLISION, fontsize=8, va="bottom")
     used.set(xlabel="time [s]", ylabel="friction circle used [%]", xlim=(0, None), ylim=(0, 112))
-    used.set_title("both drive wheels together; dotted: the one that uses more", fontsize=10)
+    finish_axes(used, "both drive wheels together; dotted: the one that uses more")
     used.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.02, 0.03))
     _draw_loads(loads, most, vehicle)
-    for axes in (used, loads):
-        axes.grid(color="#e9ecef", lw=0.8)
     save_figure(figure, path)
 
 
@@ -275,7 +269,7 @@ def _draw_loads(axes: Axes, turn: WatchedTurn, vehicle: VehicleSpec) -> None:
         axes.plot(times, turn.forces.normal[:, wheel], color=colour, lw=1.5, label=name)
         axes.plot(times, paper[:, wheel], color=colour, lw=1.2, ls=":")
     axes.set(xlabel="time [s]", ylabel="load [N]", xlim=(0, times[-1]), ylim=(0, None))
-    axes.set_title(f"wheel loads, {_name(turn)}; dotted: on paper", fontsize=10)
+    finish_axes(axes, f"wheel loads, {_name(turn)}; dotted: on paper")
     axes.legend(frameon=False, fontsize=8, ncols=3)
 
 

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
-from nnql_bullet.colours import COLLISION, GOAL, INK, NON_SAFE, SAFE, TIMEOUT
+from nnql_bullet.colours import COLLISION, INK, NON_SAFE, SAFE, TIMEOUT
 from nnql_bullet.evaluation.causes import CAUSES, DRIFT, GRAZE, NOTABLE, Explanation
 from nnql_bullet.evaluation.gap import (
     FaultRow,
@@ -26,96 +25,113 @@ from nnql_bullet.evaluation.gap import (
     outcome_matrix,
     success_p_value,
 )
-from nnql_bullet.evaluation.statistics import share
+from nnql_bullet.evaluation.statistics import proportion
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import load_recording
-from nnql_bullet.reports.plots import draw_world, save_figure
-from nnql_bullet.reports.tables import csv_text, finite, markdown_table
+from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, table
+from nnql_bullet.reports.drawing import (
+    OPEN,
+    draw_endings,
+    draw_world,
+    finish_axes,
+    frame_world,
+    legend_below,
+    legend_entries,
+    new_figure,
+    save_figure,
+)
+from nnql_bullet.reports.tables import csv_text, finite
 from nnql_bullet.task import ENDINGS
 
 
-def gap_markdown(gap: Gap) -> str:
-    """The report: what was driven, how it ended on both sides, why it differed, and what faults do."""
+def gap_report(gap: Gap) -> Report:
+    """The report as data: the drives, their endings on both sides, why these differ, and what faults do."""
     first, second = gap.first.name, gap.second.name
     matrix = outcome_matrix(gap.pairs)
     total, same = int(matrix.sum()), int(np.trace(matrix))
-    goals = [share(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
-    lines = [
-        f"# The gap: {first} against {second}",
-        "",
+    goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
+    lead: list[Block] = [
         f"{', '.join(gap.runs)}; {f'world {gap.world}, ' if gap.world else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
         f"{total} pairs of drives. nnql-bullet {__version__}.",
-        "",
         f"{same} of {total} pairs end alike. Success: {goals[0]} % in {first}, {goals[1]} % in {second} (Wilson 95 % "
         f"intervals over drives); McNemar's exact test p = {success_p_value(gap.pairs):.2g}.",
-        "",
-        "![the gap](gap.png)",
-        "",
-        markdown_table(
+        Picture("gap.png", "the gap"),
+        table(
             (f"{first} \\ {second}", *ENDINGS),
             [(name, *row) for name, row in zip(ENDINGS, matrix.tolist(), strict=True)],
         ),
-        "",
-        markdown_table(
+        table(
             ("policy", first, second, "alike"),
             [_policy_row(run, [pair for pair in gap.pairs if pair.run == run]) for run in gap.runs],
         ),
-        "",
     ]
     rows = differences(gap.pairs)
     if rows:
-        lines += [
-            f"Drives that reach the target on both sides, {second} less {first}:",
-            "",
-            markdown_table(
+        lead.append(
+            table(
                 ("quantity", "mean", "10 % to 90 % of drives"),
                 [(f"{r.quantity} [{r.unit}]", f"{r.mean:+.3f}", f"{r.low:+.3f} to {r.high:+.3f}") for r in rows],
-            ),
-            "",
-        ]
-    lines += _flips_markdown(gap)
-    if gap.trials:
-        lines += [
-            f"## Success by fault, in {second}",
-            "",
+                f"Drives that reach the target on both sides, {second} less {first}:",
+            )
+        )
+    if not gap.flips:
+        lead.append("No drive ended differently.")
+    return Report(
+        f"The gap: {first} against {second}",
+        (
+            Section("", tuple(lead)),
+            *((_flip_section(gap),) if gap.flips else ()),
+            *((_fault_section(gap),) if gap.trials else ()),
+        ),
+    )
+
+
+def _fault_section(gap: Gap) -> Section:
+    return Section(
+        f"Success by fault, in {gap.second.name}",
+        (
             "The policies are told of none of these, and were not trained with them.",
-            "",
-            "![success by fault](faults.png)",
-            "",
-            markdown_table(
-                ("fault", *(f"{ending} %" for ending in ENDINGS), "McNemar p against none", f"goal % in {first}"),
+            Picture("faults.png", "success by fault"),
+            table(
+                (
+                    "fault",
+                    *(f"{ending} %" for ending in ENDINGS),
+                    "McNemar p against none",
+                    f"goal % in {gap.first.name}",
+                ),
                 [_fault_row(row) for row in fault_rows(gap)],
             ),
-            "",
-        ]
-    return "\n".join(lines)
+        ),
+    )
 
 
-def _flips_markdown(gap: Gap) -> list[str]:
-    if not gap.flips:
-        return ["No drive ended differently.", ""]
+def _flip_section(gap: Gap) -> Section:
     causes = Counter(pair.explanation.cause for pair in gap.flips if pair.explanation)
     counted = ", ".join(f"{cause} {causes[cause]}" for cause in CAUSES)
-    lines = [
-        f"## The {len(gap.flips)} drives that ended differently",
-        "",
-        f"By cause: {counted}. The cause is slip or lag, whichever adds up to more, if before the drives part one of "
-        f"them exceeds {NOTABLE:.0%} of the way in a control period, or the drives are more than {DRIFT:g} m apart by "
-        f"then; else a graze, if one missed by less than {GRAZE:g} m what the other touched. What is left hangs on a "
-        "decision that was too close to call.",
-        "",
-        "![drives that ended differently](flips.png)",
-        "",
-        markdown_table(
-            (
-                *("policy", "seed", "endings", "cause", "parted at [s]", "apart then [mm]"),
-                *("slip", "lag", "decision", "miss [m]"),
+    return Section(
+        f"The {len(gap.flips)} drives that ended differently",
+        (
+            f"By cause: {counted}. The cause is slip or lag, whichever adds up to more, if before the drives part one "
+            f"of them exceeds {NOTABLE:.0%} of the way in a control period, or the drives are more than {DRIFT:g} m "
+            f"apart by then; else a graze, if one missed by less than {GRAZE:g} m what the other touched. What is left "
+            "hangs on a decision that was too close to call.",
+            Picture("flips.png", "drives that ended differently"),
+            table(
+                (
+                    *("policy", "seed", "endings", "cause", "parted at [s]", "apart then [mm]"),
+                    *("slip", "lag", "decision", "miss [m]"),
+                ),
+                [_flip_row(pair, pair.explanation) for pair in gap.flips if pair.explanation],
             ),
-            [_flip_row(pair, pair.explanation) for pair in gap.flips if pair.explanation],
+            "Each is driven again, exactly, by:",
+            Commands(tuple(gap.replay(pair, side) for pair in gap.flips for side in (gap.first, gap.second))),
         ),
-    ]
-    commands = [gap.replay(pair, side) for pair in gap.flips for side in (gap.first, gap.second)]
-    return [*lines, "", "Each is driven again, exactly, by:", "", "```", *commands, "```", ""]
+    )
+
+
+def gap_markdown(gap: Gap) -> str:
+    """The report as Markdown."""
+    return gap_report(gap).markdown()
 
 
 def gap_values(gap: Gap) -> dict[str, Any]:
@@ -156,6 +172,7 @@ def gap_values(gap: Gap) -> dict[str, Any]:
             }
             for row in fault_rows(gap)
         ],
+        "report": asdict(gap_report(gap)),
     }
 
 
@@ -195,7 +212,7 @@ def gap_table(gap: Gap) -> str:
 
 def draw_gap(gap: Gap, path: Path) -> None:
     """Outcomes against each other, how drives come apart, and what differs where both arrive."""
-    figure = Figure(figsize=(11.0, 8.2), layout="constrained")
+    figure = new_figure(11.0, 8.2)
     (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
     _draw_outcomes(outcomes, gap)
     _draw_divergence(apart, gap)
@@ -210,25 +227,17 @@ def draw_faults(gap: Gap, path: Path) -> None:
     if not gap.trials:
         return
     rows = fault_rows(gap)
-    figure = Figure(figsize=(9.0, 0.42 * len(rows) + 1.6), layout="constrained")
+    figure = new_figure(9.0, 0.42 * len(rows) + 1.6)
     axes = figure.add_subplot()
-    places = np.arange(len(rows))[::-1]
-    left = np.zeros(len(rows))
-    for ending, colour in (("goal", GOAL), ("collision", COLLISION), ("timeout", TIMEOUT)):
-        widths = np.array([100 * row.shares[ending].value for row in rows])
-        axes.barh(places, widths, left=left, color=colour, height=0.66, label=ending)
-        left += widths
-    for place, row in zip(places, rows, strict=True):
-        goal = row.shares["goal"]
-        axes.plot([100 * goal.low, 100 * goal.high], [place, place], color=INK, lw=1.6, solid_capstyle="butt")
-        axes.text(101, place, f"{100 * goal.value:.1f}", va="center", fontsize=9, color=INK)
+    shares = [row.shares for row in rows]
+    draw_endings(axes, [row.fault or "none" for row in rows], shares, [one["goal"] for one in shares], digits=1)
+    for place, row in enumerate(reversed(rows)):
         if row.first_goal:
             axes.plot(100 * row.first_goal.value, place, "D", mfc="white", mec=INK, ms=5.5, zorder=3)
-    axes.set_yticks(places, [row.fault or "none" for row in rows])
     axes.set(xlim=(0, 108), xlabel=f"drives [%]; bar: 95 % interval of success; diamond: success in {gap.first.name}")
-    axes.set_title(f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each", fontsize=11, color=INK)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
+    title = f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each"
+    finish_axes(axes, title, 11, grid="none", hidden=OPEN)
+    legend_below(figure, 3)
     save_figure(figure, path)
 
 
@@ -253,7 +262,7 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
         drives.append((pair, load_recording(files[0]), load_recording(files[1])))
     columns = min(3, len(drives))
     rows = -(-len(drives) // columns)
-    figure = Figure(figsize=(4.0 * columns, 4.3 * rows + 0.4), layout="constrained")
+    figure = new_figure(4.0 * columns, 4.3 * rows + 0.4)
     for axes, (pair, first, second) in zip(figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False):
         draw_world(axes, first, pair.explanation.time if pair.explanation else first.state_time[-1])
         for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
@@ -267,9 +276,8 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
             title = (
                 f"{Path(pair.run).name}, seed {pair.world_seed}: {pair.first.ending} | {pair.second.ending} ({cause})"
             )
-            axes.set_title(title, fontsize=9, color=INK)
-        world = first.about["world"]
-        axes.set(xlim=(-1, world["width"] + 1), ylim=(-1, world["depth"] + 1), aspect="equal")
+            finish_axes(axes, title, 9, grid="none")
+        frame_world(axes, first, 1.0)
         axes.set(xlabel="x [m]", ylabel="y [m]")
     for axes in figure.axes[len(drives) :]:
         axes.set_visible(False)
@@ -277,9 +285,9 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
         Line2D([], [], color=SAFE, lw=2.6, label=gap.first.name),
         Line2D([], [], color=NON_SAFE, lw=1.6, label=gap.second.name),
         Line2D([], [], marker="o", ls="", mfc="none", mec=INK, ms=10, label="first different decision"),
-        Line2D([], [], marker="X", ls="", mfc=COLLISION, mec="white", ms=10, label="collision"),
+        *legend_entries(collision="collision"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9)
+    legend_below(figure, len(handles), handles)
     save_figure(figure, path)
 
 
@@ -292,7 +300,7 @@ def _draw_outcomes(axes: Axes, gap: Gap) -> None:
     axes.set_xticks(range(len(ENDINGS)), ENDINGS)
     axes.set_yticks(range(len(ENDINGS)), ENDINGS)
     axes.set(xlabel=gap.second.name, ylabel=gap.first.name)
-    axes.set_title(f"how {len(gap.pairs)} pairs ended; McNemar p = {success_p_value(gap.pairs):.2g}", fontsize=10)
+    finish_axes(axes, f"how {len(gap.pairs)} pairs ended; McNemar p = {success_p_value(gap.pairs):.2g}", grid="none")
 
 
 def _draw_divergence(axes: Axes, gap: Gap) -> None:
@@ -307,8 +315,7 @@ def _draw_divergence(axes: Axes, gap: Gap) -> None:
     right.set_ylabel("pairs that have decided differently [%]", color=TIMEOUT)
     right.set_ylim(0, 100)
     axes.legend(loc="upper left", frameon=False, fontsize=9)
-    axes.grid(color="#e9ecef", lw=0.8)
-    axes.set_title("how far apart, while at least half of the pairs drive", fontsize=10)
+    finish_axes(axes, "how far apart, while at least half of the pairs drive")
 
 
 def _draw_against(axes: Axes, both: Sequence[Pair], gap: Gap, name: str, label: str) -> None:
@@ -319,15 +326,14 @@ def _draw_against(axes: Axes, both: Sequence[Pair], gap: Gap, name: str, label: 
     axes.plot(first, second, "o", color=SAFE, ms=4, alpha=0.5, mew=0)
     axes.set(xlim=(0, most), ylim=(0, most), aspect="equal")
     axes.set(xlabel=f"{gap.first.name}: {label}", ylabel=f"{gap.second.name}: {label}")
-    axes.grid(color="#e9ecef", lw=0.8)
-    axes.set_title(f"{len(both)} pairs that both reach the target", fontsize=10)
+    finish_axes(axes, f"{len(both)} pairs that both reach the target")
 
 
 def _policy_row(run: str, pairs: Sequence[Pair]) -> tuple[object, ...]:
     first = sum(pair.first.ending == "goal" for pair in pairs)
     second = sum(pair.second.ending == "goal" for pair in pairs)
     alike = sum(not pair.flipped for pair in pairs)
-    return run, share(first, len(pairs)), share(second, len(pairs)), f"{alike} of {len(pairs)}"
+    return run, proportion(first, len(pairs)), proportion(second, len(pairs)), f"{alike} of {len(pairs)}"
 
 
 def _fault_row(row: FaultRow) -> tuple[object, ...]:

@@ -14,25 +14,27 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markdown_it import MarkdownIt
-from markdown_it.renderer import RendererHTML
-from markdown_it.token import Token
 from markupsafe import Markup, escape
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
+from pydantic import TypeAdapter
 
-from nnql_bullet import __version__
+from nnql_bullet import __version__, colours
 from nnql_bullet.commands import preset_of
 from nnql_bullet.config import departures, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.statistics import Share
+from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
+from nnql_bullet.reports.document import Report
+from nnql_bullet.reports.drawing import DPI
+from nnql_bullet.reports.evaluation import FAILURES
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
-from nnql_bullet.reports.plots import DPI, draw_success, draw_trajectory
+from nnql_bullet.reports.plots import draw_success, draw_trajectory
 from nnql_bullet.runs import LEARNING_CURVE, Run
+from nnql_bullet.training.base import RECENT
 
 TEMPLATE = "report.html.j2"
 PLAYER = "player.js"
@@ -42,12 +44,10 @@ LIBRARIES = ("numpy", "scipy", "numba", "torch", "gymnasium", "pybullet", "mujoc
 """That results may depend on."""
 CSS_DPI = 96
 """Units of a page to the inch."""
-RECENT = 100
-"""Training episodes that the success shown for a run is over."""
 
 Verb = Literal["evaluate", "gap"]
-_FILES: dict[Verb, tuple[str, str]] = {"evaluate": ("results.json", "evaluation.md"), "gap": ("gap.json", "gap.md")}
-_PNG = b"\x89PNG\r\n\x1a\n"
+_FILES: dict[Verb, str] = {"evaluate": "results.json", "gap": "gap.json"}
+_REPORT = TypeAdapter(Report)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +91,12 @@ class Results:
     """Of the program that left it."""
     command: str
     """That makes it again, but for the folder."""
-    text: str
-    """Markdown."""
+    report: Report
     absent: list[str]
     """The policies of the page that do not drive in it."""
     methods: dict[str, list[str]]
     """Those that do by what they are called in it, if it is an evaluation."""
-    success: list[tuple[str, str, Share]]
+    success: list[tuple[str, str, Estimate]]
     """Of those that do, if it is an evaluation: method, worlds, share."""
     failures: list[Failure]
     """Of those that do, if it is an evaluation."""
@@ -114,7 +113,7 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
     Raises:
         UserError: If it is damaged.
     """
-    file, text = (folder / name for name in _FILES[verb])
+    file = folder / _FILES[verb]
     if not file.is_file():
         return None
     try:
@@ -131,7 +130,7 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
             folder=folder,
             version=values["version"],
             command=values["command"],
-            text=text.read_text(encoding="utf-8"),
+            report=_REPORT.validate_python(values["report"]),
             absent=[policy.name for policy in policies if policy.fingerprint not in there],
             methods=methods,
             success=_success(values, methods),
@@ -143,13 +142,13 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet {verb}") from None
 
 
-def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Share]]:
+def _success(values: Mapping[str, Any], methods: Collection[str]) -> list[tuple[str, str, Estimate]]:
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
     found = []
     for row in values.get("rows", ()):
         if row["method"] in methods:
             name = row["method"] if row["policies"] == 1 else f"{row['method']}, {row['policies']} seeds"
-            share = Share(*(row["over_seeds"] or row["outcomes"]["goal"]))
+            share = Estimate(*(row["over_seeds"] or row["outcomes"]["goal"]))
             found.append((name, titles.get(row["world"], row["world"]), share))
     return found
 
@@ -227,7 +226,10 @@ def page(
         success_curves=_success_curves(pairs),
         curves=[_curve(run, policy) for run, policy in pairs],
         evaluation=evaluation,
-        evaluation_text=evaluation and _html(evaluation, leaving_out="Failures"),
+        left_out=FAILURES,
+        inline=_inline,
+        picture=_image,
+        palettes={"light": colours.PAGE_LIGHT, "dark": colours.PAGE_DARK, "print": colours.PAGE_PRINT},
         failures=[
             (failure, load_recording(failure.recording)) for failure in (evaluation.failures if evaluation else ())
         ],
@@ -238,7 +240,6 @@ def page(
         player=Markup(player),
         player_hash=b64encode(sha256(player.encode()).digest()).decode(),
         gap=gap,
-        gap_text=gap and _html(gap),
         make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
         commands=[
             *(_training_command(run, policy) for run, policy in pairs),
@@ -397,37 +398,19 @@ def _image(path: Path, alt: str) -> Markup:
     Raises:
         UserError: If it is not there, or not a PNG.
     """
-    data = path.read_bytes() if path.is_file() else b""
-    if not data.startswith(_PNG):
-        raise UserError(f"{path}: is missing or not a PNG picture; make it again with the command that left it")
-    pixels = [int.from_bytes(data[k : k + 4], "big") for k in (16, 20)]
-    width, height = (round(CSS_DPI / DPI * count) for count in pixels)
-    uri = f"data:image/png;base64,{b64encode(data).decode()}"
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            width, height = (round(CSS_DPI / DPI * count) for count in picture.size)
+    except (OSError, UnidentifiedImageError):
+        again = "make it again with the command that left it"
+        raise UserError(f"{path}: is missing or not a PNG picture; {again}") from None
+    uri = f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}"
     return Markup('<img src="{}" width="{}" height="{}" alt="{}">').format(uri, width, height, alt)
 
 
-class _Html(RendererHTML):
-    """Our own Markdown as HTML: tables that scroll, pictures in the page, commands that are picked line by line."""
-
-    def table_open(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
-        return '<div class="wide" tabindex="0">\n<table>\n'
-
-    def table_close(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
-        return "</table>\n</div>\n"
-
-    def image(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
-        name = Path(str(tokens[index].attrs["src"])).name  # pictures lie beside the text, and nowhere else
-        return _image(env["folder"] / name, tokens[index].content)
-
-    def fence(self, tokens: Sequence[Token], index: int, options: Any, env: Any) -> str:
-        lines = tokens[index].content.splitlines()
-        return f'<pre class="wide" tabindex="0">{"".join(f"<code>{escape(line)}</code>" for line in lines)}</pre>\n'
-
-
-def _html(results: Results, leaving_out: str = "") -> Markup:
-    """The text of results, one level lower and without its title and perhaps one of its sections."""
-    first, *sections = results.text.split("\n## ")
-    kept = [section for section in sections if section.partition("\n")[0] != leaving_out]
-    markdown = "\n### ".join([first.partition("\n")[2], *kept])
-    parser = MarkdownIt("js-default", renderer_cls=_Html).disable(["link", "autolink"])  # HTML is escaped by default
-    return Markup(parser.render(markdown, {"folder": results.folder}))
+def _inline(text: str) -> Markup:
+    """Text in which code stands between backticks."""
+    parts = text.split("`")
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)
+    )

@@ -1,7 +1,6 @@
 // Plays the drives of a page: what each figure holds as numbers (see player.py), drawn from above.
 "use strict";
 
-const SECTOR = Math.PI / 4;
 const MARGIN = 2; // around the arena [m]
 const CLOSE = 13; // half side of what is drawn around the vehicle [m]
 const SMALL = 4; // half a vehicle that is too small to see is drawn as large as this [CSS pixels]
@@ -25,12 +24,12 @@ const decoded = (text) => {
 
 const timeOf = (drive, i) => (i === drive.x.length - 1 ? drive.end : i / drive.rate);
 
-// Where a box that goes back and forth is at a time [s].
-const patrolAt = ({ box: [x, y, ...rest], end, speed, phase }, time) => {
-  const [along, across] = [end[0] - x, end[1] - y];
-  const trips = phase + (speed * time) / (2 * Math.hypot(along, across));
-  const share = 1 - Math.abs(1 - 2 * (trips % 1));
-  return [x + share * along, y + share * across, ...rest];
+// The box of a patrol at a time [s]: it moves evenly from one of its places to the next.
+const patrolAt = ({ box: [, , ...rest], places }, time) => {
+  const after = Math.max(places.findIndex(([then]) => then >= time - 1e-6), 1);
+  const [[begin, x, y], [end, nextX, nextY]] = [places[after - 1], places[after]];
+  const share = (time - begin) / (end - begin);
+  return [x + share * (nextX - x), y + share * (nextY - y), ...rest];
 };
 
 // Draws the moment of pose i on a canvas, around a point and so far to all sides [m].
@@ -64,7 +63,7 @@ const draw = (canvas, drive, i, x, y, half) => {
     context.translate(px, py);
     context.rotate(yaw);
     trace();
-    context.load_training_state();
+    context.restore();
   };
   const box = ([px, py, length, width, yaw]) =>
     within(px, py, yaw, () => context.rect(-length, -width, 2 * length, 2 * width));
@@ -81,11 +80,12 @@ const draw = (canvas, drive, i, x, y, half) => {
   // Each sensor as it was read at the last decision, where it was read.
   const state = drive.state[i];
   const read = drive.state.indexOf(state);
-  for (let sector = 0; sector < 8; sector += 1) {
-    const reading = drive.readings[8 * state + sector] / 10;
+  const angle = (2 * Math.PI) / drive.sectors;
+  for (let sector = 0; sector < drive.sectors; sector += 1) {
+    const reading = drive.readings[drive.sectors * state + sector] / 10;
     const wedge = () => {
       context.moveTo(...drive.sensor);
-      context.arc(...drive.sensor, reading, (sector - 0.5) * SECTOR, (sector + 0.5) * SECTOR);
+      context.arc(...drive.sensor, reading, (sector - 0.5) * angle, (sector + 0.5) * angle);
     };
     const fill = `hsl(${(210 * reading) / drive.range} 85% 50% / 0.3)`;
     shape(within(drive.x[read], drive.y[read], drive.yaw[read], wedge), fill);

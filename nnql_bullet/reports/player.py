@@ -8,9 +8,12 @@ import numpy as np
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
+from nnql_bullet.worlds.spec import Patrol
 
 RATE = 10
 """Poses a second."""
+EVEN = 1e-6
+"""Smallest change of speed that counts as a change [m/s]."""
 
 
 def player_text(recording: Recording, title: str) -> str:
@@ -36,12 +39,11 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
         "arena": [world.width, world.depth],
         "target": [*world.target, world.target_radius],
         "boxes": [_box(box) for box in world.obstacles],
-        "patrols": [
-            {"box": _box(p.box), "end": _rounded(*p.end), "speed": p.speed, "phase": p.phase} for p in world.patrols
-        ],
+        "patrols": [_track(patrol, times) for patrol in world.patrols],
         "footprint": _box(recording.footprint),
         "sensor": _rounded(*recording.about["vehicle"]["sensor"][:2]),
         "range": paper.SENSOR_RANGE,
+        "sectors": paper.SECTORS,
         "rate": RATE,
         "end": round(end, 3),
         "x": _differences(x),
@@ -50,6 +52,19 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
         "times": _differences(recording.state_time),
         "readings": np.rint(10 * recording.readings).astype(int).ravel().tolist(),
         "states": "".join(label[0] for label in recording.state_property.tolist()),
+    }
+
+
+def _track(patrol: Patrol, times: Array) -> dict[str, Any]:
+    """A moving box, the ends of its track, and its time and place wherever it changes its speed."""
+    places = np.array([(box.x, box.y) for box in map(patrol.at, times.tolist())])
+    speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
+    bends = np.flatnonzero(np.abs(np.diff(speeds, axis=0)).max(axis=1) > EVEN) + 1
+    kept = np.concatenate([[0], bends, [len(times) - 1]]).tolist()
+    return {
+        "box": _box(patrol.box),
+        "end": _rounded(*patrol.end),
+        "places": [_rounded(times[k], *places[k]) for k in kept],
     }
 
 

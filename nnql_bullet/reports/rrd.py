@@ -15,7 +15,6 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import fields
-from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +25,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
-from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.env import STOP
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
+from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.task import REWARD_TERMS
-from nnql_bullet.vehicle.visuals import Looks, Shape
+from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
 """Time lines: [s], and the number of decisions so far."""
@@ -42,16 +43,8 @@ ARC_POINTS = 10
 """Along the edge of a sector."""
 
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-TURNS = tuple(
-    f"{'left' if turn > 0 else 'right'} {abs(degrees(turn)):.0f}°" if turn else "straight on" for turn in paper.TURNS
-)
-ACTIONS = (*TURNS, "toward the target")
-MANOEUVRES = (*ACTIONS, *(f"stop, {action}" for action in ACTIONS))
-"""By number, as `env` counts them."""
 DECIDERS = {"agent": SAFE, "shield": NON_SAFE}
 """Who may have taken a decision, and their colours."""
-PROPERTIES = {"SS": ("safe", SAFE), "NS": ("non-safe", NON_SAFE), "WS": ("winning", GOAL), "FS": ("failure", COLLISION)}
-"""What the paper's two letters stand for, and their colours."""
 
 
 def write_rrd(recording: Recording, path: Path) -> None:
@@ -138,12 +131,14 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
 
 def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
     """The shapes of each link, and how it stood in the vehicle's frame at the samples; at first as at the first one."""
-    looks = Looks(recording.about["vehicle"])
-    frames = [looks.link_frames(angles) for angles in recording.joint_angles[[0, *range(len(recording.joint_angles))]]]
+    visuals = Visuals(recording.about["vehicle"])
+    frames = [
+        visuals.link_frames(angles) for angles in recording.joint_angles[[0, *range(len(recording.joint_angles))]]
+    ]
     times = [_times(np.append(0.0, recording.sample_time))]
-    for link in dict.fromkeys(shape.link for shape in looks.shapes):
+    for link in dict.fromkeys(shape.link for shape in visuals.shapes):
         entity = f"world/vehicle/{link}"
-        shapes = [shape for shape in looks.shapes if shape.link == link]
+        shapes = [shape for shape in visuals.shapes if shape.link == link]
         for number, shape in enumerate(shapes):
             stream.log(f"{entity}/{number}", _solid(shape), static=True)
             turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.origin[:3, :3]).as_quat())
@@ -214,8 +209,8 @@ def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
     stream.send_columns(
         "property", _at_states(recording), rr.StateChange.columns(state=recording.state_property.tolist())
     )
-    stops = [TIMEOUT] * len(ACTIONS)
-    _log_line(stream, recording, "action", MANOEUVRES, (*LINES[: len(ACTIONS)], *stops), recording.action)
+    action_colours = [TIMEOUT if action >= STOP else LINES[action] for action in range(len(MANOEUVRES))]
+    _log_line(stream, recording, "action", MANOEUVRES, action_colours, recording.action)
     _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overridden)
 
 

@@ -8,21 +8,16 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
-from nnql_bullet.colours import INK
+from nnql_bullet.colours import DISTINCT, INK, TIMEOUT
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
-from nnql_bullet.reports.plots import save_figure
-from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text, markdown_table
+from nnql_bullet.reports.document import Report, Section, table
+from nnql_bullet.reports.drawing import MARKS, OPEN, finish_axes, legend_below, new_figure, save_figure
+from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-GRID = "#e9ecef"
-LOADS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Colours that the colour-blind tell apart (Okabe and Ito)."""
-MARKS = ("o", "s", "^", "D", "v", "P")
 
 
 def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
@@ -38,34 +33,31 @@ def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
     payloads = sorted({stop.conditions.payload for stop in stops})
     fastest = max(stop.speed for stop in stops)
     with matplotlib.rc_context({"font.size": 8.5, "axes.linewidth": 0.6}):
-        figure = Figure(figsize=(7.4, 3.5), layout="constrained")
+        figure = new_figure(7.4, 3.5)
         panels = figure.subplots(1, len(frictions), sharey=True, squeeze=False)[0]
         for axes, friction in zip(panels, frictions, strict=True):
             axes.axhline(way, color=INK, lw=1.0, ls="--", zorder=1)
             for number, payload in enumerate(payloads):
-                conditions, colour = StopConditions(payload, friction), LOADS[number]
+                conditions, colour = StopConditions(payload, friction), DISTINCT[number]
                 _draw_stops(axes, [each for each in stops if each.conditions == conditions], colour, MARKS[number])
                 safe = next(each for each in speeds if each.conditions == conditions)
                 _mark_safe_speed(axes, safe, way, colour, len(payloads) - number)
             axes.text(0.3, way + 0.3, f"sight {way:.2f} m", ha="left", va="bottom", color=INK)
             axes.set(xlim=(0, fastest), ylim=(0, 2.2 * way), xlabel="speed [m/s]")
-            axes.set_title(f"friction {friction:g}", fontsize=9)
+            finish_axes(axes, f"friction {friction:g}", 9, hidden=OPEN)
             axes.xaxis.set_major_locator(MultipleLocator(2))
             axes.yaxis.set_major_locator(MultipleLocator(5))
-            axes.grid(color=GRID, lw=0.8)
-            axes.spines[["top", "right"]].set_visible(False)
         panels[0].set_ylabel(f"way until it stands, with\n{REACTION:g} s of reaction [m]")
         handles = [
             Line2D([], [], color=colour, marker=mark, ms=4, lw=1.2, label=f"{payload:g} kg payload")
-            for payload, colour, mark in zip(payloads, LOADS, MARKS, strict=False)
+            for payload, colour, mark in zip(payloads, DISTINCT, MARKS, strict=False)
         ]
-        grey = "#868e96"
         handles += [
-            Line2D([], [], color=grey, lw=1.2, label="line: on paper"),
-            Line2D([], [], color=grey, ls="", marker="o", ms=4, label="mark: measured"),
-            Line2D([], [], color=grey, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
+            Line2D([], [], color=TIMEOUT, lw=1.2, label="line: on paper"),
+            Line2D([], [], color=TIMEOUT, ls="", marker="o", ms=4, label="mark: measured"),
+            Line2D([], [], color=TIMEOUT, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
         ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        legend_below(figure, 3, handles)
         save_figure(figure, path)
 
 
@@ -172,42 +164,30 @@ def stopping_markdown(bench: Bench, stops: Sequence[Stop]) -> str:
         )
         for stop in stops
     ]
-    parts = [
-        "# How the vehicle stops",
-        NOT_A_CERTIFICATE,
-        f"Vehicle '{vehicle.name}' in {bench.engine} ({bench.physics}): the wheels are commanded to stand at once, and "
-        "brake with what torque and grip they have.",
-        "## Largest safe speed",
+    safe_table = table(
+        (
+            *("friction", "payload [kg]", "braking by grip [m/s²]", "by torque [m/s²]"),
+            *("largest safe speed, paper [m/s]", "measured [m/s]"),
+        ),
+        safe_rows,
         f"It sees {sight(vehicle):.2f} m ahead of its front edge. An obstacle may come into sight just after a "
         f"decision, so {REACTION:g} s pass before it brakes. Measured: interpolated between the measured speeds, where "
         "braking distance over speed is all but linear.",
-        markdown_table(
-            (
-                "friction",
-                "payload [kg]",
-                "braking by grip [m/s²]",
-                "by torque [m/s²]",
-                "largest safe speed, paper [m/s]",
-                "measured [m/s]",
-            ),
-            safe_rows,
+    )
+    stop_table = table(
+        (
+            *("friction", "payload [kg]", "speed [m/s]", "distance, paper [m]", "distance [m]", "difference [%]"),
+            *("heading drift [°]", "friction used [%]", "least load, paper [%]", "least load [%]"),
         ),
-        "## Every stop",
+        stop_rows,
         "Distances from the command to stop on.",
-        markdown_table(
-            (
-                "friction",
-                "payload [kg]",
-                "speed [m/s]",
-                "distance, paper [m]",
-                "distance [m]",
-                "difference [%]",
-                "heading drift [°]",
-                "friction used [%]",
-                "least load, paper [%]",
-                "least load [%]",
-            ),
-            stop_rows,
-        ),
-    ]
-    return "\n\n".join(parts) + "\n"
+    )
+    lead = (
+        NOT_A_CERTIFICATE,
+        f"Vehicle '{vehicle.name}' in {bench.engine} ({bench.physics}): the wheels are commanded to stand at once, and "
+        "brake with what torque and grip they have.",
+    )
+    return Report(
+        "How the vehicle stops",
+        (Section("", lead), Section("Largest safe speed", (safe_table,)), Section("Every stop", (stop_table,))),
+    ).markdown()

@@ -1,4 +1,4 @@
-"""What reports are made of besides pictures: Markdown tables, CSV text, values that JSON can take."""
+"""CSV text and values that JSON can take."""
 
 import csv
 import io
@@ -10,12 +10,6 @@ NOT_A_CERTIFICATE = (
     "Evidence for an engineer, not a certificate; the standard that asks this question is ISO 3691-4 "
     "(driverless industrial trucks)."
 )
-
-
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table; cells as they print."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -13,7 +13,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, wrap_angle, wrap_angles
 from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT, ray_angles
 
-PATIENCE = 12.0
+STUCK_AFTER = 12.0
 """Time without progress after which a vehicle is stuck [s]."""
 PROGRESS = 0.5
 """What counts as progress: so much nearer to the target than ever before [m]."""
@@ -72,7 +72,7 @@ class Recovery:
                 self.swap = not nearer
                 self.failures += self.swap
                 self.side, self.waited = 0, 0.0
-        elif self.waited > PATIENCE:
+        elif self.waited > STUCK_AFTER:
             opener = 1 if readings[FRONT_LEFT] > readings[FRONT_RIGHT] else -1
             self.side = self.last_side = -self.last_side if self.swap else side or opener
             self.left = FIRST_LIMIT * LIMIT_GROWTH**self.failures

@@ -15,11 +15,9 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from dataclasses import dataclass, field, fields, replace
 from math import sqrt
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Agent, Overridable
@@ -29,23 +27,22 @@ from nnql_bullet.env import STOP, Observation, heading_change
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
-from nnql_bullet.mapping.prediction import predicted_poses, scan_clearances
+from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions, silent_sectors
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.shield.recovery import Recovery
 from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
+from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, turning_deceleration
-from nnql_bullet.vehicle.profiles import ramp_ways
+from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
-NonNegative = Annotated[float, Field(ge=0)]
-
-LOOK_EVERY = 0.1
-"""From one foreseen pose to the next [s]: 0.2 m at 2 m/s, less than the margin."""
+DISTANCE_STEP = 0.1
+"""Distance between predicted places along a path [m]."""
 GRIP_SHARE = 0.9
 """Of the hardest braking that load and friction allow, what is counted on."""
-STANDING = 0.05
+STANDSTILL_SPEED = 0.05
 """Speed below which a vehicle stands [m/s]."""
 GIVING = 0.03
 """By how much a vehicle that is nearer than the margin already may get nearer still [m]."""
@@ -159,8 +156,8 @@ class Shield:
         self._turning_circle = float(np.hypot(*vehicle.footprint.corners().T).max()) + TOUCHING
         longest = max(self._way, options.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / self._deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
-        self._times = np.arange(LOOK_EVERY, longest + LOOK_EVERY, LOOK_EVERY)
-        self._stop_times = np.arange(LOOK_EVERY, stop, LOOK_EVERY)
+        self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
+        self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
         self._memories: list[_Memory] = []
 
     def reset(self, vehicle: int, world_seed: int) -> None:
@@ -211,7 +208,7 @@ class Shield:
             strayed = float(np.hypot(*(moved - memory.moved)[:2]))
             moving[i] = moving_points(points, memory.rays, moved, strayed, self._sensor)
             expected = seen_from(moved, memory.points)
-            if memory.speed >= STANDING:  # else the same sight would speak against a sensor again and again
+            if memory.speed >= STANDSTILL_SPEED:  # else the same sight would speak against a sensor again and again
                 memory.against += contradictions(rays[i], expected, self._sensor)
             memory.against[~silent_sectors(rays[i])] = 0.0
             dead = memory.against >= ENOUGH
@@ -270,7 +267,7 @@ class Shield:
         """
         goals = np.full(len(look.speed), goal)
         acceleration = limits.acceleration if goal > 0 else self._deceleration
-        ways = ramp_ways(look.speed, goals, acceleration, times)
+        ways = ramp_distances(look.speed, goals, acceleration, times)
         poses = predicted_poses(look.yaw_rate, look.turns, ways, limits, times)
         clearances: Array = scan_clearances(poses, look.points, self._footprint)
         if np.isfinite(look.moving).any():
@@ -313,7 +310,7 @@ class Shield:
             at_speed = look.speed[0] >= self._drive.speed
             drives = self._soon(look, self._drive.speed, self._followed if at_speed else self._followed_changing)
             return int(self._worth(np.concatenate([drives, stops])).argmax())
-        if memory.speed >= STANDING:
+        if memory.speed >= STANDSTILL_SPEED:
             order = np.argsort(np.abs(look.turns[0]), kind="stable")
             return STOP + int(order[self._worth(stops)[order].argmax()])
         return self._turn_on_the_spot(memory, look, stops.min(axis=-1), ranks, kept, target_bearing)
@@ -364,7 +361,7 @@ class Shield:
     def _open_side(self, look: _Look, target_bearing: float) -> int:
         """On which side less turning, with some regard to the target, leads to where the way ahead is clear."""
         angles = np.radians(np.arange(-180.0, 181.0, 15.0))
-        ways = np.arange(LOOK_EVERY, self._way, LOOK_EVERY)
+        ways = np.arange(DISTANCE_STEP, self._way, DISTANCE_STEP)
         along, turned = np.broadcast_arrays(ways, angles[:, None])
         poses = np.stack([along * np.cos(turned), along * np.sin(turned), turned], axis=-1)
         clear = scan_clearances(poses[None], look.points, self._footprint)[0].min(axis=-1) >= self.options.margin
@@ -379,7 +376,7 @@ class Shield:
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
         speed = np.array([memory.speed for memory in memories])
         goals = np.where(chosen < STOP, self._drive.speed, 0.0)
-        ways = ramp_ways(speed, goals, limits.acceleration, times)
+        ways = ramp_distances(speed, goals, limits.acceleration, times)
         turns = heading_change(chosen, o.target_bearing)
         moved = predicted_poses(o.yaw_rate, turns[:, None], ways, limits, times)[:, 0, -1]
         change = limits.acceleration * self._drive.decision_period

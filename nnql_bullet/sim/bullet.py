@@ -30,7 +30,8 @@ from nnql_bullet.sim.bullet_state import (
     hit_fractions,
 )
 from nnql_bullet.sim.contact import ContactEngine
-from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion, Vector
+from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec

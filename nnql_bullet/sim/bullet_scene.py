@@ -17,7 +17,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.bullet import bullet, silenced
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
-from nnql_bullet.sim.physics import Vector
+from nnql_bullet.types import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
 

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 from math import hypot
 from typing import Any, NamedTuple
 
-from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion, Vector
+from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
+from nnql_bullet.types import Vector
 
 
 class JointInfo(NamedTuple):

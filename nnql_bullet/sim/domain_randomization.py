@@ -7,11 +7,9 @@ for Transferring Deep Neural Networks from Simulation to the Real World", IROS 2
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi, radians
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
@@ -19,9 +17,8 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.sim.faults import SensorFaults, degraded
+from nnql_bullet.types import NonNegative, UnitInterval
 from nnql_bullet.worlds.spec import WorldSpec
-
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @options
@@ -30,13 +27,13 @@ class DomainRandomization:
 
     start_yaw: bool = False
     """Whether an episode starts at a random yaw."""
-    noise: Annotated[float, Field(ge=0)] = 0.0
+    noise: NonNegative = 0.0
     """Largest standard deviation of the noise of each ray that meets something [m]."""
-    dead_sector: Share = 0.0
+    dead_sector: UnitInterval = 0.0
     """Probability that one sensor sees nothing during the whole episode."""
-    turn_scale: Share = 0.0
+    turn_scale: UnitInterval = 0.0
     """Largest relative error of all turns of an episode, as on poor ground or with drives that lag."""
-    turn_noise_degrees: Annotated[float, Field(ge=0)] = 0.0
+    turn_noise_degrees: NonNegative = 0.0
     """Largest standard deviation of the noise of each turn [degrees]."""
 
     @property

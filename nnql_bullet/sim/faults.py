@@ -13,6 +13,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sensing import RAYS_PER_SECTOR
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
+from nnql_bullet.types import NonNegative
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -20,7 +21,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 class SensorFaults:
     """Faults of the sensors."""
 
-    noise: Annotated[float, Field(ge=0)] = 0.0
+    noise: NonNegative = 0.0
     """Standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """Number of a sensor that sees nothing; 0 is the front, counted counter-clockwise."""

@@ -27,7 +27,8 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import ContactEngine
-from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion, Vector
+from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec

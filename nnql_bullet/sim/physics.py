@@ -12,13 +12,13 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.jit import njit
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 CONTACT_MARGIN = 0.0005
 """Distance below which an engine may report a contact [m]."""
 
-Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""
 

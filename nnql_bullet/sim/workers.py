@@ -23,7 +23,7 @@ from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, no_motion
 from nnql_bullet.worlds.spec import WorldSpec
 
-PATIENCE = 5.0
+EXIT_TIMEOUT = 5.0
 """Time that a worker may take to end by itself [s]."""
 
 
@@ -111,7 +111,7 @@ class WorkerSimulator:
         for pipe in self._pipes:
             pipe.close()
         for process in self._processes:
-            process.join(PATIENCE)
+            process.join(EXIT_TIMEOUT)
             if process.is_alive():
                 process.kill()
                 process.join()
@@ -141,7 +141,7 @@ class WorkerSimulator:
 
     def _death_of(self, worker: int) -> WorkerDied:
         process = self._processes[worker]
-        process.join(PATIENCE)
+        process.join(EXIT_TIMEOUT)
         code = process.exitcode
         how = f"killed by {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
         vehicles = ", ".join(str(i) for i in self._shares[worker][:8])

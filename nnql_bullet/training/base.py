@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from nnql_bullet.rollout import EpisodeSummary
 
+RECENT = 100
+"""Episodes at the end of a training over which its success is shown."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrainingEpisode:

@@ -20,6 +20,7 @@ from nnql_bullet.env import Navigation
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
+from nnql_bullet.types import Count
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
@@ -30,9 +31,9 @@ Candidates = dict[int, dict[str, Array]]
 class SelectionOptions:
     """Among how many late states of a training the best is looked for, and how."""
 
-    candidates: Annotated[int, Field(ge=1)] = 8
+    candidates: Count = 8
     """How many are tried in the end, the last state among them; 1 takes that."""
-    every: Annotated[int, Field(ge=1)] = 50
+    every: Count = 50
     """Episodes from one to the next. They do not follow the number of episodes asked for, so that a run can be stopped
     and gone on with."""
     worlds: tuple[str, ...] = ()

@@ -5,16 +5,15 @@ the vehicle's limits, and commands the wheel speeds that follow them. It feeds t
 """
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
+from nnql_bullet.types import NonNegative, Positive
 from nnql_bullet.vehicle.profiles import plan_turn, sample_ramp, sample_turn, wheel_speeds
 from nnql_bullet.vehicle.spec import Limits
 
@@ -26,12 +25,12 @@ COMMAND_RATE = 120.0
 class DriveOptions:
     """How the agent's decisions reach the wheels."""
 
-    decision_period: Annotated[float, Field(gt=0)] = 0.5
+    decision_period: Positive = 0.5
     """Time from one decision to the next [s]. The paper's "one step" has no length. A turn may last for several
     decisions."""
-    speed: Annotated[float, Field(gt=0)] = paper.SPEED
+    speed: Positive = paper.SPEED
     """Speed of the rear-axle centre, unless a decision asks for less [m/s]."""
-    heading_gain: Annotated[float, Field(ge=0)] = 4.0
+    heading_gain: NonNegative = 4.0
     """Yaw rate per heading error [1/s]."""
 
 

@@ -1,9 +1,9 @@
-"""From a commanded heading change and speed to wheel speeds: profiles inside the vehicle's limits.
+"""Yaw-rate and speed profiles inside the vehicle's limits, from a commanded heading change and speed to wheel speeds.
 
 A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached:
 the trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest
-turn within the limits on yaw rate and yaw acceleration. The speed meanwhile goes to what is commanded at the limit on
-acceleration. What a control period cuts short hands its yaw rate and speed on to the next one.
+turn within the limits on yaw rate and yaw acceleration. Meanwhile the speed goes to the commanded speed at the limit
+on acceleration. A control period that ends before its profile hands its yaw rate and speed on to the next one.
 """
 
 from dataclasses import dataclass
@@ -33,23 +33,29 @@ class Turn:
 
 
 def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
-    """The quickest turn by `heading_change` that starts at `yaw_rate` and ends running straight."""
+    """Plans the quickest turn by a heading change that ends running straight.
+
+    Args:
+        yaw_rate: Yaw rate at the start [rad/s].
+        heading_change: [rad]
+        limits: The vehicle's limits.
+    """
     return Turn(yaw_rate, *turn_profile(yaw_rate, heading_change, limits.yaw_rate, limits.yaw_acceleration))
 
 
 @njit()
 def turn_profile(
-    yaw_rate: float, heading_change: float, most_rate: float, acceleration: float
+    yaw_rate: float, heading_change: float, max_rate: float, acceleration: float
 ) -> tuple[float, float, float, float]:
-    """Peak, rise, hold and fall of `plan_turn`, as a kernel.
+    """Computes peak, rise, hold and fall for `plan_turn`, as a kernel.
 
     At acceleration `a`, the ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a; the hold covers the rest.
     """
     a = acceleration
-    # The heading that ending this turn at once still covers tells on which side the peak has to be.
+    # The peak lies on the side of the heading change that is left when the turn ends at once.
     side = copysign(1.0, heading_change - yaw_rate * abs(yaw_rate) / (2 * a))
     start, change = side * yaw_rate, side * heading_change
-    peak = min(sqrt(max(a * change + start * start / 2, 0.0)), most_rate)
+    peak = min(sqrt(max(a * change + start * start / 2, 0.0)), max_rate)
     hold = 0.0
     if peak > 0:
         hold = max((change - (2 * peak * peak - start * start) / (2 * a)) / peak, 0.0)
@@ -57,20 +63,20 @@ def turn_profile(
 
 
 def sample_turn(turn: Turn, times: Array) -> tuple[Array, Array]:
-    """Yaw rate [rad/s] and heading since the start of the turn [rad] at `times` (n,) [s]."""
+    """Samples a turn: yaw rates [rad/s] and headings since its start [rad] at `times` (n,) [s]."""
     rates, headings = np.empty(len(times)), np.empty(len(times))
     sample_profile(turn.start, turn.peak, turn.rise, turn.hold, turn.fall, times, rates, headings)
     return rates, headings
 
 
 def turn_headings(yaw_rates: Array, heading_changes: Array, limits: Limits, times: Array) -> Array:
-    """Headings since the start of several turns (..., k) [rad] at `times` (k,) [s]: `sample_turn` of each `plan_turn`.
+    """Samples the headings of several planned turns, since their start (..., k) [rad].
 
     Args:
-        yaw_rates: At their start (...) [rad/s].
+        yaw_rates: Yaw rates at the start (...) [rad/s].
         heading_changes: (...) [rad]
-        limits: Of the vehicle.
-        times: [s]
+        limits: The vehicle's limits.
+        times: (k,) [s]
     """
     yaw_rates, heading_changes = np.broadcast_arrays(yaw_rates, heading_changes)
     headings: Array = _sample_profiles(
@@ -79,32 +85,32 @@ def turn_headings(yaw_rates: Array, heading_changes: Array, limits: Limits, time
     return headings.reshape(*yaw_rates.shape, len(times))
 
 
-def rolled_path(yaw: float, ways: Array, turns: Array) -> Array:
-    """Where a vehicle gets that rolls over arcs, each as the chord along its middle heading.
+def rolled_path(yaw: float, lengths: Array, heading_changes: Array) -> Array:
+    """Computes the places after each of several arcs; an arc counts as the chord along its middle heading.
 
     Args:
-        yaw: At the start [rad].
-        ways: Of the arcs (m,) [m].
-        turns: Of the arcs (..., m) [rad].
+        yaw: Heading at the start [rad].
+        lengths: Lengths of the arcs (m,) [m].
+        heading_changes: Heading changes of the arcs (..., m) [rad].
 
     Returns:
-        Places after each arc, from the start (..., m, 2) [m].
+        Places relative to the start (..., m, 2) [m].
     """
-    middles = yaw + np.cumsum(turns, axis=-1) - turns / 2
-    return np.cumsum(np.stack([ways * np.cos(middles), ways * np.sin(middles)], axis=-1), axis=-2)
+    middles = yaw + np.cumsum(heading_changes, axis=-1) - heading_changes / 2
+    return np.cumsum(np.stack([lengths * np.cos(middles), lengths * np.sin(middles)], axis=-1), axis=-2)
 
 
-def ramp_ways(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
-    """What vehicles drive from each time to the next, from 0 on, that go from a speed to another as `sample_ramp` does.
+def ramp_distances(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
+    """Computes the distances that vehicles drive between times while their speed ramps as in `sample_ramp`.
 
     Args:
-        speeds: At the start (n,) [m/s].
-        goals: To be reached (n,) [m/s].
+        speeds: Speeds at the start (n,) [m/s].
+        goals: Speeds to reach (n,) [m/s].
         acceleration: Limit, speeding up and slowing down [m/s2].
         times: (k,) [s]
 
     Returns:
-        Ways (n, k) [m], by the trapezoidal rule.
+        Distances from 0 to the first time and from each time to the next (n, k) [m], by the trapezoidal rule.
     """
     times = np.concatenate([[0.0], times])
     change, start = acceleration * times, speeds[:, None]
@@ -131,14 +137,14 @@ def sample_profile(
 
 @njit()
 def sample_ramp(start: float, goal: float, acceleration: float, times: Array, speeds: Array) -> None:
-    """Fills in the speeds (n,) [m/s] at `times` (n,) [s] of a vehicle that goes from one speed to another and keeps it.
+    """Fills `speeds` (n,) [m/s] with the speeds of a vehicle that goes to another speed and keeps it.
 
     Args:
         start: Speed at the start [m/s].
-        goal: Speed to be reached [m/s].
+        goal: Speed to reach [m/s].
         acceleration: Limit, speeding up and slowing down [m/s2].
-        times: [s]
-        speeds: To be filled.
+        times: (n,) [s]
+        speeds: The array to fill.
     """
     for i, time in enumerate(times):
         change = acceleration * time
@@ -147,12 +153,12 @@ def sample_ramp(start: float, goal: float, acceleration: float, times: Array, sp
 
 @njit()
 def _sample_profiles(
-    yaw_rates: Array, heading_changes: Array, most_rate: float, acceleration: float, times: Array
+    yaw_rates: Array, heading_changes: Array, max_rate: float, acceleration: float, times: Array
 ) -> Array:
-    """`turn_headings` (n, k) of turns (n,), as a kernel."""
+    """Computes `turn_headings` (n, k) of turns (n,), as a kernel."""
     headings, rates = np.empty((len(yaw_rates), len(times))), np.empty(len(times))
     for i in range(len(yaw_rates)):
-        peak, rise, hold, fall = turn_profile(yaw_rates[i], heading_changes[i], most_rate, acceleration)
+        peak, rise, hold, fall = turn_profile(yaw_rates[i], heading_changes[i], max_rate, acceleration)
         sample_profile(yaw_rates[i], peak, rise, hold, fall, times, rates, headings[i])
     return headings
 

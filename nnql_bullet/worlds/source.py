@@ -6,19 +6,19 @@ from math import radians
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
 from nnql_bullet import assets, paper
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.types import Positive
 from nnql_bullet.worlds.grid import is_solvable
 from nnql_bullet.worlds.layouts import AnyLayout, Arena
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
-Positive = Annotated[float, Field(gt=0)]
 MOST_ATTEMPTS = 200
 
 

@@ -22,7 +22,7 @@ from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import OBSTACLE, BulletEngine
 from nnql_bullet.sim.bullet import bullet as pybullet
 from nnql_bullet.sim.engines import ContactSimulator
-from nnql_bullet.task import GOES_ON
+from nnql_bullet.task import NO_ENDING
 from nnql_bullet.vehicle.controller import COMMAND_RATE
 from nnql_bullet.vehicle.profiles import wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -85,7 +85,7 @@ def _recorded(experiment: Experiment, seed: int, most: int) -> Drive:
     with patch.object(pybullet, "setJointMotorControlArray", command):
         for _ in range(most):
             transition = navigation.step(hand_rule(navigation.observation.readings), traces={0: trace})
-            if transition.ending[0] != GOES_ON:
+            if transition.ending[0] != NO_ENDING:
                 break
     per_period = round(30 * PERIOD)
     return Drive(world, commands, [sample.pose.yaw for sample in trace][per_period - 1 :: per_period])

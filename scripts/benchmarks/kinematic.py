@@ -7,7 +7,7 @@ import numpy as np
 from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.task import GOES_ON
+from nnql_bullet.task import NO_ENDING
 
 from .drives import hand_rule
 
@@ -25,7 +25,7 @@ def kinematic_steps_per_second(cores: int, seconds: float) -> float:
     while spent < seconds:
         actions = hand_rule(navigation.observation.readings)
         begin = time.perf_counter()
-        over = np.flatnonzero(navigation.step(actions).ending != GOES_ON)
+        over = np.flatnonzero(navigation.step(actions).ending != NO_ENDING)
         navigation.reset({i: worlds[(i + taken) % WORLDS] for i in over.tolist()})
         spent += time.perf_counter() - begin
         taken += VEHICLES

@@ -12,7 +12,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.workers import WorkerSimulator
-from nnql_bullet.task import GOES_ON
+from nnql_bullet.task import NO_ENDING
 
 from .drives import hand_rule
 
@@ -46,7 +46,7 @@ def two_workers_over_one(slices: int, steps: int) -> float:
                 begin = time.perf_counter()
                 for _ in range(steps):
                     ending = navigation.step(hand_rule(navigation.observation.readings)).ending
-                    navigation.reset(worlds(side, (ending != GOES_ON).nonzero()[0].tolist()))
+                    navigation.reset(worlds(side, (ending != NO_ENDING).nonzero()[0].tolist()))
                 spent.append(time.perf_counter() - begin)
             ratios.append(spent[0] / spent[1])
         if (navigations[0].observation.readings != navigations[1].observation.readings).any():

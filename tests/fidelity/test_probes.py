@@ -16,7 +16,10 @@ from nnql_bullet.fidelity import probes
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe, at_most, close_to
 from nnql_bullet.fidelity.probes import PROBES, run_probes
 from nnql_bullet.fidelity.probes_vehicles import turning_within_its_means
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.sim.bullet import PHYSICS
+from nnql_bullet.sim.engines import EngineName
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,14 +38,12 @@ def check(bench: Bench, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROBES)
-def test_pybullet_does_what_mechanics_says(vehicle: VehicleSpec, physics: str, name: str) -> None:
-    check(Bench(vehicle, "bullet", physics), name)
-
-
-@pytest.mark.parametrize("name", PROBES)
-def test_mujoco_does_what_mechanics_says(vehicle: VehicleSpec, physics: str, name: str) -> None:
-    pytest.importorskip("mujoco", reason="pip install 'nnql-bullet[mujoco]'")
-    check(Bench(vehicle, "mujoco", physics), name)
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_an_engine_does_what_mechanics_says(vehicle: VehicleSpec, engine: EngineName, name: str) -> None:
+    if engine == "mujoco":
+        pytest.importorskip("mujoco", reason="pip install 'nnql-bullet[mujoco]'")
+    for physics in PHYSICS:
+        check(Bench(vehicle, engine, physics), name)
 
 
 # Another vehicle
@@ -93,10 +94,11 @@ def another(script: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Veh
 
 
 @pytest.mark.parametrize("name", PROBES)
-def test_closed_forms_follow_the_vehicle(another: VehicleSpec, vehicle: VehicleSpec, physics: str, name: str) -> None:
+def test_closed_forms_follow_the_vehicle(another: VehicleSpec, vehicle: VehicleSpec, name: str) -> None:
     assert another.mass > 2 * vehicle.mass
     assert another.track != vehicle.track
-    check(Bench(another, "bullet", physics), name)
+    for physics in PHYSICS:
+        check(Bench(another, "bullet", physics), name)
 
 
 def test_a_vehicle_with_too_little_grip_is_compared_with_a_slower_turn(vehicle: VehicleSpec) -> None:

@@ -15,21 +15,17 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning.frames import MIRRORED_ACTIONS, FrameMaker, Look, Memory
-from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Bytes, Replay
+from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
-from nnql_bullet.task import GOES_ON as NO_ENDING
-from nnql_bullet.task import StateProperty
+from nnql_bullet.task import NO_ENDING, StateProperty
+from nnql_bullet.types import Bytes, Count, NonNegative, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-Count = Annotated[int, Field(ge=1)]
-NonNegative = Annotated[float, Field(ge=0)]
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
 
 FRONT_DISTANCE = 5.0
 """Nearer than this, what is in front costs [m]."""
@@ -51,9 +47,9 @@ class DoubleDqnOptions:
     """Whether the vehicle keeps a map of what it has seen, and the network is told of the way through it."""
     hidden: tuple[Count, ...] = (128, 128)
     """Units of the hidden layers."""
-    learning_rate: Annotated[float, Field(gt=0)] = 5e-4
+    learning_rate: Positive = 5e-4
     """Of Adam, at first."""
-    learning_rate_final: Annotated[float, Field(gt=0)] = 5e-5
+    learning_rate_final: Positive = 5e-5
     """From `schedule_episodes` on; it falls over the second half of them."""
     schedule_episodes: Count = 12_000
     """Episodes that schedules are made for. They do not follow the number of episodes asked for, so that a run can be

@@ -11,11 +11,10 @@ from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_sc
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.profiles import ramp_ways, rolled_path, turn_headings
+from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-Bytes = NDArray[np.uint8]
 
 MIRRORED_ACTIONS = np.array([0, 3, 4, 1, 2, 5])
 """The actions (6,) as a vehicle has them that is seen in a mirror: left is right."""
@@ -155,7 +154,7 @@ class FrameMaker:
         speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
         turns = heading_change(actions, o.target_bearing)
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
-        ways = ramp_ways(self._speed * speeds, self._speed * goals, self._limits.acceleration, self._times)
+        ways = ramp_distances(self._speed * speeds, self._speed * goals, self._limits.acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
         change = self._limits.acceleration * self._times[-1] / self._speed
         speeds = np.clip(goals, speeds - change, speeds + change)

@@ -1,20 +1,20 @@
 """Neural-network Q-learning (NNQL), the paper's method (II.D, II.E, III)."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.learning.q_learning import Positive, QLearning, QLearningOptions
+from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.types import Count, Positive
 
 
 @options
@@ -25,7 +25,7 @@ class NnqlOptions(QLearningOptions):
     """
 
     kind: Literal["nnql"] = "nnql"
-    hidden_units: Annotated[int, Field(ge=1)] = paper.HIDDEN_UNITS
+    hidden_units: Count = paper.HIDDEN_UNITS
     """Of the network."""
     encoding: Literal["proximity", "distance"] = "proximity"
     """What the network sees of a reading d. "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,

@@ -11,9 +11,7 @@ from nnql_bullet.agents.base import NoTrainingState, TurnChooser
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.geometry import Array
-
-Positive = Annotated[float, Field(gt=0)]
-UnitInterval = Annotated[float, Field(ge=0, le=1)]
+from nnql_bullet.types import Positive, UnitInterval
 
 
 @options

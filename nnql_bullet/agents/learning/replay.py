@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array
+from nnql_bullet.types import Bytes
 
-Bytes = NDArray[np.uint8]
 Counts = NDArray[np.int64]
 
 GOES_ON, FOR_GOOD, CUT_OFF = 0, 1, 2

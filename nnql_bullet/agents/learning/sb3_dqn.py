@@ -16,12 +16,11 @@ from nnql_bullet.env import ACTIONS, Observation, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
+from nnql_bullet.types import Count, Positive, UnitInterval
 
 SCALE = np.array([*[paper.SENSOR_RANGE] * paper.SECTORS, paper.ARENA_SIDE, pi, 1.0], np.float32)
 """What the environment's 11 numbers are divided by, so that all inputs are of order one."""
 INPUTS = len(SCALE)
-
-Count = Annotated[int, Field(ge=1)]
 
 
 @options
@@ -36,9 +35,9 @@ class Sb3DqnOptions:
     kind: Literal["sb3_dqn"] = "sb3_dqn"
     hidden: tuple[Count, ...] = (64, 64)
     """Units of the hidden layers. With a discount of 0.15, 128 and 128 gave 11 % instead of 23 %."""
-    learning_rate: Annotated[float, Field(gt=0)] = 5e-4
+    learning_rate: Positive = 5e-4
     """Of Adam; the library's default is 1e-4."""
-    discount: Annotated[float, Field(ge=0, le=1)] = 0.9
+    discount: UnitInterval = 0.9
     """gamma; the library's default is 0.99."""
     buffer_size: Count = 1_000_000
     """Steps that are remembered."""
@@ -53,7 +52,7 @@ class Sb3DqnOptions:
     exploration_steps: Count = 12_000
     """Over so many the share of random actions falls from 1, linearly. They do not follow the number of episodes asked
     for, so that a run can be gone on with."""
-    exploration_final: Annotated[float, Field(ge=0, le=1)] = 0.05
+    exploration_final: UnitInterval = 0.05
     """Share of random actions after that."""
 
     def exploration(self, steps: int) -> float:

@@ -21,11 +21,11 @@ from nnql_bullet.geometry import Array, OrientedBox, wrap_angle, wrap_angles
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import seen_distances
 from nnql_bullet.sensing import ray_angles
+from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-NonNegative = Annotated[float, Field(ge=0)]
 Blocked = NDArray[np.bool_]
 
 BINS = 72

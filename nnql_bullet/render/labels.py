@@ -1,0 +1,20 @@
+"""Names of states and actions as films, pages and viewers show them."""
+
+from math import degrees
+
+from nnql_bullet import paper
+from nnql_bullet.colours import COLLISION, GOAL, NON_SAFE, SAFE
+
+PROPERTIES = {
+    "SS": ("safe", SAFE),
+    "NS": ("non-safe", NON_SAFE),
+    "WS": ("at the target", GOAL),
+    "FS": ("collision", COLLISION),
+}
+"""Name and colour of each state property, by the paper's two letters."""
+TURNS = tuple(
+    f"{'left' if turn > 0 else 'right'} {abs(degrees(turn)):.0f}°" if turn else "straight on" for turn in paper.TURNS
+)
+_ACTIONS = (*TURNS, "toward the target")
+MANOEUVRES = (*_ACTIONS, *(f"stop, {action}" for action in _ACTIONS))
+"""The actions in the order of `env`, then the same with a stop."""

@@ -1,0 +1,84 @@
+"""A report as data: sections of paragraphs, tables, pictures and commands. Markdown and HTML are both made of it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of cells as they print."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    """A paragraph before the table."""
+    note: str = ""
+    """A paragraph after the table."""
+
+    def markdown(self) -> str:
+        """Returns the table with its caption and note as Markdown."""
+        lines = (self.header, ("---",) * len(self.header), *self.rows)
+        grid = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        return "\n\n".join(part for part in (self.caption, grid, self.note) if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture that lies beside the report."""
+
+    file: str
+    alt: str
+    """A description for readers who do not see it."""
+
+    def markdown(self) -> str:
+        """Returns the picture as Markdown."""
+        return f"![{self.alt}]({self.file})"
+
+
+@dataclass(frozen=True, slots=True)
+class Commands:
+    """Lines for a shell."""
+
+    lines: tuple[str, ...]
+
+    def markdown(self) -> str:
+        """Returns the lines as a Markdown block of code."""
+        return "\n".join(("```", *self.lines, "```"))
+
+
+Block = str | Table | Picture | Commands
+"""A part of a section; a string is a paragraph, in which code stands between backticks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Blocks under a title."""
+
+    title: str
+    """Empty for the section at the beginning of a report."""
+    blocks: tuple[Block, ...]
+    level: int = 2
+    """Level of the title in Markdown."""
+
+    def markdown(self) -> str:
+        """Returns the section as Markdown."""
+        title = [f"{'#' * self.level} {self.title}"] if self.title else []
+        blocks = [block if isinstance(block, str) else block.markdown() for block in self.blocks]
+        return "\n\n".join([*title, *blocks])
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Sections under a title."""
+
+    title: str
+    sections: tuple[Section, ...]
+
+    def markdown(self) -> str:
+        """Returns the report as Markdown."""
+        return "\n\n".join([f"# {self.title}", *(section.markdown() for section in self.sections)]) + "\n"
+
+
+def table(header: Sequence[str], rows: Iterable[Iterable[object]], caption: str = "", note: str = "") -> Table:
+    """Returns a table of any values; each cell is printed with `str`."""
+    return Table(tuple(header), tuple(tuple(map(str, row)) for row in rows), caption, note)

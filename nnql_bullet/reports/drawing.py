@@ -1,0 +1,220 @@
+"""Parts of pictures, drawn with Matplotlib's object interface: no display, no global figures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon
+from numpy.typing import NDArray
+
+from nnql_bullet import colours
+from nnql_bullet.colours import (
+    ARENA,
+    BOX,
+    BOX_EDGE,
+    COLLISION,
+    GRID,
+    INK,
+    MOVING,
+    MOVING_EDGE,
+    NON_SAFE,
+    SAFE,
+    TARGET,
+    VEHICLE,
+)
+from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.files import write_atomically
+from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
+from nnql_bullet.recording import Recording
+from nnql_bullet.worlds.spec import WorldSpec
+
+DPI = 150
+"""Resolution of pictures [pixels per inch]."""
+OUTLINE_EVERY = 4.0
+"""Distance along the path between two outlines of the vehicle [m]."""
+OPEN = ("top", "right")
+"""Spines of axes that have only a left and a lower one."""
+MARKS = "osD^vPX"
+
+_ENTRIES: dict[str, dict[str, Any]] = {
+    "safe": {"color": SAFE, "lw": 2.4},
+    "non_safe": {"color": NON_SAFE, "lw": 2.4},
+    "obstacle": {"facecolor": BOX, "edgecolor": BOX_EDGE},
+    "moving": {"facecolor": MOVING, "edgecolor": MOVING_EDGE},
+    "vehicle": {"facecolor": VEHICLE, "edgecolor": INK},
+    "start": {"marker": "o", "ls": "", "mfc": INK, "mec": INK},
+    "target": {"marker": "o", "ls": "", "mfc": TARGET, "mec": COLLISION, "ms": 10},
+    "collision": {"marker": "X", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 11},
+    "touched": {"marker": "o", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 7},
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Returns an empty figure of a size in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def finish_axes(
+    axes: Axes,
+    title: str = "",
+    size: float = 10.0,
+    grid: Literal["both", "x", "none"] = "both",
+    hidden: Sequence[str] = (),
+) -> None:
+    """Gives axes a title, a grid and spines in the style of all pictures.
+
+    Args:
+        axes: Axes that hold their data.
+        title: Text above the axes.
+        size: Font size of the title [points].
+        grid: Grid lines across both axes, across the x axis, or none.
+        hidden: Spines to hide.
+    """
+    axes.set_title(title, fontsize=size, color=INK)
+    if grid != "none":
+        axes.grid(axis=grid, color=GRID, lw=0.8)
+    for name in hidden:
+        axes.spines[name].set_visible(False)
+
+
+def legend_entries(**labels: str) -> list[Line2D | Patch]:
+    """Returns legend entries for parts of `draw_world` and `draw_path`: label by the name of the part."""
+    return [
+        Patch(label=label, **_ENTRIES[name])
+        if "facecolor" in _ENTRIES[name]
+        else Line2D([], [], label=label, **_ENTRIES[name])
+        for name, label in labels.items()
+    ]
+
+
+def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch] | None = None) -> None:
+    """Draws a legend under all axes; without handles it shows the labels of the first ones."""
+    shown = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
+    figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+
+
+def draw_world(axes: Axes, drawn: Recording | WorldSpec, time: float) -> None:
+    """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
+
+    Args:
+        axes: Axes to draw on.
+        drawn: The world, or a recording of a drive in it.
+        time: Instant at which moving boxes are shown [s].
+    """
+    world = drawn if isinstance(drawn, WorldSpec) else drawn.world
+    width, depth = world.width, world.depth
+    axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
+    for box in world.obstacles:
+        axes.add_patch(Polygon(box.corners(), fc=BOX, ec=BOX_EDGE, lw=0.8))
+    for patrol in world.patrols:
+        (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
+        axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
+        for box in (patrol.box, at_end):
+            axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
+        axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
+    axes.add_patch(Circle(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
+    axes.plot(*world.target, "+", color=COLLISION, ms=7)
+    axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
+
+
+def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:
+    """Draws the path coloured by safe and non-safe states, outlines of the vehicle, and the vehicle at the end.
+
+    Args:
+        axes: Axes to draw on.
+        recording: Recording of the drive.
+        detail: Factor on the width of lines and on the density of outlines.
+        cross: Whether a cross on the vehicle marks a collision.
+    """
+    points = recording.sample_pose[:, :2]
+    decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
+    non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
+    axes.add_collection(coloured_line(points, np.where(non_safe[1:], NON_SAFE, SAFE), 2.0 * detail))
+    for pose in _outlines(recording, OUTLINE_EVERY / detail):
+        axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
+    last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
+    axes.add_patch(Polygon(last.corners(), fc=VEHICLE, ec=INK, lw=0.8 * detail, zorder=6))
+    if cross and recording.about["ending"] == "collision":
+        axes.plot(last.x, last.y, "X", color=COLLISION, mec="white", ms=11, zorder=7)
+
+
+def draw_drive(
+    axes: Axes, recording: Recording, detail: float, margin: float, title: str = "", size: float = 8
+) -> None:
+    """Draws the whole world at the end of a drive with the path through it.
+
+    Args:
+        axes: Axes to draw on.
+        recording: Recording of the drive.
+        detail: See `draw_path`.
+        margin: Width of the frame around the arena [m].
+        title: Text above the axes.
+        size: Font size of the title [points].
+    """
+    draw_world(axes, recording, recording.state_time[-1])
+    draw_path(axes, recording, detail)
+    frame_world(axes, recording, margin)
+    finish_axes(axes, title, size, grid="none")
+
+
+def frame_world(axes: Axes, recording: Recording, margin: float) -> None:
+    """Sets the limits of axes to the arena and a margin around it [m], to scale."""
+    world = recording.about["world"]
+    axes.set(xlim=(-margin, world["width"] + margin), ylim=(-margin, world["depth"] + margin), aspect="equal")
+
+
+def without_ticks(axes: Axes) -> None:
+    """Removes the ticks of axes whose scale does not matter."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def draw_endings(
+    axes: Axes,
+    names: Sequence[str],
+    shares: Sequence[Mapping[str, Estimate]],
+    success: Sequence[Estimate],
+    digits: int = 0,
+) -> None:
+    """Draws stacked bars of how drives ended, with the interval of success and its number.
+
+    Args:
+        axes: Axes to draw on.
+        names: Names of the bars, from above.
+        shares: Shares of the endings for each bar.
+        success: Success that is shown with its interval for each bar.
+        digits: Decimals of the number.
+    """
+    places, left = np.arange(len(names))[::-1], np.zeros(len(names))
+    for ending, colour in colours.ENDINGS.items():
+        widths = np.array([100 * share[ending].value for share in shares])
+        axes.barh(places, widths, left=left, color=colour, height=0.7, label=ending)
+        left += widths
+    for place, shown in zip(places.tolist(), success, strict=True):
+        axes.plot([100 * shown.low, 100 * shown.high], [place] * 2, color=INK, lw=1.4, solid_capstyle="butt")
+        axes.text(102, place, f"{100 * shown.value:.{digits}f}", va="center", fontsize=8, color=INK)
+    axes.set_yticks(places, names)
+
+
+def coloured_line(points: Array, piece_colours: NDArray[np.str_], width: float) -> LineCollection:
+    """Returns a line through points (n, 2) whose n - 1 pieces have their own colours."""
+    pieces = [points[i : i + 2] for i in range(len(points) - 1)]
+    return LineCollection(pieces, colors=piece_colours.tolist(), linewidths=width, capstyle="round", zorder=4)
+
+
+def _outlines(recording: Recording, every: float) -> list[OrientedBox]:
+    poses = recording.sample_pose
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    chosen = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], every)))
+    return [moved(recording.footprint, Pose(*poses[i])) for i in chosen]
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Writes a picture atomically; the same figure gives the same bytes."""
+    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))

@@ -1,0 +1,182 @@
+"""Figures and tables of the site, read from results/: no page types a figure that is there."""
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results"
+
+PAGES = {
+    "covers": ("Contact physics, by cover", "Every method in PyBullet, in worlds of 5 to 20 % cover.", "covers"),
+    "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes, two seeds of each method.", "hard"),
+    "kinematic": ("Kinematic model, all worlds", "More worlds of every kind, without slip.", "kinematic"),
+    "shield": ("Bare and in a shield", "How success and interventions change in a shield.", "shield"),
+    "conditions": ("Conditions nobody trained with", "Friction, payload, noise and dead sectors.", "conditions"),
+    "ablation": ("Ablation of paper", "The factors that the paper leaves open.", "ablations"),
+    "ablation-tuned": ("Ablation of tuned", "What each departure of `tuned` is worth.", "ablations"),
+    "ablation-double_dqn": ("Ablation of double_dqn", "What the map and the frames are worth.", "ablations"),
+}
+"""By folder of results/: title, one sentence, and the part of scripts/results.py that makes it."""
+
+
+@cache
+def values(folder: str, name: str = "results.json") -> dict[str, Any]:
+    """The JSON of a folder of results/."""
+    found: dict[str, Any] = json.loads((RESULTS / folder / name).read_text(encoding="utf-8"))
+    return found
+
+
+def row(folder: str, method: str, world: str) -> dict[str, Any]:
+    """The numbers of one method in one kind of world.
+
+    Raises:
+        LookupError: If the results do not hold it.
+    """
+    for found in values(folder)["rows"]:
+        if re.sub(r"-\d+$", "", found["method"]) == method and found["world"] == world:
+            return dict(found)
+    raise LookupError(f"results/{folder} holds no '{method}' in '{world}'")
+
+
+def _interval(three: list[float]) -> str:
+    value, low, high = (100 * number for number in three)
+    return f"{value:.1f} ({low:.1f}-{high:.1f})"
+
+
+def _success(found: dict[str, Any]) -> str:
+    return _interval(found["over_seeds"] or found["outcomes"]["goal"])
+
+
+def _in_words(three: list[float], unit: str) -> str:
+    value, low, high = three
+    return f"{value:.1f}{unit} ({low:.1f} to {high:.1f})"
+
+
+def success(folder: str, method: str, world: str) -> str:
+    """A success rate with its 95 % interval."""
+    found = row(folder, method, world)
+    return _in_words([100 * number for number in found["over_seeds"] or found["outcomes"]["goal"]], " %")
+
+
+def outcome(folder: str, method: str, world: str, name: str) -> str:
+    """The share of drives that ended in one way, over all drives, with its 95 % interval."""
+    return _in_words([100 * number for number in row(folder, method, world)["outcomes"][name]], " %")
+
+
+def share(folder: str, method: str, world: str, name: str) -> str:
+    """A pooled share of decisions, for which results/ holds no interval."""
+    return f"{100 * row(folder, method, world)[name]:.1f} %"
+
+
+def number(folder: str, method: str, world: str, name: str, digits: str = "1") -> str:
+    """A mean over drives, for which results/ holds no interval."""
+    return f"{row(folder, method, world)[name]:.{digits}f}"
+
+
+def success_table(folder: str, *methods: str) -> str:
+    """A table of success by kind of world."""
+    found = values(folder)
+    tiers = [(tier["name"], tier["title"]) for tier in found["tiers"]]
+    rows = []
+    for method in methods or dict.fromkeys(one["method"] for one in found["rows"]):
+        name = re.sub(r"-\d+$", "", method)
+        numbers = [row(folder, name, tier) for tier, _ in tiers]
+        cells = map(_success, numbers)
+        rows.append([f"`{name}`", str(numbers[0]["policies"]), *cells])
+    head = ["method", "seeds", *(title for _, title in tiers)]
+    return _table([head, ["---", "--:", *("--:" for _ in tiers)], *rows])
+
+
+def shield_table(*methods: str) -> str:
+    """What a shield does to each method: success, decisions overridden, and time to the target."""
+    tiers = [(tier["name"], tier["title"]) for tier in values("shield")["tiers"]]
+    rows = []
+    for method in methods:
+        bare = [row("shield", method, tier) for tier, _ in tiers]
+        kept = [row("shield", f"{method}+shield", tier) for tier, _ in tiers]
+        rows.append([f"`{method}`, success, bare", *map(_success, bare)])
+        rows.append(["in a shield", *map(_success, kept)])
+        rows.append(["collisions in a shield", *(_interval(r["outcomes"]["collision"]) for r in kept)])
+        rows.append(["decisions overridden [%]", *(f"{100 * r['overridden']:.1f}" for r in kept)])
+        rows.append(["time to the target [s]", *(f"{r['time']:.1f}" for r in kept)])
+    head = ["", *(title for _, title in tiers)]
+    return _table([head, ["---", *("--:" for _ in tiers)], *rows])
+
+
+def conditions_table() -> str:
+    """The table of results/conditions."""
+    text = (RESULTS / "conditions" / "conditions.md").read_text(encoding="utf-8")
+    table = "\n".join(line for line in text.splitlines() if line.startswith("|"))
+    for name, title in (("paper", "5 % cover"), ("cover_10", "10 % cover"), ("cover_15", "15 % cover")):
+        table = table.replace(f"| {name} |", f"| {title} |", 1)
+    return table
+
+
+def difference(folder: str, factor: str, *variant: str) -> str:
+    """What a variant of an ablation changes, in points of success, with its 95 % interval."""
+    label = " ".join(variant)
+    entries = values(folder, "ablation.json")["entries"]
+    for entry in entries:
+        names = {entry.get("choice"), entry.get("factor")}, {entry.get("alternative"), entry.get("variant")}
+        if factor in names[0] and label in names[1]:
+            value, low, high = (100 * number for number in entry["difference"])
+            return f"{value:+.1f} points ({low:+.1f} to {high:+.1f})"
+    raise LookupError(f"results/{folder} holds no variant '{label}' of '{factor}'")
+
+
+def ablation_success(folder: str, factor: str, world: str, *variant: str) -> str:
+    """The success of a variant of an ablation in one kind of world, with its 95 % interval."""
+    label = " ".join(variant)
+    for entry in values(folder, "ablation.json")["entries"]:
+        names = {entry.get("choice"), entry.get("factor")}, {entry.get("alternative"), entry.get("variant")}
+        if factor in names[0] and label in names[1]:
+            return _in_words([100 * number for number in entry["success"][world]], " %")
+    raise LookupError(f"results/{folder} holds no variant '{label}' of '{factor}'")
+
+
+def section(folder: str, *title: str) -> str:
+    """A section of a generated report, without its heading."""
+    name = "ablation.md" if folder.startswith("ablation") else "evaluation.md"
+    text = (RESULTS / folder / name).read_text(encoding="utf-8")
+    found = re.search(rf"(?ms)^## {re.escape(' '.join(title))}\n+(.*?)(?=^## |\Z)", text)
+    if not found:
+        raise LookupError(f"results/{folder} has no section '{' '.join(title)}'")
+    return found[1].strip()
+
+
+def results_list() -> str:
+    """A table of the generated reports."""
+    rows = [
+        [f"[{title}]({folder}/index.md)", about, f"`results.py --only {part}`"]
+        for folder, (title, about, part) in PAGES.items()
+    ]
+    return _table([["report", "what it holds", "made by"], ["---"] * 3, *rows])
+
+
+def narrowed(markdown: str) -> str:
+    """Tables with each interval below its value, so that many columns fit."""
+    value = r"(?<=\| )([-+]?\d+\.\d+) \(([^()|]*\d[^()|]*)\)(?= \|)"
+    lines = markdown.splitlines()
+    return "\n".join(re.sub(value, r"\1 <span class=ci>\2</span>", s) if s.startswith("|") else s for s in lines)
+
+
+def report(folder: str) -> str:
+    """A generated report as a page of the site."""
+    (path,) = (RESULTS / folder).glob("*.md")
+    title, _, part = PAGES[folder]
+    body = path.read_text(encoding="utf-8").partition("\n")[2].strip()
+    made = f"Generated. `python scripts/results.py --only {part}` makes it; it is not edited by hand."
+    return f'# {title}\n\n!!! note ""\n    {made}\n\n{body}\n'
+
+
+def readme_table() -> str:
+    """The small table of the README: the paper's network, the best rules, and what goes beyond the paper."""
+    methods = ("straight", "hand_rule", "literal", "paper", "tuned", "vfh", "double_dqn")
+    return success_table("covers", *methods)
+
+
+def _table(rows: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
