@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from math import copysign, cos, degrees, hypot, pi, radians, sin, sqrt
 from typing import Any
 
