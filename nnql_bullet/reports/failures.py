@@ -248,7 +248,7 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
 
 
 def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
-    """Returns middle (2,) and half side of the enlarged part [m]: around the contact, or the path of the last minute."""
+    """Returns middle (2,) and half side of the enlarged part [m]: the contact, or the path of the last minute."""
     world = recording.world
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE
