@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 DEMO := runs/demo
 
-.PHONY: help demo test lint format benchmark clean
+.PHONY: help demo test lint docs format benchmark clean
 
 help:
 	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 6 minutes)'
 	@echo 'make test       the whole test suite'
 	@echo 'make lint       ruff, import-linter and mypy'
+	@echo 'make docs       the documentation site, into site/'
 	@echo 'make format     let ruff rewrite the sources'
 	@echo 'make benchmark  speed against the bare engine'
 	@echo 'make clean      remove the environment, runs and caches'
@@ -19,12 +20,12 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' || \
 		{ echo "CPython 3.10 or 3.11 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,mujoco,ray,sb3,baselines,viz,render]'
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,mujoco,ray,sb3,baselines,viz,render]'
 	@touch $@
 
 demo: $(INSTALLED)
 	$(BIN)/nnql-bullet train --out $(DEMO) --overwrite
-	$(BIN)/nnql-bullet navigate $(DEMO) --world cover_10 --seed 4 --video
+	$(BIN)/nnql-bullet drive $(DEMO) --world cover_10 --seed 4 --video
 	@echo 'Look at $(DEMO)/learning_curve.png, and at the picture and the video named above.'
 
 test: $(INSTALLED)
@@ -37,6 +38,9 @@ lint: $(INSTALLED)
 	$(BIN)/mypy
 	$(BIN)/python scripts/make_tricycle.py --check
 
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -45,4 +49,4 @@ benchmark: $(INSTALLED)
 	$(BIN)/python scripts/benchmark.py
 
 clean:
-	rm -rf $(VENV) runs dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) runs dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis

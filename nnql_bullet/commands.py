@@ -9,8 +9,11 @@ from nnql_bullet.presets import PRESETS, load_config
 from nnql_bullet.run_config import RunConfig
 
 _MAIN = ("seed", "episodes", "world", "simulator", "physics", "vehicles")
-_SHORT = {"simulator": "sim"}
-"""Keys whose flag has another name."""
+
+
+def flag(key: str) -> str:
+    """The flag of a dotted key."""
+    return "--sim" if key == "simulator" else f"--{key.replace('_', '-')}"
 
 
 def flags(changes: Mapping[str, Any], table: str = "") -> list[str]:
@@ -28,12 +31,13 @@ def flags(changes: Mapping[str, Any], table: str = "") -> list[str]:
         elif isinstance(value, Mapping):
             found += flags(value, f"{table}{key}.")
         elif value is not None:
-            name = (table + _SHORT.get(key, key)).replace("_", "-")
-            found += [f"--{name}", *map(_text, value if isinstance(value, list | tuple) else [value])]
+            found += [flag(table + key), *map(_text, value if isinstance(value, list | tuple) else [value])]
     return found
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 

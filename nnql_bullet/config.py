@@ -1,11 +1,14 @@
 """Options as frozen dataclasses, and their TOML: every key is checked, and a mistake is one line."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import is_dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
+import docstring_parser
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -118,16 +121,115 @@ def _same_kind(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return "kind" not in one or "kind" not in other or one["kind"] == other["kind"]
 
 
+@dataclass(frozen=True, slots=True)
+class Key:
+    """A key of an options class, or of the options in it."""
+
+    name: str
+    """With the tables that it is in, joined by dots."""
+    kind: str
+    """The `kind` of the table that it is in; empty where tables of one kind alone can be."""
+    type: Any
+    """Its type, without bounds and without None."""
+    type_text: str
+    """Its type in words, with its bounds."""
+    default: Any
+    """None if it is not set or has to be given."""
+    about: str
+    """Its meaning, from the docstring below the field."""
+
+
+def keys(cls: Any, table: str = "", kind: str = "") -> Iterator[Key]:
+    """The keys of an options class and of the options in it, in their order.
+
+    Args:
+        cls: A class made by `options`.
+        table: Dotted name of the table that they are in, with a dot at its end.
+        kind: The `kind` of that table where there are several.
+    """
+    abouts: dict[str, str] = {}
+    for base in reversed(cls.__mro__[:-1]):
+        abouts |= abouts_of(base)
+    for field in fields(cls):
+        # A table that may be given by its name is a key with that name.
+        named = str in _leaves(field.type)
+        groups = [] if named else _options_in(field.type)
+        for group in groups:
+            yield from keys(group, f"{table}{field.name}.", _tags(group)[0] if len(groups) > 1 else "")
+        if not groups:
+            default = None if field.default is MISSING else field.default
+            plain = _plain(field.type)
+            text = type_text(plain if named else field.type)
+            yield Key(table + field.name, kind, plain, text, default, abouts.get(field.name, ""))
+
+
+def abouts_of(what: Any) -> dict[str, str]:
+    """The meaning of each field of a class or argument of a function, from docstrings."""
+    found = docstring_parser.parse_from_object(what).params
+    return {its.arg_name: " ".join((its.description or "").split()) for its in found}
+
+
+def _leaves(annotation: Any) -> list[Any]:
+    """The types that a type is made of."""
+    if get_origin(annotation) is Annotated:
+        return _leaves(get_args(annotation)[0])
+    return [leaf for part in get_args(annotation) for leaf in _leaves(part)] or [annotation]
+
+
+def _plain(annotation: Any) -> Any:
+    """A type without bounds and without None."""
+    if get_origin(annotation) is Annotated:
+        return _plain(get_args(annotation)[0])
+    members = [member for member in get_args(annotation) if member is not NoneType]
+    if NoneType in get_args(annotation):
+        return _plain(members[0])
+    if get_origin(annotation) is not tuple and str in map(_plain, members):
+        return str
+    if get_origin(annotation) is tuple:
+        return tuple[tuple(map(_plain, members))]  # type: ignore[misc]
+    return annotation
+
+
+def type_text(annotation: Any) -> str:
+    """A type in words, with its bounds."""
+    if get_origin(annotation) is Annotated:
+        inner, *extra = get_args(annotation)
+        bounds = [bound for its in extra for bound in getattr(its, "metadata", ())]
+        signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+        limits = [f"{sign} {getattr(b, name):g}" for b in bounds for name, sign in signs.items() if hasattr(b, name)]
+        return " ".join((type_text(inner), ", ".join(limits))).strip()
+    members = [member for member in get_args(annotation) if member is not NoneType]
+    if get_origin(annotation) is Literal:
+        return " | ".join(map(str, members))
+    if get_origin(annotation) is tuple:
+        return f"list of: {type_text(members[0])}"
+    if NoneType in get_args(annotation):
+        return type_text(members[0])
+    return {float: "number", int: "whole number", bool: "true | false", str: "text"}.get(annotation, str(annotation))
+
+
+def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
+    """The names that a wrong dotted name may have meant: their last part is the same or spelt alike."""
+    by_last: dict[str, list[str]] = {}
+    for one in dict.fromkeys(names):
+        by_last.setdefault(one.rpartition(".")[2], []).append(one)
+    last = name.rpartition(".")[2]
+    close = [last] if last in by_last else get_close_matches(last, by_last, most, cutoff=0.75)
+    return [one for its in close for one in by_last[its]][:most]
+
+
 def _first_mistake(cls: type, error: ValidationError) -> str:
     mistakes = error.errors()
     # An unknown key first: next to a missing one it is that one misspelt.
     mistake = next((mistake for mistake in mistakes if mistake["type"] in _UNKNOWN_KEY), mistakes[0])
-    keys, members = _walk(cls, mistake["loc"])
-    name = ".".join(keys)
+    path, members = _walk(cls, mistake["loc"])
+    name = ".".join(path)
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
-        valid = sorted({key for member in members for key in member.__dataclass_fields__})
-        return f"unknown key '{name}'; valid keys: {', '.join(valid)}"
+        valid = sorted({field.name for member in members for field in fields(member)})
+        close = nearest(name, (key.name for key in keys(cls) if key.name != name))
+        hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
+        return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"key '{name}' is missing"
     if mistake["type"] in ("union_tag_invalid", "union_tag_not_found"):
@@ -148,6 +250,8 @@ def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[An
         tagged = [member for member in members if part in _tags(member)] if len(members) > 1 else []
         if tagged:
             members = tagged
+            continue
+        if isinstance(part, str) and " " in part:  # the tag of a union
             continue
         keys.append(str(part))
         if isinstance(part, str):  # a number counts the items of an array

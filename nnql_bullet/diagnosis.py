@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import cos, hypot, sin
@@ -43,17 +44,14 @@ def check_pybullet() -> Finding:
 def check_drive() -> Finding:
     """Drives four seconds straight ahead and compares the place with the expected one."""
     experiment = Experiment(RunConfig(world="empty"))
-    simulator = experiment.simulator
-    world = experiment.world(0)
-    simulator.reset(world)
-    periods = 8
-    for _ in range(periods):
-        simulator.advance(0.0)
-    reached = simulator.pose()
-    simulator.close()
+    world, periods = experiment.world(0), 8
+    with closing(experiment.simulator) as simulator:
+        simulator.reset({0: world})
+        for _ in range(periods):
+            motion, _ = simulator.advance(np.zeros(1))
     expected = periods * experiment.config.drive.decision_period * experiment.config.drive.speed
     ahead = (world.start.x + expected * cos(world.start.yaw), world.start.y + expected * sin(world.start.yaw))
-    off = hypot(reached.x - ahead[0], reached.y - ahead[1])
+    off = hypot(*(motion.pose[0, :2] - ahead))
     text = f"{expected:g} m straight ahead in contact physics, {1000 * off:.1f} mm off"
     return Finding(off < 0.02, text if off < 0.02 else f"{text}: more than 20 mm; report this with your machine's name")
 
@@ -61,12 +59,12 @@ def check_drive() -> Finding:
 def check_rays() -> Finding:
     """Compares the 72 rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
-    simulator, world = experiment.simulator, experiment.world(0)
-    simulator.reset(world)
+    world = experiment.world(0)
+    with closing(experiment.simulator) as simulator:
+        _, (found,) = simulator.reset({0: world})
     origin = placed(world.start, *experiment.vehicle.sensor[:2])
     expected = ray_distances(origin, ray_angles() + world.start.yaw, world.solids, paper.SENSOR_RANGE)
-    off = float(np.abs(simulator.scan().distances - expected).max())
-    simulator.close()
+    off = float(np.abs(found - expected).max())
     text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")

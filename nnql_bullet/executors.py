@@ -64,25 +64,30 @@ class Executor(Protocol):
         """
 
 
-def make_executor(kind: ExecutorKind, workers: int, address: str | None = None) -> Executor:
-    """Makes the executor of a kind.
+def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, address: str | None = None) -> Executor:
+    """Makes an executor.
 
     Args:
-        kind: "inline" runs the tasks one after another in this process, "processes" in processes of this machine,
-            "ray" on a Ray cluster.
-        workers: Number of tasks that run at the same time; "inline" ignores it.
-        address: HOST:PORT of a running Ray cluster; without it, "ray" starts Ray on this machine.
+        kind: "inline" runs tasks one after another in this process, "processes" in processes of this machine, "ray" on
+            Ray. By default inline with one worker and processes with more.
+        workers: Tasks that run at a time; by default as many as the machine has cores. Inline always runs one.
+        address: HOST:PORT of a running Ray cluster; without it, Ray is started on this machine.
 
     Raises:
         UserError: If there is no worker, Ray is not installed or does not answer, or another kind is given an address.
     """
+    workers = os.cpu_count() or 1 if workers is None else workers
     if workers < 1:
         raise UserError(f"workers must be at least 1, not {workers}")
     if kind == "ray":
         return RayExecutor(workers, address)
     if address is not None:
-        raise UserError(f"the executor '{kind}' takes no address: leave it out, or choose 'ray'")
-    return InlineExecutor() if kind == "inline" else ProcessExecutor(workers)
+        raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
+    return (
+        InlineExecutor()
+        if (kind or ("inline" if workers == 1 else "processes")) == "inline"
+        else ProcessExecutor(workers)
+    )
 
 
 _Attempt = tuple[V | None, TaskError | None]

@@ -7,24 +7,23 @@ from os import cpu_count
 from nnql_bullet.agents import Agent, LearningAgent, Trainable, make_agent
 from nnql_bullet.agents.learning.genetic import Genetic
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
-from nnql_bullet.env import FleetNavigation, Navigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.shield.shield import Shield
-from nnql_bullet.sim.base import Fleet, Simulator
-from nnql_bullet.sim.domain_randomization import RandomizedFleet, turned
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.sim.domain_randomization import RandomizedSimulator, turned
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
-from nnql_bullet.sim.local import local_fleet
-from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.sim.faults import FaultySimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
-from nnql_bullet.vehicle.spec import load_vehicle
-from nnql_bullet.worlds.source import WorldSource, load_world
+from nnql_bullet.vehicle.urdf import load_vehicle
+from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 PATH_MARGIN = 0.15
@@ -34,8 +33,18 @@ PATH_MARGIN = 0.15
 class Experiment:
     """The objects of one run, made when first asked for."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, agent: Agent | None = None) -> None:
+        """Reads vehicle and world.
+
+        Args:
+            config: The configuration.
+            agent: An agent in place of the one that the configuration describes.
+
+        Raises:
+            UserError: If vehicle or world cannot be read.
+        """
         self.config = config
+        self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = self._source(config.world)
 
@@ -44,11 +53,11 @@ class Experiment:
         """Half width of the path that every world has for the vehicle [m]."""
         return self.vehicle.clear_radius + PATH_MARGIN
 
-    def _source(self, name: str) -> WorldSource:
-        source, sensor_height = load_world(name), self.vehicle.sensor_height
-        if source.file.obstacle_height <= sensor_height:
+    def _source(self, name: str | World) -> World:
+        source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if source.obstacle_height <= sensor_height:
             raise UserError(
-                f"world '{source.name}': obstacles of {source.file.obstacle_height:g} m do not reach up to the sensor "
+                f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
@@ -75,7 +84,7 @@ class Experiment:
         sources = [self._source(name) for name in dict.fromkeys(names)]
         return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
 
-    def _drawn(self, source: WorldSource, seed: int) -> WorldSpec:
+    def _drawn(self, source: World, seed: int) -> WorldSpec:
         if seed < 0:
             raise UserError(f"world seed {seed}: world seeds are not negative")
         world = source.draw(seed, self.room)
@@ -91,58 +100,53 @@ class Experiment:
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
-    def _training_sources(self) -> list[WorldSource]:
+    def _training_sources(self) -> list[World]:
         return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:
-        """The simulator."""
-        c = self.config
-        if c.simulator == "kinematic":
-            simulator: Simulator = KinematicSimulator(self.vehicle, c.drive)
-        else:
-            simulator = contact_simulator(c.simulator, c.physics, self.vehicle, c.drive)
-        return FaultySimulator(simulator, c.conditions.sensor_faults) if c.conditions.sensor_faults.any else simulator
+        """A simulator of one vehicle in this process."""
+        return self._simulator(1, 1)
 
-    def fleet(self, workers: int | None = None) -> Fleet:
-        """As many vehicles as the configuration says.
+    @cached_property
+    def navigation(self) -> Navigation:
+        """The task over `simulator`."""
+        return Navigation(self.simulator, self.config.task)
+
+    def new_simulator(self, workers: int | None = None) -> Simulator:
+        """Makes a simulator of as many vehicles as the configuration says; the caller closes it.
 
         Args:
-            workers: Processes (contact physics) or threads (kinematic model) to share them among, whatever the result;
-                one a core
-                if not given.
+            workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles, one a
+                core by default. The result does not depend on it.
 
         Raises:
-            UserError: If there is no worker.
+            UserError: If the number of workers is not positive.
         """
         workers = cpu_count() or 1 if workers is None else workers
         if workers < 1:
             raise UserError(f"workers must be at least 1, not {workers}")
-        fleet = self._sound_fleet(workers)
-        faults = self.config.conditions.sensor_faults
-        return FaultyFleet(fleet, faults) if faults.any else fleet
+        return self._simulator(self.config.vehicles, workers)
 
-    def training_fleet(self, workers: int | None = None) -> Fleet:
-        """The same as `fleet` gives, disturbed as training asks for."""
-        fleet, domain_randomization = self.fleet(workers), self.config.training.domain_randomization
-        return RandomizedFleet(fleet, domain_randomization) if domain_randomization.any else fleet
+    def new_training_simulator(self, workers: int | None = None) -> Simulator:
+        """Makes a simulator as `new_simulator` does, with the domain randomization of the training."""
+        simulator, randomization = self.new_simulator(workers), self.config.training.domain_randomization
+        return RandomizedSimulator(simulator, randomization) if randomization.any else simulator
 
-    def _sound_fleet(self, workers: int) -> Fleet:
-        c, size = self.config, self.config.vehicles
+    def _simulator(self, size: int, workers: int) -> Simulator:
+        c, faults = self.config, self.config.conditions.sensor_faults
         if c.simulator == "kinematic":
-            return KinematicFleet(self.vehicle, c.drive, size, workers)
-        make = partial(local_fleet, partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive))
-        return make(size) if min(workers, size) == 1 else WorkerFleet(make, size, min(workers, size))
-
-    @cached_property
-    def navigation(self) -> Navigation:
-        """The task over the simulator."""
-        return Navigation(self.simulator, self.config.task)
+            simulator: Simulator = KinematicSimulator(self.vehicle, c.drive, size, workers)
+        else:
+            make = partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive)
+            workers = min(workers, size)
+            simulator = make(size) if workers == 1 else WorkerSimulator(make, size, workers)
+        return FaultySimulator(simulator, faults) if faults.any else simulator
 
     @cached_property
     def agent(self) -> Agent:
-        """The agent, untrained."""
-        return make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+        """The agent that was given, or the untrained one that the configuration describes."""
+        return self._given or make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Agent:
@@ -158,8 +162,7 @@ class Experiment:
             UserError: If it is a rule.
         """
         if not isinstance(self.agent, Trainable):
-            kind = self.config.agent.kind
-            raise UserError(f"'{kind}' has nothing to learn; drive it with: nnql-bullet drive {kind}")
+            raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 
     @property
@@ -173,7 +176,7 @@ class Experiment:
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
         return self.trainable
 
-    def trainer(self, navigation: FleetNavigation) -> Trainer:
+    def trainer(self, navigation: Navigation) -> Trainer:
         """What trains the agent, in the way of its kind.
 
         Raises:
@@ -204,8 +207,8 @@ class Experiment:
         """
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
-        with closing(kinematic.fleet(workers)) as fleet:
-            return count_goals(kinematic.trainable, candidates, FleetNavigation(fleet, self.config.task), worlds)
+        with closing(kinematic.new_simulator(workers)) as simulator:
+            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.config.task), worlds)
 
 
 def _missing(library: str, extra: str) -> UserError:

@@ -1,4 +1,4 @@
-"""Angles, oriented boxes, their distances, and rays: pure functions, SI units, radians counter-clockwise from +x."""
+"""Angles, oriented boxes, distances and rays in the plane, in SI units; angles are counter-clockwise from +x."""
 
 from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, sin
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A place in the plane: x, y [m] and yaw [rad] in (-pi, pi]."""
+    """A pose in the plane: x, y [m] and yaw [rad] in (-pi, pi]."""
 
     x: float
     y: float
@@ -22,7 +22,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class OrientedBox:
-    """A rectangle in the plane: centre [m], half extents [m], and the yaw [rad] of its length."""
+    """A rectangle in the plane: centre [m], half extents [m], and yaw of its length [rad]."""
 
     x: float
     y: float
@@ -36,7 +36,7 @@ class OrientedBox:
         return 4.0 * self.half_length * self.half_width
 
     def corners(self) -> Array:
-        """The corners, counter-clockwise, (4, 2) [m]."""
+        """The corners, counter-clockwise (4, 2) [m]."""
         signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
         c, s = cos(self.yaw), sin(self.yaw)
         scaled: Array = signs * (self.half_length, self.half_width)
@@ -45,24 +45,24 @@ class OrientedBox:
 
 @njit()
 def wrap_angle(angle: float) -> float:
-    """The same direction in (-pi, pi]."""
+    """Wraps an angle into (-pi, pi]."""
     wrapped = pi - (pi - angle) % (2.0 * pi)
     return float(wrapped if wrapped > -pi else pi)  # the remainder rounds up to 2 pi just above an odd multiple of pi
 
 
 def wrap_angles(angles: Array) -> Array:
-    """`wrap_angle` of each."""
+    """Wraps angles (...) [rad] into (-pi, pi]."""
     wrapped = pi - (pi - angles) % (2.0 * pi)
     return np.where(wrapped > -pi, wrapped, pi)
 
 
 def bearing(pose: Pose, x: float, y: float) -> float:
-    """Direction of the point (x, y) seen from `pose`, in (-pi, pi], positive to the left."""
+    """Direction of the point (x, y) in the frame of `pose`, in (-pi, pi], positive to the left [rad]."""
     return float(wrap_angle(atan2(y - pose.y, x - pose.x) - pose.yaw))
 
 
 def distance(pose: Pose, x: float, y: float) -> float:
-    """Distance [m] from `pose` to the point (x, y)."""
+    """Distance from `pose` to the point (x, y) [m]."""
     return hypot(x - pose.x, y - pose.y)
 
 
@@ -73,20 +73,20 @@ def placed(pose: Pose, x: float, y: float) -> tuple[float, float]:
 
 
 def moved(box: OrientedBox, pose: Pose) -> OrientedBox:
-    """`box`, given in the frame of `pose`, in the world."""
+    """Transforms a box from the frame of `pose` into the world."""
     x, y = placed(pose, box.x, box.y)
     return OrientedBox(x, y, box.half_length, box.half_width, wrap_angle(pose.yaw + box.yaw))
 
 
 def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
-    """Boxes as an array (n, 6) of x, y, half length, half width [m], cos yaw, sin yaw: what the kernels below take."""
+    """Boxes as rows (n, 6) of x, y, half length, half width [m], cos yaw and sin yaw, which the kernels take."""
     rows = [(b.x, b.y, b.half_length, b.half_width, cos(b.yaw), sin(b.yaw)) for b in boxes]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 6)
 
 
 @njit()
 def squared_distance(x: float, y: float, box: Array) -> float:
-    """Squared distance [m2] from the point (x, y) to the filled box of a row (6,) of `as_rows`; 0 inside."""
+    """Squared distance from the point (x, y) to a filled box, a row (6,) of `as_rows`; 0 inside [m2]."""
     dx, dy = x - box[0], y - box[1]
     along = max(abs(box[4] * dx + box[5] * dy) - box[2], 0.0)
     across = max(abs(box[4] * dy - box[5] * dx) - box[3], 0.0)
@@ -95,7 +95,7 @@ def squared_distance(x: float, y: float, box: Array) -> float:
 
 @njit()
 def _corners_to_box(a: Array, b: Array) -> float:
-    """Smallest squared distance from a corner of row `a` to the filled box of row `b`."""
+    """Smallest squared distance from a corner of row `a` to the filled box of row `b` [m2]."""
     closest = np.inf
     for i in (-1.0, 1.0):
         for j in (-1.0, 1.0):
@@ -117,7 +117,7 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
 
 @njit()
 def clearance(footprint: Array, boxes: Array) -> float:
-    """Distance [m] from one box to the nearest of several; 0 where they overlap, infinite where there are none.
+    """Distance from one box to the nearest of several; 0 if they overlap, infinite if there are none [m].
 
     Two disjoint convex polygons are closest at a corner of one of them; the separating-axis theorem finds the overlap.
 
@@ -140,9 +140,17 @@ def clearance(footprint: Array, boxes: Array) -> float:
 
 @njit()
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
-    """`clearance` of a footprint, a row (6,) in the vehicle's frame, with the vehicle at x, y [m] and yaw [rad]."""
+    """Clearance of a vehicle at a pose [m].
+
+    Args:
+        x: [m]
+        y: [m]
+        yaw: [rad]
+        footprint: Row (6,) of `as_rows`, in the vehicle's frame.
+        boxes: Rows (n, 6) of `as_rows`.
+    """
     c, s = np.cos(yaw), np.sin(yaw)
-    row = (  # a tuple, which costs no allocation
+    row = (  # a tuple needs no allocation
         x + c * footprint[0] - s * footprint[1],
         y + s * footprint[0] + c * footprint[1],
         footprint[2],
@@ -154,20 +162,20 @@ def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array)
 
 
 def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sensor_range: float) -> Array:
-    """Where rays first meet a box, by the slab method (Kay and Kajiya, SIGGRAPH 1986).
+    """Measures how far rays travel until they meet a box, by the slab method (Kay and Kajiya, SIGGRAPH 1986).
 
     Args:
-        origin: Where the rays start [m].
-        angles: Their directions in the world (m,) [rad].
+        origin: Origin of the rays [m].
+        angles: Directions of the rays in the world (m,) [rad].
         boxes: Rows (n, 6) of `as_rows`.
-        sensor_range: What a ray that meets nothing reads [m].
+        sensor_range: Length of a ray that meets nothing [m].
 
     Returns:
         Distances (m,) [m]; 0 for an origin inside a box.
     """
     c, s = boxes[:, 4], boxes[:, 5]
     dx, dy = origin[0] - boxes[:, 0], origin[1] - boxes[:, 1]
-    start = np.stack([c * dx + s * dy, c * dy - s * dx])  # (2, n), in each box's frame
+    start = np.stack([c * dx + s * dy, c * dy - s * dx])  # (2, n) in the frame of each box
     ux, uy = np.cos(angles)[:, None], np.sin(angles)[:, None]
     direction = np.stack([c * ux + s * uy, c * uy - s * ux])  # (2, m, n)
     half = boxes[:, 2:4].T  # (2, n)

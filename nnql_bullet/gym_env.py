@@ -1,4 +1,4 @@
-"""The task as a Gymnasium environment, `nnql_bullet/Tricycle-v0`, of one vehicle or, by `make_vec`, of many.
+"""The task as the Gymnasium environment `nnql_bullet/Tricycle-v0`, with one vehicle, or n by `make_vec`.
 
 Observation, `Box` of 11 float32:
 
@@ -28,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, FleetNavigation, Observation, Observations, as_numbers
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Reward, Transition, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
@@ -50,19 +50,33 @@ def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
 
 
 def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray[np.float32]]:
-    file = experiment.worlds.file
+    world = experiment.worlds
     low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
-    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(file.width, file.depth), pi, MOST_YAW_RATE]
+    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(world.width, world.depth), pi, MOST_YAW_RATE]
     bounds = np.array([low, high], dtype=np.float32)
     return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
 
 
-def _vectors(
-    observations: Observation | Observations, space: gymnasium.spaces.Space[NDArray[np.float32]]
-) -> NDArray[np.float32]:
-    """Observations as the rows (..., 11) that the module's table describes."""
-    numbers = as_numbers(observations)
+def _vectors(observation: Observation, space: gymnasium.spaces.Space[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """The observation as rows (n, 11) of the module's table."""
+    numbers = as_numbers(observation)
     return np.clip(numbers, space.low, space.high, out=numbers)  # type: ignore[attr-defined]
+
+
+def _infos(t: Transition) -> dict[str, NDArray[Any]]:
+    """What `info` tells of a step, by name (n,); nothing, or zero, of vehicles that stood by."""
+    active = t.active
+    return {
+        "ending": _ENDINGS[np.where(active, t.ending, NO_ENDING)],
+        "state_property": _LABELS[np.where(active, t.s_t.state_property, _NOBODY)],
+        "heading_error": np.where(active, t.motion.heading_error, 0.0),
+        **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),
+    }
+
+
+def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether an episode terminated, and whether it was truncated (n,)."""
+    return t.active & (t.discount_t == 0.0), t.active & (t.ending == ENDINGS.index("timeout"))
 
 
 def _draw_seed(generator: np.random.Generator) -> int:
@@ -70,21 +84,23 @@ def _draw_seed(generator: np.random.Generator) -> int:
 
 
 class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
-    """One vehicle in a new world each episode."""
+    """One vehicle, in a new world each episode."""
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
 
-    def __init__(self, config: RunConfig | str = "paper", **changes: Any) -> None:
-        """Sets up the simulator.
+    def __init__(self, config: RunConfig | str = "paper", reward: Reward | None = None, **changes: Any) -> None:
+        """Makes the simulator.
 
         Args:
             config: A run's configuration, a preset's name or a TOML file.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
 
         Raises:
             UserError: If a key or value is wrong.
         """
         self._experiment = _experiment(config, changes)
+        self._navigation = Navigation(self._experiment.simulator, self._experiment.config.task, reward)
         self.observation_space = _observation_space(self._experiment)
         self.action_space = gymnasium.spaces.Discrete(ACTIONS)
 
@@ -95,25 +111,20 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         super().reset(seed=seed)
         given = (options or {}).get("world_seed")
         world = self.world(_draw_seed(self.np_random) if given is None else int(given))
-        observation = self._experiment.navigation.reset(world)
-        return _vectors(observation, self.observation_space), {"world_seed": world.seed}
+        self._navigation.reset({0: world})
+        return self._vector(), {"world_seed": world.seed}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Carries out one decision."""
-        t = self._experiment.navigation.step(int(action))
-        info = {
-            "ending": t.ending,
-            "state_property": t.s_t.state_property.label,
-            "heading_error": t.motion.heading_error,
-            **dict(zip(_REWARDS, t.terms.values(), strict=True)),
-        }
-        over = t.ending in ("goal", "collision")
-        return _vectors(t.s_t, self.observation_space), t.r_t, over, t.ending == "timeout", info
+        t = self._navigation.step(np.array([action]))
+        terminated, truncated = _over(t)
+        info = {name: values.item() for name, values in _infos(t).items()}
+        return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
 
     @property
     def simulator(self) -> Simulator:
-        """What moves the vehicle."""
-        return self._experiment.simulator
+        """The simulator of the vehicle."""
+        return self._navigation.simulator
 
     def world(self, seed: int) -> WorldSpec:
         """The world of a seed."""
@@ -123,9 +134,13 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Frees the simulator."""
         self.simulator.close()
 
+    def _vector(self) -> NDArray[np.float32]:
+        (vector,) = _vectors(self._navigation.observation, self.observation_space)
+        return np.asarray(vector)
+
 
 class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]):
-    """Many vehicles, each in a world of its own, one call a step.
+    """n vehicles, each in a world of its own, in lockstep.
 
     Row i does what a `TricycleEnv` that is reset with seed + i does. A vehicle whose episode is over is put into its
     next world by the step after that, whatever its action.
@@ -134,14 +149,20 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
-        self, num_envs: int, config: RunConfig | str = "paper", workers: int | None = None, **changes: Any
+        self,
+        num_envs: int,
+        config: RunConfig | str = "paper",
+        workers: int | None = None,
+        reward: Reward | None = None,
+        **changes: Any,
     ) -> None:
-        """Sets up the vehicles.
+        """Makes the vehicles.
 
         Args:
-            num_envs: How many.
+            num_envs: Number of vehicles.
             config: A run's configuration, a preset's name or a TOML file.
-            workers: Processes (contact physics) or threads (kinematic model) that share them; one a core if not given.
+            workers: Number of processes (contact physics) or threads (kinematic model), one a core by default.
+            reward: A reward in place of the paper's.
             **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
 
         Raises:
@@ -153,8 +174,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self.single_action_space = gymnasium.spaces.Discrete(ACTIONS)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        fleet = self._experiment.fleet(workers)
-        self._navigation = FleetNavigation(fleet, self._experiment.config.task)
+        simulator = self._experiment.new_simulator(workers)
+        self._navigation = Navigation(simulator, self._experiment.config.task, reward)
         self._generators = [np_random()[0] for _ in range(num_envs)]
         self._over = np.zeros(num_envs, np.bool_)
 
@@ -164,8 +185,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         """Starts an episode for every vehicle, or for those in `options["reset_mask"]` (n,).
 
         Args:
-            seed: Of vehicle 0, the others' following; or one for each; None goes on with the generators there are.
-            options: `world_seed` may name the worlds, as one number or as one for each vehicle.
+            seed: Seed of vehicle 0, from which the others count on; or one for each; None keeps the generators.
+            options: `world_seed` names the worlds, as one number or as one for each vehicle.
         """
         options = options or {}
         mask = np.array(options.get("reset_mask", np.ones(self.num_envs, np.bool_)), np.bool_)
@@ -186,32 +207,26 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Carries out one decision of each vehicle."""
         begun, active = self._over.copy(), ~self._over
-        t = self._navigation.step(np.asarray(actions), active)
-        terminated = active & (t.discount_t == 0.0)
-        truncated = active & (t.ending == ENDINGS.index("timeout"))
-        named = {
-            "ending": _ENDINGS[np.where(active, t.ending, NO_ENDING)],
-            "state_property": _LABELS[np.where(active, t.s_t.state_property, _NOBODY)],
-            "heading_error": np.where(active, t.motions.heading_error, 0.0),
-            **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),
-        }
+        t = self._navigation.step(np.asarray(actions), None if active.all() else active)
+        terminated, truncated = _over(t)
+        named = _infos(t)
         infos = named | {f"_{name}": active for name in named} if active.any() else {}
         if begun.any():
             infos |= self._begin(begun, None)[1]
         self._over = terminated | truncated
-        vectors = _vectors(self._navigation.observations, self.single_observation_space)
+        vectors = _vectors(self._navigation.observation, self.single_observation_space)
         return vectors, np.where(active, t.r_t, 0.0), terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees the vehicles."""
-        self._navigation.fleet.close()
+        self._navigation.simulator.close()
 
     def _begin(self, mask: NDArray[np.bool_], worlds: list[int] | None) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Puts the vehicles of `mask` (n,) into worlds of the given seeds (n,), or into ones that they draw."""
+        """Puts the vehicles of `mask` (n,) into the worlds of the seeds (n,), or into worlds that they draw."""
         seeds = np.zeros(self.num_envs, np.int64)
         for i in np.flatnonzero(mask).tolist():
             seeds[i] = _draw_seed(self._generators[i]) if worlds is None else worlds[i]
         self._navigation.reset({i: self._experiment.world(int(seeds[i])) for i in np.flatnonzero(mask).tolist()})
         self._over &= ~mask
-        vectors = _vectors(self._navigation.observations, self.single_observation_space)
+        vectors = _vectors(self._navigation.observation, self.single_observation_space)
         return vectors, {"world_seed": seeds, "_world_seed": mask}

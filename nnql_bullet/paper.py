@@ -1,8 +1,7 @@
-"""Every number that the paper states, one a line, with its section.
+"""The numbers that the paper states, each with its section.
 
 Source: "A Reinforcement Learning Method of Obstacle Avoidance for Industrial Mobile Vehicles in Unknown Environments
-Using Neural Network". What the paper leaves open is not here: those choices are options with a default and a reason,
-gathered in `experiment.PRESETS`.
+Using Neural Network". Choices that the paper leaves open are options elsewhere; `presets.PRESETS` gathers them.
 """
 
 from math import radians

@@ -5,6 +5,7 @@ of `Recording`. With n decisions, arrays of states have n + 1 rows and arrays of
 """
 
 import json
+from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -13,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import Observation, Transition, heading_change, stacked
+from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import overridden
+from nnql_bullet.rollout import EpisodeSummary, overridden
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import REWARD_TERMS
+from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -87,6 +88,17 @@ class Recording:
         )
 
     @property
+    def summary(self) -> EpisodeSummary:
+        """What the episode came to.
+
+        Raises:
+            UserError: If the recording was written without one, as version 0.1 did.
+        """
+        if "summary" not in self.about:
+            raise UserError("this recording holds no summary; record the drive again")
+        return EpisodeSummary(**self.about["summary"])
+
+    @property
     def obstacles(self) -> tuple[OrientedBox, ...]:
         """The world's boxes that stand still."""
         return self.world.obstacles
@@ -105,7 +117,37 @@ class Recording:
         """The vehicle's footprint in its own frame."""
         return OrientedBox(**self.about["vehicle"]["footprint"])
 
-    def save(self, path: Path) -> None:
+    @staticmethod
+    def load(path: Path | str) -> "Recording":
+        """Reads a recording.
+
+        Raises:
+            UserError: If the file is not one, or is damaged.
+        """
+        return load_recording(Path(path))
+
+    def plot(self, path: Path | str) -> None:
+        """Draws the path through the world and the clearance over time as a picture (.png)."""
+        from nnql_bullet.reports.plots import draw_trajectory
+
+        draw_trajectory(self, Path(path))
+
+    def render(self, path: Path | str, **values: Any) -> None:
+        """Draws the drive as a video.
+
+        Args:
+            path: The file, .mp4 or .gif.
+            **values: Further arguments of `render.filming.render`: camera, size, fps, speed, begin, end, workers, ...
+
+        Raises:
+            UserError: If an argument is out of range, or a renderer or encoder is missing.
+            WorkFailed: If drawing fails.
+        """
+        from nnql_bullet.render.filming import render
+
+        render(self, path, **values)
+
+    def save(self, path: Path | str) -> None:
         """Writes the file atomically.
 
         Raises:
@@ -113,7 +155,7 @@ class Recording:
         """
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "about"}
         about = np.array(json.dumps({"format": FORMAT, **self.about}))
-        write_atomically(path, lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
+        write_atomically(Path(path), lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
 
 
 def load_recording(path: Path) -> Recording:
@@ -138,43 +180,45 @@ def load_recording(path: Path) -> Recording:
 
 
 class Recorder:
-    """Watches one episode and turns it into a `Recording`."""
+    """Watches an episode and turns it into a `Recording`."""
 
     def __init__(self, vehicle: VehicleSpec, agent: "Agent") -> None:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
         self._agent = agent
-        self._steps: list[Transition] = []
-        self._values: list[Array] = []
-        self._overridden: list[bool] = []
 
-    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
-        """The start of the episode."""
-        self._world = world
-        self._first = observation
+    def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
+        """Starts the recording."""
+        self._world, self._ending = world, NO_ENDING
+        self._columns: defaultdict[str, list[Any]] = defaultdict(list)
         self.trace.clear()
-        self._steps.clear()
-        self._values = [self._expected(observation)]
-        self._overridden.clear()
+        self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))
+        self._note_state(observation, vehicle)
+        self._note(q_values=self._values(observation, vehicle))
 
-    def on_step(self, transition: Transition) -> None:
-        """One step."""
-        self._steps.append(transition)
-        self._overridden.append(bool(overridden(self._agent, 1)[0]))
-        if transition.ending is None:
-            self._values.append(self._expected(transition.s_t))
-
-    def _expected(self, observation: Observation) -> Array:
-        """What the agent, before it decides, expects of the five turns (5,)."""
-        (values,) = self._agent.action_values(stacked([observation]))
-        return np.asarray(values)
+    def on_step(self, transition: Transition, vehicle: int) -> None:
+        """Records a step."""
+        t, m, v = transition, transition.motion, vehicle
+        self._ending = int(t.ending[v])
+        self._note(
+            action=t.a_tm1[v],
+            overridden=overridden(self._agent, len(t.active))[v],
+            heading_command=t.heading_command[v],
+            heading_error=m.heading_error[v],
+            clearance=m.clearance[v],
+            contact=m.touching[v],
+            reward_terms=t.terms[v],
+            state_time=self._columns["state_time"][-1] + m.duration[v],
+            state_pose=m.pose[v],
+        )
+        self._note_state(t.s_t, v)
+        if self._ending == NO_ENDING:
+            self._note(q_values=self._values(t.s_t, v))
 
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
-        steps, vehicle = self._steps, self._vehicle
-        observations = [self._first, *(step.s_t for step in steps)]
-        poses = [self._world.start, *(step.motion.pose for step in steps)]
-        samples = self.trace
+        vehicle, columns, samples = self._vehicle, self._columns, self.trace
+        columns["q_values"] = columns["q_values"][: len(columns["action"])]
         return Recording(
             about={
                 **about,
@@ -187,29 +231,25 @@ class Recorder:
                     "joints": {field.name: getattr(vehicle.joints, field.name) for field in fields(vehicle.joints)},
                     "wheel_radius": vehicle.wheel_radius,
                 },
-                "ending": steps[-1].ending,
+                "ending": None if self._ending == NO_ENDING else ENDINGS[self._ending],
             },
-            state_time=np.cumsum([0.0, *(step.motion.duration for step in steps)]),
-            state_pose=_poses(poses),
-            readings=np.array([observation.readings for observation in observations]),
-            ray_distances=np.array([observation.ray_distances for observation in observations]),
-            state_property=np.array([observation.state_property.label for observation in observations]),
-            q_values=np.array(self._values[: len(steps)]),
-            action=np.array([step.a_tm1 for step in steps]),
-            overridden=np.array(self._overridden),
-            heading_command=heading_change(
-                [step.a_tm1 for step in steps], [step.s_tm1.target_bearing for step in steps]
-            ),
-            heading_error=np.array([step.motion.heading_error for step in steps]),
-            clearance=np.array([step.motion.clearance for step in steps]),
-            contact=np.array([step.motion.touching for step in steps]),
-            reward_terms=np.array([[step.terms[name] for name in REWARD_TERMS] for step in steps]),
+            **{name: np.array(values) for name, values in columns.items()},
             sample_time=np.array([sample.time for sample in samples]),
-            sample_pose=_poses([sample.pose for sample in samples]),
+            sample_pose=np.array([(sample.pose.x, sample.pose.y, sample.pose.yaw) for sample in samples]),
             joint_angles=np.array([sample.joint_angles for sample in samples]),
             wheel_speeds=np.array([sample.wheel_speeds for sample in samples]),
         )
 
+    def _note_state(self, observation: Observation, vehicle: int) -> None:
+        o, v = observation, vehicle
+        label = StateProperty(int(o.state_property[v])).label
+        self._note(readings=o.readings[v], ray_distances=o.ray_distances[v], state_property=label)
 
-def _poses(poses: list[Pose]) -> Array:
-    return np.array([(pose.x, pose.y, pose.yaw) for pose in poses])
+    def _values(self, observation: Observation, vehicle: int) -> Array:
+        """The agent's values of the five turns, before it decides (5,)."""
+        return np.asarray(self._agent.action_values(observation)[vehicle])
+
+    def _note(self, **values: Any) -> None:
+        """Adds a value to columns of the recording."""
+        for name, value in values.items():
+            self._columns[name].append(value)

@@ -1,69 +1,59 @@
-"""What an episode comes to, and one episode that can be watched."""
+"""Drives episodes with a policy, sums them up, and shows them to watchers."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import (
-    STOP,
-    FleetNavigation,
-    Navigation,
-    Observation,
-    Observations,
-    Transition,
-    Transitions,
-    stacked,
-)
+from nnql_bullet.env import STOP, Navigation, Observation, Transition
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.local import as_motions
 from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 
 class Policy(Protocol):
-    """Decides for vehicles, of which it may remember what it saw and did. Every agent is one."""
+    """Decides for vehicles, and may remember what each one saw and did. Every agent is one."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
-        """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
+        """Forgets a vehicle, which is put into a world, and restarts the random numbers for it."""
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """The actions (n,) that it holds best for vehicles 0 to n - 1."""
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """The best actions (n,) for vehicles 0 to n - 1, as the policy judges them."""
 
 
 @runtime_checkable
 class Overriding(Protocol):
-    """A policy that takes decisions in an agent's place, as a shield does."""
+    """A policy that may replace the decisions of its agent, as a shield does."""
 
     overridden: NDArray[np.bool_]
-    """Of which vehicles the last decision was not the agent's (n,)."""
+    """Whether it replaced the last decision for each vehicle (n,)."""
 
 
 def overridden(policy: Policy, size: int) -> NDArray[np.bool_]:
-    """Of which of so many vehicles the last decision was not the agent's (n,): of none without a shield."""
+    """Whether the policy replaced the last decision of its agent for each vehicle (n,); never without a shield."""
     return policy.overridden if isinstance(policy, Overriding) else np.zeros(size, np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
 class Reflex:
-    """A policy that remembers nothing."""
+    """A policy without memory."""
 
-    policy: Callable[[Observations], NDArray[np.int64]]
-    """Actions (n,) for what n vehicles see."""
+    policy: Callable[[Observation], NDArray[np.int64]]
+    """Gives actions (n,) for an observation of n vehicles."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
-        """There is nothing to forget."""
+        """Does nothing."""
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
-        """What the policy says."""
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """The actions that the function gives."""
         return self.policy(observations)
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeSummary:
-    """What an episode came to."""
+    """The result of an episode."""
 
     world_seed: int
     ending: str
@@ -78,29 +68,29 @@ class EpisodeSummary:
     mean_clearance: float
     """Mean over control periods of the smallest in each [m]."""
     lateral_acceleration: float
-    """Largest at the end of a control period [m/s2]."""
+    """Largest lateral acceleration at the end of a control period [m/s2]."""
     heading_error: float
-    """Root mean square of what commanded turns left over at the end of their control period [rad]."""
+    """Root mean square of the heading errors at the end of each control period [rad]."""
     non_safe_steps: int
-    """Decisions taken in non-safe states."""
+    """Number of decisions in non-safe states."""
     episode_return: float
-    """Sum of rewards, not discounted."""
+    """Undiscounted sum of rewards."""
     terms: dict[str, float]
     """Sum of each reward term."""
     overridden_steps: int = 0
-    """Decisions that a shield took in its agent's place."""
+    """Number of decisions that a shield replaced."""
     stop_steps: int = 0
-    """Decisions to brake, to stand or to turn on the spot."""
+    """Number of decisions to brake, to stand or to turn on the spot."""
     standing_time: float = 0.0
-    """Time of control periods in which the vehicle did not get on [s]."""
+    """Time of the control periods in which the vehicle stood [s]."""
 
 
 STANDSTILL_DISTANCE = 0.05
-"""A vehicle that gets less far than this in a control period stands [m]."""
+"""A vehicle whose path in a control period is shorter than this stands [m]."""
 
 
 class Tally:
-    """Adds up the steps of n vehicles' present episodes."""
+    """Adds up the steps of the present episodes of n vehicles."""
 
     def __init__(self, size: int) -> None:
         self._world_seed = np.zeros(size, np.int64)
@@ -118,16 +108,16 @@ class Tally:
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """Taken so far (n,)."""
+        """Number of steps so far (n,)."""
         return self._steps
 
     @property
     def over(self) -> NDArray[np.bool_]:
-        """Whose episodes have ended (n,)."""
+        """Whether the episode has ended (n,)."""
         return np.asarray(self._ending != NO_ENDING)
 
     def reset(self, vehicle: int, world_seed: int) -> None:
-        """A new episode of one vehicle."""
+        """Starts a new episode of one vehicle."""
         self._world_seed[vehicle] = world_seed
         self._ending[vehicle] = NO_ENDING
         for sums in (
@@ -138,33 +128,32 @@ class Tally:
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
 
-    def add(self, transitions: Transitions, overridden: NDArray[np.bool_] | None = None) -> None:
-        """One step of those vehicles that took one.
+    def add(self, transition: Transition, overridden: NDArray[np.bool_] | None = None) -> None:
+        """Adds a step of the vehicles that took one.
 
         Args:
-            transitions: Of n vehicles.
-            overridden: Of which vehicles a shield took the decision (n,); of none if it is not given.
+            transition: The step.
+            overridden: Whether a shield replaced the decision (n,), never by default.
         """
-        t, on = transitions, transitions.active
+        t, m, on = transition, transition.motion, transition.active
         if overridden is not None:
             self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP)
-        self._standing[on] += np.where(t.motions.path_length[on] < STANDSTILL_DISTANCE, t.motions.duration[on], 0.0)
+        self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
         self._non_safe += on & (t.s_tm1.state_property == StateProperty.NON_SAFE)
-        self._duration[on] += t.motions.duration[on]
-        self._path_length[on] += t.motions.path_length[on]
-        self._squared_errors[on] += t.motions.heading_error[on] ** 2
-        self._clearance[on] = np.minimum(self._clearance[on], t.motions.clearance[on])
-        self._clearances[on] += t.motions.clearance[on]
-        speed = t.motions.path_length[on] / t.motions.duration[on]
-        lateral = np.abs(speed * t.motions.yaw_rate[on])
+        self._duration[on] += m.duration[on]
+        self._path_length[on] += m.path_length[on]
+        self._squared_errors[on] += m.heading_error[on] ** 2
+        self._clearance[on] = np.minimum(self._clearance[on], m.clearance[on])
+        self._clearances[on] += m.clearance[on]
+        lateral = np.abs(m.path_length[on] / m.duration[on] * m.yaw_rate[on])
         self._lateral_acceleration[on] = np.maximum(self._lateral_acceleration[on], lateral)
         self._terms[on] += t.terms[on]
 
     def summary(self, vehicle: int) -> EpisodeSummary:
-        """Of an episode that is over."""
+        """The result of a vehicle's episode, which is over."""
         v, terms = vehicle, self._terms[vehicle].tolist()
         return EpisodeSummary(
             world_seed=int(self._world_seed[v]),
@@ -186,66 +175,64 @@ class Tally:
 
 
 class Watcher(Protocol):
-    """Is shown everything that happens; a recording is one."""
+    """Is shown an episode step by step; a recorder is one."""
 
     @property
     def trace(self) -> list[Sample] | None:
-        """Where samples between decisions go, if they are wanted."""
+        """The list that receives samples between decisions, if they are wanted."""
 
-    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
-        """The start of the episode."""
+    def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
+        """Is shown the start of the episode: the observation of n vehicles, and which of them it is about."""
 
-    def on_step(self, transition: Transition) -> None:
-        """One step."""
+    def on_step(self, transition: Transition, vehicle: int) -> None:
+        """Is shown a step of n vehicles, and which of them it is about."""
 
 
 def run_episode(
     navigation: Navigation, world: WorldSpec, policy: Policy, watcher: Watcher | None = None
 ) -> EpisodeSummary:
-    """Drives one vehicle through one episode.
+    """Drives one episode.
 
     Args:
         navigation: The environment.
-        world: Where.
+        world: The world of the episode.
         policy: Chooses the actions.
-        watcher: Is shown each step.
+        watcher: Is shown the episode.
     """
-    observation = navigation.reset(world)
-    policy.reset(0, world.seed)
-    if watcher:
-        watcher.on_reset(world, observation)
-    tally = Tally(1)
-    tally.reset(0, world.seed)
-    while not tally.over[0]:
-        action = int(policy.act(stacked([observation]))[0])
-        transition = navigation.step(action, watcher.trace if watcher else None)
-        if watcher:
-            watcher.on_step(transition)
-        tally.add(_alone(transition), overridden(policy, 1))
-        observation = transition.s_t
-    return tally.summary(0)
+    ((_, summary),) = finished_episodes(navigation, [world], policy, {0: watcher} if watcher else {})
+    return summary
 
 
-def run_episodes(navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy) -> list[EpisodeSummary]:
+def run_episodes(navigation: Navigation, worlds: Sequence[WorldSpec], policy: Policy) -> list[EpisodeSummary]:
     """Drives an episode in each world, as many at a time as there are vehicles.
 
     Returns:
-        What they came to, in the order of `worlds`.
+        The results, in the order of `worlds`.
     """
     summaries = dict(finished_episodes(navigation, worlds, policy))
     return [summaries[i] for i in range(len(worlds))]
 
 
 def finished_episodes(
-    navigation: FleetNavigation, worlds: Sequence[WorldSpec], policy: Policy
+    navigation: Navigation,
+    worlds: Sequence[WorldSpec],
+    policy: Policy,
+    watchers: Mapping[int, Watcher] | None = None,
 ) -> Iterator[tuple[int, EpisodeSummary]]:
-    """Drives an episode in each world, as many at a time as there are vehicles; they begin in the order of `worlds`.
+    """Drives an episode in each world, as many at a time as there are vehicles; they start in the order of `worlds`.
+
+    Args:
+        navigation: The environment.
+        worlds: The worlds of the episodes.
+        policy: Chooses the actions.
+        watchers: Are shown episodes, by their place in `worlds`.
 
     Yields:
-        The place in `worlds` of each episode that finishes, and what it came to.
+        The place in `worlds` of each episode that finishes, and its result.
     """
-    n = navigation.fleet.size
+    n, watchers = navigation.simulator.size, watchers or {}
     tally, place = Tally(n), np.full(n, -1)
+    watched: dict[int, Watcher] = {}
     waiting = iter(range(len(worlds)))
     while True:
         free = np.flatnonzero((place < 0) | tally.over).tolist()
@@ -261,20 +248,14 @@ def finished_episodes(
         active = place >= 0
         if not active.any():
             return
-        actions = policy.act(navigation.observations)
-        tally.add(navigation.step(actions, active), overridden(policy, n))
-
-
-def _alone(t: Transition) -> Transitions:
-    """A step of one vehicle as that of a fleet of one."""
-    return Transitions(
-        s_tm1=stacked([t.s_tm1]),
-        a_tm1=np.array([t.a_tm1]),
-        r_t=np.array([t.r_t]),
-        discount_t=np.array([t.discount_t]),
-        s_t=stacked([t.s_t]),
-        terms=np.array([list(t.terms.values())]),
-        ending=np.array([ENDINGS.index(t.ending) if t.ending else NO_ENDING]),
-        motions=as_motions({0: t.motion}, 1),
-        active=np.ones(1, np.bool_),
-    )
+        if watchers:
+            watched = {vehicle: watchers[p] for vehicle, p in enumerate(place.tolist()) if p in watchers}
+            for vehicle, world in begun.items():
+                if vehicle in watched:
+                    watched[vehicle].on_reset(world, navigation.observation, vehicle)
+        traces = {vehicle: watcher.trace for vehicle, watcher in watched.items() if watcher.trace is not None}
+        actions = policy.act(navigation.observation)
+        transition = navigation.step(actions, None if active.all() else active, traces)
+        for vehicle, watcher in watched.items():
+            watcher.on_step(transition, vehicle)
+        tally.add(transition, overridden(policy, n))

@@ -21,6 +21,7 @@ from nnql_bullet.types import Count, NonNegative, Positive
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.source import WorldLike
 
 SimulatorName = Literal[EngineName, "kinematic"]
 
@@ -77,8 +78,8 @@ class Conditions:
 class TrainingOptions:
     """Options of the training episodes that go beyond the run's own world."""
 
-    worlds: tuple[str, ...] = ()
-    """Shipped worlds or TOML files; each episode draws one of them, in place of the run's world."""
+    worlds: tuple[WorldLike, ...] = ()
+    """Shipped worlds, TOML files or worlds in full; each episode draws one of them, in place of the run's world."""
     domain_randomization: DomainRandomization = DomainRandomization()
     selection: SelectionOptions | None = None
     """How the policy is selected among late states of the training; by default it is the last state."""
@@ -92,8 +93,8 @@ class RunConfig:
     """Seed of the whole run."""
     episodes: Count = paper.EPISODES
     """Training episodes in all."""
-    world: str = "paper"
-    """A shipped world or a path to a TOML file."""
+    world: WorldLike = "paper"
+    """A shipped world, a path to a TOML file, or a world in full."""
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"
@@ -118,6 +119,15 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
         UserError: If a key or value is wrong.
     """
     return parse(RunConfig, merged(to_values(config), changes), "configuration")
+
+
+def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
+    """Conditions with some values; None if there are none.
+
+    Raises:
+        UserError: If a key or value is wrong.
+    """
+    return changed(RunConfig(), conditions=values).conditions if values else None
 
 
 def migrated(values: Mapping[str, Any]) -> dict[str, Any]:

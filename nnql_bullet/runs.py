@@ -14,12 +14,14 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import NDArray
 
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
+from nnql_bullet.agents.base import Custom, Decider
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -40,14 +42,36 @@ _NUMBERS = ("duration", "path_length", "clearance", "mean_clearance", "lateral_a
 
 
 @dataclass(frozen=True)
+class State:
+    """The state of a training at a checkpoint."""
+
+    learned: dict[str, NDArray[Any]]
+    """For `Trainable.load_state_dict`."""
+    under_way: dict[str, NDArray[Any]]
+    """For `Trainer.load_state_dict`."""
+
+
+@dataclass(frozen=True)
 class Run:
-    """A training in its folder, as far as it has come."""
+    """A training run and its folder."""
 
     folder: Path
     config: RunConfig
-    episodes: list[TrainingEpisode]
+    episodes: list[TrainingEpisode] = field(default_factory=list)
+    """Finished so far."""
     candidates: Candidates = field(default_factory=dict)
-    """To select from."""
+    """Late states to select the policy from."""
+    state: State | None = None
+    """At its last checkpoint; None before the first."""
+
+    @property
+    def policy(self) -> "LoadedPolicy":
+        """The policy that it has learned.
+
+        Raises:
+            UserError: If there is none yet.
+        """
+        return load_policy(self.folder)
 
     @property
     def is_over(self) -> bool:
@@ -63,12 +87,12 @@ class Run:
         """
         folder = self.folder
         if folder.exists() and not folder.is_dir():
-            raise UserError(f"{folder}: is a file; give another folder with --out")
+            raise UserError(f"{folder}: is a file; give another folder")
         if folder.is_dir() and any(folder.iterdir()):
             if not overwrite:
-                raise UserError(f"{folder}: is not empty; go on with --resume, or give --overwrite or another --out")
+                raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if not (folder / CONFIG).is_file():
-                raise UserError(f"{folder}: holds no run, so it is not overwritten; give another --out")
+                raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
             for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
                 (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
@@ -120,39 +144,95 @@ class Run:
         write_text(self.folder / CONFIG, text)
 
 
-def open_policy(policy: Path, changes: Mapping[str, Any]) -> tuple[Experiment, int]:
-    """What a run has learned, or a rule that has nothing to learn, ready to drive.
+@dataclass(frozen=True)
+class LoadedPolicy:
+    """A policy that is ready to drive."""
+
+    name: str
+    """As it was asked for."""
+    experiment: Experiment
+    """Its agent has learned what the policy knows."""
+    episodes: int
+    """Training episodes behind it; 0 for a rule."""
+
+    @property
+    def label(self) -> str:
+        """What drives, in a few words."""
+        config = self.experiment.config
+        kind = config.agent.kind
+        label = (
+            self.name
+            if isinstance(self.experiment.agent, Custom)
+            else kind
+            if kind in RULES
+            else f"{kind}, {self.episodes} episodes"
+        )
+        return f"{label} + shield" if config.shield else label
+
+    def changed(self, changes: Mapping[str, Any]) -> "LoadedPolicy":
+        """The same policy with nested values laid over its configuration (see `config.merged`).
+
+        Raises:
+            UserError: If a key or value is wrong.
+        """
+        config, agent = changed(self.experiment.config, **changes), self.experiment.agent
+        if isinstance(agent, Custom):
+            return LoadedPolicy(self.name, Experiment(config, agent), self.episodes)
+        experiment = Experiment(config)
+        if isinstance(self.experiment.agent, Trainable):
+            experiment.trainable.load_state_dict(self.experiment.agent.state_dict())
+        return LoadedPolicy(self.name, experiment, self.episodes)
+
+
+PolicyLike = str | Path | LoadedPolicy | Decider
+"""A policy by its path or name, one that `load_policy` returned, or an object of your own."""
+
+
+def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyType({})) -> LoadedPolicy:
+    """Loads what a run has learned, or a rule.
 
     Args:
-        policy: A run's folder, a policy file, the name of a shipped policy or of a rule, or a TOML file that configures
-            a rule.
-        changes: Nested values laid over the configuration that it was trained with; None leaves what is there.
-
-    Returns:
-        The experiment, its agent trained, and the number of training episodes behind it.
+        policy: A run folder, a policy file, the name of a shipped policy or of a rule, or a TOML file that configures
+            a rule. An object of your own, which has a method `act`, gets the configuration of the preset `paper`.
+        changes: Nested values laid over the configuration that it was trained with (see `config.merged`).
 
     Raises:
-        UserError: If there is no policy, or a value is wrong.
+        UserError: If there is no such policy, or a value is wrong.
     """
-    name = str(policy)
-    if _is_configured(policy):
-        experiment = Experiment(changed(load_config(name, {}), **changes))
-        kind = experiment.config.agent.kind
-        if kind not in RULES:
-            raise UserError(f"{name}: '{kind}' has to learn first; train it with: nnql-bullet train --config {name}")
-        return experiment, 0
-    path = policy / POLICY if policy.is_dir() else assets.policies()[name] if _is_shipped(policy) else policy
-    if not policy.exists() and not _is_shipped(policy):
+    if isinstance(policy, LoadedPolicy):
+        return policy.changed(changes)
+    if not isinstance(policy, str | Path):
+        return _own_policy(policy, changes)
+    name, path = str(policy), Path(policy)
+    if _is_configured(path):
+        config = changed(load_config(name, {}), **changes)
+        if config.agent.kind not in RULES:
+            raise UserError(f"{name}: '{config.agent.kind}' has to learn first; train it with this configuration")
+        return LoadedPolicy(name, Experiment(config), 0)
+    if not path.exists() and not _is_shipped(path):
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
-    weights = load_weights(path)
-    experiment = Experiment(changed(parse(RunConfig, migrated(weights.config), str(path)), **changes))
+    file = path / POLICY if path.is_dir() else assets.policies()[name] if _is_shipped(path) else path
+    weights = load_weights(file)
+    experiment = Experiment(changed(parse(RunConfig, migrated(weights.config), str(file)), **changes))
     experiment.trainable.load_state_dict(weights.arrays)
-    return experiment, weights.episodes
+    return LoadedPolicy(name, experiment, weights.episodes)
+
+
+def _own_policy(policy: Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
+    """An object of the caller as a policy.
+
+    Raises:
+        UserError: If it cannot act, or a value is wrong.
+    """
+    if not isinstance(policy, Decider):
+        raise UserError(f"{type(policy).__name__} is no policy: it has no method act(observations)")
+    agent = policy if isinstance(policy, Custom) else Custom(policy)
+    return LoadedPolicy(agent.name, Experiment(changed(RunConfig(), **changes), agent), 0)
 
 
 def drives_folder(policy: Path) -> Path:
-    """Where drives of what `open_policy` takes are kept: with its run, or under its name in runs/ if it has none."""
+    """Where drives of what `load_policy` takes are kept: with its run, or under its name in runs/ if it has none."""
     named = _is_configured(policy) or _is_shipped(policy)
     home = Path("runs") / policy.stem if named else policy if policy.is_dir() else policy.parent
     return home / "drives"
@@ -168,50 +248,37 @@ def _is_configured(policy: Path) -> bool:
     return policy.suffix == ".toml" or (str(policy) in RULES and not policy.exists())
 
 
-@dataclass(frozen=True)
-class State:
-    """What a checkpoint holds."""
-
-    learned: dict[str, NDArray[Any]]
-    """For `Trainable.load_state_dict`."""
-    under_way: dict[str, NDArray[Any]]
-    """For `Trainer.load_state_dict`."""
-
-
-def open_run(folder: Path, episodes: int | None) -> tuple[Run, State | None]:
-    """Reads a run folder as it was at its last checkpoint, if it had come to one. Nothing is written.
+def load_run(folder: Path, episodes: int | None = None) -> Run:
+    """Reads a run folder as it was at its last checkpoint. Nothing is written.
 
     Args:
-        folder: The run's.
-        episodes: A new number of episodes to train in all, or None for the one it has.
+        folder: The run folder.
+        episodes: A new number of episodes to train in all; by default the one that it has been configured for.
 
     Raises:
-        UserError: If the folder holds no run, or its files do not fit each other.
+        UserError: If the folder holds no run, its files do not fit each other, or it has more episodes already.
     """
     if not (folder / CONFIG).is_file():
-        raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that 'train' wrote")
+        raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that a training wrote")
     config = parse(RunConfig, migrated(read_toml(folder / CONFIG)), str(folder / CONFIG))
-    rows: list[TrainingEpisode] = []
-    state: State | None = None
-    candidates: Candidates = {}
+    run = Run(folder, config)
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
         trained = parse(RunConfig, migrated(weights.config), str(folder / CHECKPOINT))
-        same = replace(trained, episodes=config.episodes) == config
-        if not same or len(rows) != weights.episodes:
+        if replace(trained, episodes=config.episodes) != config or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
         parts = weights.arrays.items()
         state = State(
             learned={name: values for name, values in parts if not name.startswith((_UNDER_WAY, _CANDIDATE))},
             under_way={name.removeprefix(_UNDER_WAY): values for name, values in parts if name.startswith(_UNDER_WAY)},
         )
-        candidates = _candidates(weights.arrays)
-    if episodes is not None and episodes < len(rows):
-        raise UserError(f"{folder}: has {len(rows)} episodes already, so --episodes {episodes} leaves nothing to do")
-    if episodes is not None:
-        config = parse(RunConfig, to_values(config) | {"episodes": episodes}, "--episodes")
-    return Run(folder, config, rows, candidates), state
+        run = Run(folder, config, rows, _candidates(weights.arrays), state)
+    if episodes is None:
+        return run
+    if episodes < len(run.episodes):
+        raise UserError(f"{folder}: has {len(run.episodes)} episodes already, so {episodes} leave nothing to do")
+    return replace(run, config=changed(config, episodes=episodes))
 
 
 def _candidates(arrays: Mapping[str, NDArray[Any]]) -> Candidates:

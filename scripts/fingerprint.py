@@ -17,9 +17,8 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable
-from contextlib import closing, redirect_stderr, redirect_stdout
+from contextlib import closing
 from dataclasses import asdict, dataclass, fields
-from io import StringIO
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -106,15 +105,11 @@ def trainings(quick: bool) -> Iterable[tuple[str, str]]:
 def _trained(preset: str, changes: dict[str, Any]) -> str:
     from safetensors.numpy import load_file
 
-    from nnql_bullet.cli import main
-    from nnql_bullet.config import to_values, write_toml
     from nnql_bullet.presets import load_config
+    from nnql_bullet.session import train
 
-    with TemporaryDirectory() as folder, redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-        config = Path(folder) / "config.toml"
-        config.write_text(write_toml(to_values(load_config(preset, changes))))
-        code = main(["train", "--config", str(config), "--out", f"{folder}/run", "--workers", "1"])
-        assert code == 0, f"training failed with {code}"
+    with TemporaryDirectory() as folder:
+        train(load_config(preset, changes), Path(folder) / "run", workers=1)
         _, *episodes = (Path(folder) / "run" / "episodes.csv").read_text().splitlines()
         checkpoint = {k: v for k, v in load_file(f"{folder}/run/checkpoint.safetensors").items()}
         sums = sorted(Hash().add(values).text for values in checkpoint.values())
@@ -169,18 +164,18 @@ def contact(quick: bool) -> Iterable[tuple[str, str]]:
 
 
 def _driven(case: Case) -> str:
-    from nnql_bullet.env import FleetNavigation
+    from nnql_bullet.env import Navigation
     from nnql_bullet.rollout import run_episode, run_episodes
-    from nnql_bullet.runs import open_policy
+    from nnql_bullet.runs import load_policy
 
     total = Hash()
     for world in case.worlds:
         changes = {"world": world, "vehicles": len(case.seeds), **case.changes}
-        experiment, _ = open_policy(Path(case.policy), changes)
+        experiment = load_policy(Path(case.policy), changes).experiment
         worlds = [experiment.world(seed) for seed in case.seeds]
         if case.simulator == "kinematic":
-            with closing(experiment.fleet(1)) as fleet:
-                navigation = FleetNavigation(fleet, experiment.config.task)
+            with closing(experiment.new_simulator(1)) as simulator:
+                navigation = Navigation(simulator, experiment.config.task)
                 summaries = run_episodes(navigation, worlds, experiment.policy)
         else:
             summaries = [run_episode(experiment.navigation, one, experiment.policy) for one in worlds]
@@ -198,9 +193,18 @@ def recordings(quick: bool) -> Iterable[tuple[str, str]]:
 
 
 def _recorded(case: Case) -> str:
-    from nnql_bullet.cli.driving import drive
+    from nnql_bullet.driving import drive
+    from nnql_bullet.run_config import Conditions
 
-    recording, _ = drive(Path(case.policy), 7, {"world": case.worlds[0], **case.changes})
+    recording = drive(
+        case.policy,
+        world=case.worlds[0],
+        seed=7,
+        simulator=case.simulator,  # type: ignore[arg-type]
+        physics=case.physics,  # type: ignore[arg-type]
+        shield=case.shield,
+        conditions=Conditions(**CONDITIONS[case.conditions]),
+    )
     kept = [getattr(recording, field.name) for field in fields(recording) if field.name != "about"]
     return Hash().add(kept).text
 
@@ -237,7 +241,7 @@ def fidelity(quick: bool) -> Iterable[tuple[str, str]]:
     """What every probe measures and expects."""
     from nnql_bullet.fidelity.probe import Bench
     from nnql_bullet.fidelity.probes import run_probes
-    from nnql_bullet.vehicle.spec import load_vehicle
+    from nnql_bullet.vehicle.urdf import load_vehicle
 
     vehicle = load_vehicle("tricycle")
     for engine, physics in SETTINGS[1:2] if quick else SETTINGS:

@@ -21,9 +21,9 @@ from rich.progress import track
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import INK, NON_SAFE, SAFE, VEHICLE
-from nnql_bullet.env import FleetNavigation, Navigation, Transitions, heading_change
+from nnql_bullet.env import Navigation, Transition
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import Pose, moved, placed
+from nnql_bullet.geometry import Array, Pose, moved, placed
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.drawing import (
@@ -37,9 +37,9 @@ from nnql_bullet.reports.drawing import (
     without_ticks,
 )
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.runs import CHECKPOINT, Run, open_policy, open_run
+from nnql_bullet.runs import CHECKPOINT, Run, load_policy, load_run
 from nnql_bullet.sensing import FRONT
-from nnql_bullet.sim.base import Fleet, Motion, Sample, Simulator
+from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -49,48 +49,56 @@ NEW = (("paper", 0), ("cover_7.5", 1), ("cover_10", 2))
 """World file and seed of Figs. 6 and 7."""
 
 
-class Noting(FleetNavigation):
-    """One vehicle's episodes, of which it is noted what was decided and what heading change the vehicle was told."""
+class Noting(Navigation):
+    """Episodes of one vehicle, with a note of every decision and of the heading change that was commanded."""
 
-    def __init__(self, fleet: Fleet, task: TaskOptions) -> None:
-        super().__init__(fleet, task)
+    def __init__(self, simulator: Simulator, task: TaskOptions) -> None:
+        super().__init__(simulator, task)
         self.decisions: list[tuple[int, float]] = []
 
-    def step(self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None) -> Transitions:
+    def step(
+        self, actions: NDArray[np.int64], active: NDArray[np.bool_] | None = None, traces: Traces | None = None
+    ) -> Transition:
         """Carries out one decision."""
-        told = heading_change(actions, self.observations.target_bearing)
-        self.decisions.append((int(actions[0]), float(told[0])))
-        return super().step(actions, active)
+        transition = super().step(actions, active, traces)
+        self.decisions.append((int(actions[0]), float(transition.heading_command[0])))
+        return transition
 
 
 class Told:
-    """A simulator that is told what was noted, to the last bit, whatever it is asked for."""
+    """A simulator of one vehicle that commands the noted heading changes, to the last bit."""
 
     def __init__(self, simulator: Simulator, decisions: list[tuple[int, float]]) -> None:
+        self.size, self.reset, self.close = simulator.size, simulator.reset, simulator.close
         self._simulator = simulator
         self._waiting = iter(decisions)
-        self.reset, self.pose, self.scan = simulator.reset, simulator.pose, simulator.scan
 
-    def advance(self, _: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
+    def advance(
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
         """Drives one control period."""
-        return self._simulator.advance(next(self._waiting)[1], trace, speed_scale)
+        return self._simulator.advance(np.array([next(self._waiting)[1]]), active, speed_scales, traces)
 
 
 def train(folder: Path, seed: int) -> None:
     """Trains, or goes on from the last recorded episode, and records the episodes of Fig. 5."""
     if (folder / CHECKPOINT).exists():
-        run, state = open_run(folder, None)
+        run = load_run(folder)
     else:
-        run, state = Run(folder, load_config("paper", {"seed": seed}), []), None
+        run = Run(folder, load_config("paper", {"seed": seed}))
         run.create(overwrite=True)
     config = run.config
-    with closing(Experiment(config).fleet(workers=1)) as fleet:
+    with closing(Experiment(config).new_simulator(workers=1)) as simulator:
         experiment = Experiment(config)
-        navigation = Noting(fleet, config.task)
+        navigation = Noting(simulator, config.task)
         learner, training = experiment.trainable, experiment.trainer(navigation)
-        if state:
-            learner.load_state_dict(state.learned)
-            training.load_state_dict(state.under_way)
+        if run.state:
+            learner.load_state_dict(run.state.learned)
+            training.load_state_dict(run.state.under_way)
         episodes = zip(range(len(run.episodes), config.episodes), training.episodes(), strict=False)
         for _, episode in track(episodes, "training", total=config.episodes, completed=len(run.episodes)):
             run.episodes.append(episode)
@@ -125,7 +133,7 @@ def record(
 
 def drive(folder: Path, file: str, seed: int) -> Recording:
     """Drives what was learned, greedily, as `nnql-bullet drive` does."""
-    experiment, _ = open_policy(folder, {"world": file, "physics": "reference"})
+    experiment = load_policy(folder, {"world": file, "physics": "reference"}).experiment
     recorder = Recorder(experiment.vehicle, experiment.agent)
     run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
     return recorder.recording(version=__version__)

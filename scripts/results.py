@@ -4,7 +4,7 @@ Everything is tested on the split `test`, which nothing is chosen on: in contact
 more of the same worlds, in a shield, and under conditions that nothing was trained with. The ablations of choices are a
 part of it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
 
-    python scripts/results.py                    # as in the README
+    python scripts/results.py                    # as in the documentation
     python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
     python scripts/results.py --only shield      # one part of it
 """
@@ -146,12 +146,12 @@ def _train_to(trial: Trial, method: Method, episodes: int | None) -> None:
 def draw_learning(trials: Sequence[Trial], path: Path) -> None:
     """How fast methods that learn from every step come to succeed."""
     from nnql_bullet.reports.plots import draw_success
-    from nnql_bullet.runs import open_run
+    from nnql_bullet.runs import load_run
 
     recipes: dict[str, dict[str, list[TrainingEpisode]]] = {}
     for trial in trials:
         if trial.method in LEARNING_FROM_STEPS:
-            recipes.setdefault(trial.method, {})[trial.run.name] = open_run(trial.run, None)[0].episodes
+            recipes.setdefault(trial.method, {})[trial.run.name] = load_run(trial.run).episodes
     draw_success(recipes, path)
 
 

@@ -18,7 +18,7 @@ from nnql_bullet.cli import main as nnql_bullet
 from nnql_bullet.commands import preset_of
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.evaluation.statistics import Estimate
-from nnql_bullet.runs import POLICY, open_policy
+from nnql_bullet.runs import POLICY, load_policy
 
 FOLDER = Path(assets.__file__).parent / "_data" / "policies"
 WORK = Path("runs/ship")
@@ -61,8 +61,8 @@ def evaluated(names: list[str]) -> dict[str, dict[str, Any]]:
 
 def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
     """The card of a policy that lies in its place."""
-    experiment, episodes = open_policy(FOLDER / f"{name}.safetensors", {})
-    config = experiment.config
+    policy = load_policy(FOLDER / f"{name}.safetensors")
+    config, episodes = policy.experiment.config, policy.episodes
     trained = preset_of(config)
     if trained is None or trained[0] not in WHAT:
         raise SystemExit(f"{name}: was not trained by one of these presets: {', '.join(WHAT)}")

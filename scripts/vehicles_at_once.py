@@ -2,7 +2,7 @@
 
 Every policy then drives the same validation worlds, in the kinematic model too.
 
-    python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the README
+    python scripts/vehicles_at_once.py --seeds 3 --vehicles 1 8 64      # as in the documentation
     python scripts/vehicles_at_once.py                                  # more of it
 """
 
@@ -15,7 +15,7 @@ from typing import get_args
 import numpy as np
 from rich.progress import track
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.experiment import Experiment
@@ -39,7 +39,7 @@ def successes(trial: Trial) -> list[float]:
     """Share of worlds in which the trained policy reaches the target, by cover."""
     config = RunConfig(simulator="kinematic", vehicles=trial.vehicles, seed=trial.seed)
     experiment = Experiment(config)
-    navigation = FleetNavigation(experiment.fleet(1), config.task)
+    navigation = Navigation(experiment.new_simulator(1), config.task)
     training = experiment.trainer(navigation)
     for _ in islice(training.episodes(), config.episodes):
         pass
@@ -47,7 +47,7 @@ def successes(trial: Trial) -> list[float]:
     for world in COVERS.values():
         test = Experiment(changed(config, world=world, vehicles=trial.worlds))
         worlds = [test.world(seed) for seed in VALIDATION_WORLDS[: trial.worlds]]
-        summaries = run_episodes(FleetNavigation(test.fleet(1), config.task), worlds, experiment.agent)
+        summaries = run_episodes(Navigation(test.new_simulator(1), config.task), worlds, experiment.agent)
         shares.append(float(np.mean([summary.ending == "goal" for summary in summaries])))
     return shares
 

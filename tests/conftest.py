@@ -13,7 +13,8 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.sim.kinematic import KinematicFleet
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 SMALL_WORLD = """\

@@ -19,7 +19,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.kinematic import KinematicFleet
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -196,14 +196,16 @@ class TestEveryRule:
         assert not isinstance(make(kind), Trainable)
 
     def test_its_name_opens_it(self, kind: str) -> None:
-        experiment, episodes = open_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"})
-        assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_10", 0)
+        policy = load_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"})
+        config = policy.experiment.config
+        assert (config.agent.kind, config.world, policy.episodes) == (kind, "cover_10", 0)
 
     def test_a_toml_file_configures_it(self, kind: str, tmp_path: Path) -> None:
         path = tmp_path / "mine.toml"
         path.write_text(f'preset = "{kind}"\nworld = "cover_15"\n')
-        experiment, episodes = open_policy(path, {"simulator": "kinematic"})
-        assert (experiment.config.agent.kind, experiment.config.world, episodes) == (kind, "cover_15", 0)
+        policy = load_policy(path, {"simulator": "kinematic"})
+        config = policy.experiment.config
+        assert (config.agent.kind, config.world, policy.episodes) == (kind, "cover_15", 0)
 
     def test_what_it_does_is_no_function_of_the_runs_seed(self, kind: str, vehicle: VehicleSpec, drive: Drive) -> None:
         one, other = (make_agent(options_of(kind), seed, vehicle, DriveOptions()) for seed in (0, 1))
@@ -224,7 +226,7 @@ SUCCESS = {
 
 @rules
 def test_it_drives_as_well_as_it_was_chosen_to(kind: str, vehicle: VehicleSpec) -> None:
-    experiment, _ = open_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"})
+    experiment = load_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"}).experiment
     worlds = [experiment.world(seed) for seed in range(60)]
     with closing(KinematicFleet(vehicle, DriveOptions(), len(worlds))) as fleet:
         summaries = run_episodes(FleetNavigation(fleet, TaskOptions()), worlds, experiment.agent)

@@ -67,7 +67,11 @@ def refusal(cls, values):
     [
         ({"wheels": 3}, "unknown key 'wheels'; valid keys: covered, drive, front, seats, size, spares"),
         ({"front": {"radius": 1, "width": 2}}, "unknown key 'front.width'; valid keys: colour, radius"),
-        ({"front": {"raduis": 1}}, "unknown key 'front.raduis'; valid keys: colour, radius"),
+        (
+            {"front": {"raduis": 1}},
+            "unknown key 'front.raduis' (did you mean 'front.radius' or 'spares.radius' or 'drive.wheel.radius'?); "
+            "valid keys: colour, radius",
+        ),
         ({"drive": {"kind": "engine", "length": 2}}, "unknown key 'drive.length'; valid keys: kind, power"),
         ({"drive": {"kind": "pedals", "power": 2}}, "unknown key 'drive.power'; valid keys: kind, length, wheel"),
         (
@@ -207,7 +211,8 @@ def test_preset_paper_is_the_defaults():
     [
         (
             {"episode": 3},
-            "unknown key 'episode'; valid keys: agent, conditions, drive, episodes, physics, robot,",
+            "unknown key 'episode' (did you mean 'episodes'?); valid keys: agent, conditions, "
+            "drive, episodes, physics, robot,",
         ),
         ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: closer, front_distance, front_side_distance,"),
         (
@@ -238,7 +243,7 @@ def test_file_is_laid_over_its_preset_and_changes_over_the_file(tmp_path):
     ("text", "message"),
     [
         ('preset = "mine"\n', "'preset' must be one of: paper, literal"),
-        ("sed = 3\n", "unknown key 'sed'; valid keys: agent"),
+        ("sed = 3\n", "unknown key 'sed' (did you mean 'seed'?); valid keys: agent"),
         ("seed = \n", "cannot be read as TOML"),
         ("seed = 1\nseed = 2\n", "cannot be read as TOML"),
         ("\udcff", "cannot be read as TOML"),

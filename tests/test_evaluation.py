@@ -343,7 +343,7 @@ class TestCommand:
         [
             (("nobody",), "nobody: no such run or policy file, no shipped policy and no rule; policies: double_dqn, "),
             (("straight", "--cover", "6"), "--cover: there are worlds with 2.5, 5, 7.5, 10, 15, 20 percent, not '6'"),
-            (("straight", "--worlds", "0"), "--worlds must be from 1 to 1000"),
+            (("straight", "--worlds", "0"), "the number of worlds must be from 1 to 1000"),
             (("straight", "--world", "nowhere"), "worlds: there is no file 'nowhere'"),
             (("straight", "--cover", "5", "--world", "paper"), "there are two worlds named 'paper'"),
             (("straight", "straight"), "straight: is given twice"),

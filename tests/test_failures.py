@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
+from itertools import product
 from math import atan2, cos, hypot, pi, radians, sin
 from pathlib import Path
 from typing import Any
@@ -117,44 +118,40 @@ def world_place(pose: tuple[float, float, float], ahead: float, left: float) -> 
     return x + ahead * cos(yaw) - left * sin(yaw), y + ahead * sin(yaw) + left * cos(yaw)
 
 
-YAWS = pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -3.0])
+YAWS = (0.0, 0.4, 2.0, -3.0)
 
 
 class TestContact:
-    @YAWS
-    @pytest.mark.parametrize("left", [-0.2, 0.0, 0.2])
-    def test_a_corner_of_a_box_in_the_front(self, yaw: float, left: float) -> None:
-        pose = (50.0, 40.0, yaw)
-        # A diamond whose near corner stands on the front.
-        middle = world_place(pose, FRONT + hypot(1.0, 1.0), left)
-        its = recording(straight_to(*pose), "collision", OrientedBox(*middle, 1.0, 1.0, yaw + pi / 4))
-        found = contact_of(its)
-        assert (found.touched, found.share) == ("box", 0.0)
-        assert found.angle == pytest.approx(0.0, abs=1e-6)
-        assert found.bearing == pytest.approx(atan2(left, 0.55), abs=1e-6)
-        assert found.place == pytest.approx(world_place(pose, FRONT, left))
+    def test_a_corner_of_a_box_in_the_front(self) -> None:
+        for yaw, left in product(YAWS, (-0.2, 0.0, 0.2)):
+            pose = (50.0, 40.0, yaw)
+            # A diamond whose near corner stands on the front.
+            middle = world_place(pose, FRONT + hypot(1.0, 1.0), left)
+            its = recording(straight_to(*pose), "collision", OrientedBox(*middle, 1.0, 1.0, yaw + pi / 4))
+            found = contact_of(its)
+            assert (found.touched, found.share) == ("box", 0.0)
+            assert found.angle == pytest.approx(0.0, abs=1e-6)
+            assert found.bearing == pytest.approx(atan2(left, 0.55), abs=1e-6)
+            assert found.place == pytest.approx(world_place(pose, FRONT, left))
 
-    @YAWS
-    @pytest.mark.parametrize("side", [1, -1])
-    @pytest.mark.parametrize("degrees", [10, 30, 60, 80])
-    def test_a_front_corner_on_the_face_of_a_box(self, yaw: float, side: int, degrees: int) -> None:
-        pose, angle = (50.0, 40.0, yaw), radians(degrees)
-        x, y = world_place(pose, FRONT, side * SIDE)
-        through = yaw + side * angle  # the way straight through the face
-        middle = OrientedBox(x + 3.0 * cos(through), y + 3.0 * sin(through), 3.0, 5.0, through)
-        found = contact_of(recording(straight_to(*pose), "collision", middle))
-        assert found.angle == pytest.approx(angle, abs=1e-6)
-        assert found.place == pytest.approx((x, y))
-        assert found.bearing == pytest.approx(side * atan2(0.325, 0.55))
+    def test_a_front_corner_on_the_face_of_a_box(self) -> None:
+        for yaw, side, degrees in product(YAWS, (1, -1), (10, 30, 60, 80)):
+            pose, angle = (50.0, 40.0, yaw), radians(degrees)
+            x, y = world_place(pose, FRONT, side * SIDE)
+            through = yaw + side * angle  # the way straight through the face
+            middle = OrientedBox(x + 3.0 * cos(through), y + 3.0 * sin(through), 3.0, 5.0, through)
+            found = contact_of(recording(straight_to(*pose), "collision", middle))
+            assert found.angle == pytest.approx(angle, abs=1e-6)
+            assert found.place == pytest.approx((x, y))
+            assert found.bearing == pytest.approx(side * atan2(0.325, 0.55))
 
-    @YAWS
-    @pytest.mark.parametrize("side", [1, -1])
-    def test_a_corner_of_a_box_in_the_flank(self, yaw: float, side: int) -> None:
-        pose = (50.0, 40.0, yaw)
-        middle = world_place(pose, 0.1, side * (SIDE + hypot(1.0, 1.0)))
-        found = contact_of(recording(straight_to(*pose), "collision", OrientedBox(*middle, 1.0, 1.0, yaw + pi / 4)))
-        assert found.angle == pytest.approx(pi / 2)
-        assert found.bearing == pytest.approx(atan2(side * 0.325, 0.1 - 0.35))
+    def test_a_corner_of_a_box_in_the_flank(self) -> None:
+        for yaw, side in product(YAWS, (1, -1)):
+            pose = (50.0, 40.0, yaw)
+            middle = world_place(pose, 0.1, side * (SIDE + hypot(1.0, 1.0)))
+            found = contact_of(recording(straight_to(*pose), "collision", OrientedBox(*middle, 1.0, 1.0, yaw + pi / 4)))
+            assert found.angle == pytest.approx(pi / 2)
+            assert found.bearing == pytest.approx(atan2(side * 0.325, 0.1 - 0.35))
 
     def test_a_wall_met_flat_is_touched_in_the_middle_of_the_front(self) -> None:
         found = contact_of(recording(straight_to(100.0 - FRONT, 30.0, 0.0), "collision"))
@@ -289,7 +286,10 @@ def test_what_a_player_is_told_can_stand_in_html_and_names_boxes_that_move() -> 
     assert told["title"] == "</script><b> & co"
     (patrol,) = told["patrols"]
     assert patrol["box"] == pytest.approx([50.35, 51.325, 1.0, 1.0, 0.0], abs=6e-4)
-    assert (patrol["end"], patrol["speed"], patrol["phase"]) == ([50.35, 30.0], 1.0, 0.0)
+    assert patrol["end"] == [50.35, 30.0]
+    assert np.array(patrol["places"]) == pytest.approx(
+        np.array([[0.0, 50.35, 51.325], [10.0, 50.35, 41.325]]), abs=6e-4
+    )
     assert len(told["x"]) == len(told["y"]) == len(told["yaw"]) == 10 * told["rate"] + 1
     assert told["end"] == 10.0
 
@@ -358,7 +358,7 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory, tiny_run: Path) -> Path:
         patch.chdir(work)
         assert main(["evaluate", "tiny", "straight", *where, "--out", "evaluate"]) == 0
         shutil.copytree("evaluate", "sorted")
-        assert main(["failures", "sorted", "--most", "3", "--workers", "1"]) == 0
+        assert main(["failures", "sorted", "--most", "2", "--workers", "1"]) == 0
     return work
 
 
@@ -393,7 +393,7 @@ class TestCommand:
         for place in {drive[:2] for drive in failures}:
             theirs = [drive for drive in failures if drive[:2] == place]
             assert [drive for drive in found if drive[:2] == place] != []
-            assert sorted(drive for drive in found if drive[:2] == place) == sorted(theirs)[:3]
+            assert sorted(drive for drive in found if drive[:2] == place) == sorted(theirs)[:2]
         for drive, one in found.items():
             recording = load_recording(out / one["recording"])
             assert recording.about["ending"] == one["ending"] == failures[drive]
@@ -437,14 +437,14 @@ class TestCommand:
         self, here: Path, run_cli: RunCli, snapshot: Snapshot
     ) -> None:
         before = snapshot(here / "sorted")
-        assert run_cli("failures", "sorted", "--most", 1)[0] == 0
-        assert len(snapshot(here / "sorted")) < len(before)
-        code, out, _ = run_cli("failures", "sorted", "--most", 3, "--workers", 2)
+        for name in ("of_before.npz", "of_before.png", "failures.txt"):
+            (here / "sorted/failures" / name).touch()
+        code, out, _ = run_cli("failures", "sorted", "--most", 2, "--workers", 2)
         assert code == 0
         assert snapshot(here / "sorted") == before
         counted, header, *rows, report = out.splitlines()
         values = values_of(here / "sorted")
-        assert counted == "{replayed} of {failures} failures: of each method in each kind of world at most 3".format(
+        assert counted == "{replayed} of {failures} failures: of each method in each kind of world at most 2".format(
             **values
         )
         assert header.split("  ")[0] == "method"
@@ -479,7 +479,7 @@ class TestRefusals:
         assert "nnql-bullet evaluate" in self.refused(run_cli, snapshot)
 
     def test_too_few(self, here: Path, run_cli: RunCli, snapshot: Snapshot) -> None:
-        assert "--most must be at least 1, not 0" in self.refused(run_cli, snapshot, "sorted", "--most", 0)
+        assert "most must be at least 1, not 0" in self.refused(run_cli, snapshot, "sorted", "--most", 0)
 
     @pytest.mark.parametrize(
         ("file", "text"),

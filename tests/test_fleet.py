@@ -15,16 +15,17 @@ import pytest
 import shapely
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
+from nnql_bullet.sim.local import local_fleet
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
 from nnql_bullet.sim.base import Fleet, Motions, Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator, _announced
-from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 

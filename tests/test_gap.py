@@ -303,7 +303,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (("--worlds", 0), "--worlds must be from 1 to 1000"),
+            (("--worlds", 0), "the number of worlds must be from 1 to 1000"),
             (("--sim", "bullet", "--against", "bullet"), "is the engine itself"),
             (("--world", "nowhere"), "nowhere"),
         ],

@@ -25,7 +25,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.layouts import Arena
 from nnql_bullet.worlds.layouts.aisles import Aisles
 from nnql_bullet.worlds.layouts.traps import Traps
-from nnql_bullet.worlds.source import WorldFile, WorldSource, load_world
+from nnql_bullet.worlds.source import World, load_world
 from nnql_bullet.worlds.spec import WorldSpec
 
 ROOM = 0.8
@@ -39,8 +39,8 @@ def kinematic(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
         yield simulator
 
 
-def source_of(**values: Any) -> WorldSource:
-    return WorldSource("test", parse(WorldFile, values, "test"))
+def source_of(**values: Any) -> World:
+    return parse(World, {"name": "test", **values}, "test")
 
 
 def polygons(boxes: Sequence[OrientedBox]) -> list[Polygon]:
@@ -64,8 +64,8 @@ def ends_straight_on(simulator: Simulator, world: WorldSpec) -> str:
 def traps() -> tuple[Traps, list[WorldSpec]]:
     """The layout, and worlds that it gave."""
     source = load_world("traps")
-    assert isinstance(source.file.layout, Traps)
-    return source.file.layout, [source.draw(seed, ROOM) for seed in (*range(8), 100_000, 1_000_000)]
+    assert isinstance(source.layout, Traps)
+    return source.layout, [source.draw(seed, ROOM) for seed in (*range(8), 100_000, 1_000_000)]
 
 
 def traps_of(world: WorldSpec) -> list[tuple[OrientedBox, OrientedBox, OrientedBox]]:
@@ -185,8 +185,8 @@ class TestTraps:
 def halls() -> tuple[Aisles, list[WorldSpec]]:
     """The layout, and worlds that it gave."""
     source = load_world("aisles")
-    assert isinstance(source.file.layout, Aisles)
-    return source.file.layout, [source.draw(seed, ROOM) for seed in (*range(8), 78, 100_000, 1_000_000)]
+    assert isinstance(source.layout, Aisles)
+    return source.layout, [source.draw(seed, ROOM) for seed in (*range(8), 78, 100_000, 1_000_000)]
 
 
 def regular(seed: int, **changes: Any) -> tuple[Aisles, list[OrientedBox]]:

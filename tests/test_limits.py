@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
 from nnql_bullet.vehicle.limits import (
-    LEAST_BRAKING,
-    LEAST_SHARE,
+    MIN_TURNING_BRAKES,
+    MIN_YAW_ACCELERATION,
     braking,
     braking_rear_load,
     followed_limits,
@@ -266,7 +266,7 @@ def test_what_a_vehicle_follows_is_what_a_drive_wheel_can_push(
     apart = float(pushes.drive_forces[0, 1] - pushes.drive_forces[0, 0]) / 2
     most = min(carrying.wheel_torque / RADIUS, friction * static_rear_load(carrying))
     left = most - carrying.rolling_mass * acceleration / 2
-    if followed.yaw_acceleration > LEAST_SHARE * vehicle.limits.yaw_acceleration:
+    if followed.yaw_acceleration > MIN_YAW_ACCELERATION * vehicle.limits.yaw_acceleration:
         assert apart == pytest.approx(left, rel=1e-6)
     else:
         assert apart >= left - 1e-6
@@ -282,4 +282,4 @@ def test_turning_takes_from_braking_and_never_adds(vehicle: VehicleSpec) -> None
     found = [turning_deceleration(vehicle, speed) for speed in (0.1, 0.5, 1.0, 2.0, 3.0, 6.0)]
     assert found == sorted(found, reverse=True)
     assert found[0] == pytest.approx(straight, rel=0.1)
-    assert found[-1] == pytest.approx(LEAST_BRAKING * straight)
+    assert found[-1] == pytest.approx(MIN_TURNING_BRAKES * straight)

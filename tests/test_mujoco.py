@@ -19,7 +19,8 @@ from nnql_bullet.sim.bullet import BulletSimulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded
-from nnql_bullet.vehicle.spec import Payload, VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 pytest.importorskip("mujoco", reason="needs the extra: pip install 'nnql-bullet[mujoco]'")

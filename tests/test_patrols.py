@@ -28,8 +28,9 @@ from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
-from nnql_bullet.worlds.source import WorldFile, WorldSource, load_world
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
+from nnql_bullet.worlds.source import World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec, follow_tracks, track_velocities
 
 NEEDS_MUJOCO = pytest.mark.skipif(
@@ -142,8 +143,8 @@ class TestWay:
         assert world.cover == world_of(*world.obstacles).cover
 
 
-def source_of(**values: Any) -> WorldSource:
-    return WorldSource("test", parse(WorldFile, values, "test"))
+def source_of(**values: Any) -> World:
+    return parse(World, {"name": "test", **values}, "test")
 
 
 def swept(patrol: Patrol) -> Polygon:
@@ -181,10 +182,10 @@ class TestDrawing:
 
     def test_the_rest_is_as_it_is_without_them(self, worlds: list[WorldSpec]) -> None:
         world = worlds[1]
-        file = load_world("moving").file
-        alone = WorldSource("moving", replace(file, patrols=None)).draw(world.seed, ROOM)
+        file = load_world("moving")
+        alone = replace(file, patrols=None).draw(world.seed, ROOM)
         assert alone == replace(world, patrols=())
-        none = WorldSource("moving", replace(file, patrols=replace(file.patrols, count=0))).draw(world.seed, ROOM)
+        none = replace(file, patrols=replace(file.patrols, count=0)).draw(world.seed, ROOM)
         assert none == alone
         assert none.digest == alone.digest != world.digest
 

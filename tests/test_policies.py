@@ -9,7 +9,7 @@ import pytest
 from nnql_bullet import assets
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.runs import drives_folder, open_policy
+from nnql_bullet.runs import drives_folder, load_policy
 
 Run = Callable[..., tuple[int, str, str]]
 shipped = pytest.mark.parametrize("name", assets.policies())
@@ -22,7 +22,8 @@ def test_some_are_shipped_and_small() -> None:
 
 @shipped
 def test_a_card_says_what_the_policy_is(name: str) -> None:
-    experiment, episodes = open_policy(Path(name), {})
+    policy = load_policy(Path(name), {})
+    experiment, episodes = policy.experiment, policy.episodes
     text = assets.card(assets.policies()[name]).read_text(encoding="utf-8")
     assert text.startswith(f"# {name}: ")
     assert f"{episodes} episodes, seed {experiment.config.seed}" in text.splitlines()[0]
@@ -42,7 +43,7 @@ def test_a_file_of_that_name_goes_first(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.chdir(tmp_path)
     Path("paper").write_text("something else")
     with pytest.raises(UserError, match="paper: damaged"):
-        open_policy(Path("paper"), {})
+        load_policy(Path("paper"), {})
 
 
 def test_they_are_listed_with_what_they_are(run_cli: Run) -> None:

@@ -19,14 +19,14 @@ from PIL import Image
 from nnql_bullet import colours, diagnosis
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.env import STOP, Navigation, Observations
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
-from nnql_bullet.render.film import Film, FramesLost, Studio, frame_times, frames
+from nnql_bullet.render.film import Film, Studio, frame_times, frames
 from nnql_bullet.render.painter import Painter, tint
 from nnql_bullet.render.renderers import best_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
@@ -464,7 +464,7 @@ def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkey
 
 def test_frames_that_cannot_be_drawn_are_told(tmp_path: Path) -> None:
     film = Film(tmp_path / "gone.npz", "chase", 160, 90, "tiny")
-    with pytest.raises(FramesLost, match=r"frame 1: .*gone\.npz"):
+    with pytest.raises(WorkFailed, match=r"frame 1: .*gone\.npz"):
         list(frames(film, [0.0], InlineExecutor()))
 
 
@@ -582,11 +582,11 @@ def test_a_policy_is_driven_first(
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (["--size", "161x90"], "--size: give WIDTHxHEIGHT, even numbers from 64 to 7680, not '161x90'"),
+        (["--size", "161x90"], "size: give width and height as even numbers from 64 to 7680, not 161x90"),
         (["--size", "big"], "not 'big'"),
-        (["--fps", "0"], "--fps: must be between 1 and 240"),
-        (["--speed", "-1"], "--speed: must be above 0"),
-        (["--workers", "0"], "--workers: must be at least 1"),
+        (["--fps", "0"], "fps: must be between 1 and 240"),
+        (["--speed", "-1"], "speed: must be above 0"),
+        (["--workers", "0"], "workers must be at least 1"),
         (["--begin", "20"], "nothing is between"),
         (["--world", "paper"], "this is a recording"),
         (["--out", "a.avi"], "ends in .mp4 or .gif"),
@@ -618,7 +618,7 @@ def test_drive_leaves_a_video_when_asked(
 ) -> None:
     shot = []
     monkeypatch.setattr("nnql_bullet.cli.drive.shoot", lambda *arguments: shot.append(arguments))
-    monkeypatch.setattr("nnql_bullet.cli.filming.best_renderer", lambda width, height: "tiny")
+    monkeypatch.setattr("nnql_bullet.render.filming.best_renderer", lambda width, height: "tiny")
     options = "--world", small_world, "--sim", "kinematic", "--video", "--json", "--out", tmp_path
     code, out, _ = run_cli("drive", "hand_rule", *options)
     ((film, times, video),) = shot

@@ -446,7 +446,7 @@ class TestCheckpoints:
             save(self, *args)  # type: ignore[arg-type]
             saved.append(episodes(self.folder))
 
-        monkeypatch.setattr("nnql_bullet.cli.train.time", SimpleNamespace(monotonic=lambda: clock[0]))
+        monkeypatch.setattr("nnql_bullet.session.time", SimpleNamespace(monotonic=lambda: clock[0]))
         monkeypatch.setattr(BulletSimulator, "reset", slow_reset)
         monkeypatch.setattr(Run, "save", noted_save)
         assert train(tmp_path / "run", 8)[0] == 0
@@ -459,7 +459,7 @@ class TestCheckpoints:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        monkeypatch.setattr("nnql_bullet.cli.train.SAVE_EVERY", 0)
+        monkeypatch.setattr("nnql_bullet.session.SAVE_EVERY", 0)
         assert train(tmp_path / "run", 12)[0] == 0
         for name in ("episodes.csv", "config.toml"):
             assert (tmp_path / "run" / name).read_bytes() == (tiny_run / name).read_bytes(), name
@@ -488,7 +488,7 @@ class TestFullDisk:
 
         folder = tmp_path / "full"
         with monkeypatch.context() as patch:
-            patch.setattr("nnql_bullet.cli.train.SAVE_EVERY", 0)
+            patch.setattr("nnql_bullet.session.SAVE_EVERY", 0)
             patch.setattr("nnql_bullet.files.os.fsync", fsync)
             code, _, err = train(folder, 5)
         assert code == 2

@@ -23,7 +23,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import changed
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals
@@ -127,7 +127,7 @@ def contents(folder: Path) -> dict[str, Any]:
 
 def driven(policy: Path, world: str | None, seeds: range) -> list[str]:
     """How a policy's drives end in the kinematic model, one vehicle after the other."""
-    experiment, _ = open_policy(policy, {"world": world})
+    experiment = load_policy(policy, {"world": world}).experiment
     navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
     return [run_episode(navigation, experiment.world(seed), experiment.agent).ending for seed in seeds]
 
@@ -157,7 +157,7 @@ class TestRun:
         _, out, _ = train(tmp_path / "run", TOTAL)
         best = next(row for row in rows(tmp_path / "run") if row["selected"])
         assert f"selected: what was learned after {best['episodes']} episodes, with {best['goals']} goals of 12" in out
-        assert open_policy(tmp_path / "run", {})[1] == best["episodes"]
+        assert load_policy(tmp_path / "run", {}).episodes == best["episodes"]
 
     def test_contact_physics_changes_nothing_about_where_it_is_tried(
         self, run_cli: Cli, selecting_config: Path, compiled_kernels: None, tmp_path: Path

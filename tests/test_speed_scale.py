@@ -9,6 +9,7 @@ from math import cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
 import pytest
+from nnql_bullet.sim.local import local_fleet
 from scipy.integrate import solve_ivp
 
 from nnql_bullet.env import (
@@ -26,7 +27,6 @@ from nnql_bullet.sim.base import Motion, Motions, Sample, Simulator
 from nnql_bullet.sim.contact import ContactSimulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
-from nnql_bullet.sim.local import local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions

@@ -66,5 +66,5 @@ def test_as_many_worlds_as_are_frozen_can_be_had() -> None:
     assert split_seeds("validation", 3) == range(3)
     assert split_seeds("test", FROZEN) == range(100_000, 100_000 + FROZEN)
     for worlds in (0, -1, FROZEN + 1):
-        with pytest.raises(UserError, match=f"--worlds must be from 1 to {FROZEN}"):
+        with pytest.raises(UserError, match=f"the number of worlds must be from 1 to {FROZEN}"):
             split_seeds("test", worlds)

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nnql_bullet.sim.local import as_motions
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
@@ -34,7 +35,6 @@ from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
 from nnql_bullet.sim.faults import FaultyFleet, SensorFaults
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.sim.local import as_motions
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import Training, TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
@@ -503,11 +503,11 @@ class TestCommandLine:
 PROGRAM = """
 import sys
 
-import nnql_bullet.cli.train
+import nnql_bullet.session
 from nnql_bullet.cli import main
 
 if __name__ == "__main__":
-    nnql_bullet.cli.train.SAVE_EVERY = 0.05
+    nnql_bullet.session.SAVE_EVERY = 0.05
     sys.exit(main(sys.argv[1:]))
 """
 

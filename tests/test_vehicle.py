@@ -10,7 +10,7 @@ import trimesh
 
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 ROBOTS = assets.folder("robots")
 URDF = (ROBOTS / "tricycle.urdf").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Pose
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
-from nnql_bullet.vehicle.visuals import UNPAINTED, Looks, upright
+from nnql_bullet.vehicle.visuals import UNPAINTED, Visuals, upright
 
 ANGLES = (0.7, -1.9, 2.5, 0.4)  # left and right drive, swivel, caster roll
 KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_CYLINDER: "cylinder", pybullet.GEOM_SPHERE: "sphere"}
@@ -26,18 +26,18 @@ def said_of(vehicle: VehicleSpec) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def looks(vehicle: VehicleSpec) -> Looks:
-    return Looks(said_of(vehicle))
+def visuals(vehicle: VehicleSpec) -> Visuals:
+    return Visuals(said_of(vehicle))
 
 
-def test_links_are_where_pybullet_has_them(vehicle: VehicleSpec, looks: Looks) -> None:
+def test_links_are_where_pybullet_has_them(vehicle: VehicleSpec, visuals: Visuals) -> None:
     client = pybullet.connect(pybullet.DIRECT)
     body = pybullet.loadURDF(str(vehicle.urdf), useFixedBase=True, physicsClientId=client)
     infos = [pybullet.getJointInfo(body, joint, client) for joint in range(pybullet.getNumJoints(body, client))]
     angles = dict(zip(said_of(vehicle)["joints"].values(), ANGLES, strict=True))
     for info in infos:
         pybullet.resetJointState(body, info[0], angles[info[1].decode()], physicsClientId=client)
-    frames = looks.link_frames(ANGLES)
+    frames = visuals.link_frames(ANGLES)
     assert len(infos) == 4
     for info in infos:
         state = pybullet.getLinkState(body, info[0], computeForwardKinematics=True, physicsClientId=client)
@@ -47,34 +47,34 @@ def test_links_are_where_pybullet_has_them(vehicle: VehicleSpec, looks: Looks) -
     pybullet.disconnect(client)
 
 
-def test_shapes_are_those_that_pybullet_draws(vehicle: VehicleSpec, looks: Looks) -> None:
+def test_shapes_are_those_that_pybullet_draws(vehicle: VehicleSpec, visuals: Visuals) -> None:
     client = pybullet.connect(pybullet.DIRECT)
     body = pybullet.loadURDF(str(vehicle.urdf), useFixedBase=True, physicsClientId=client)
     drawn = pybullet.getVisualShapeData(body, physicsClientId=client)
     pybullet.disconnect(client)
-    assert len(drawn) == len(looks.shapes) == 20
+    assert len(drawn) == len(visuals.shapes) == 20
     theirs = sorted((KINDS[shape[2]], *np.round(shape[7][:3], 3)) for shape in drawn)
-    assert sorted((shape.kind, *np.round(shape.colour, 3)) for shape in looks.shapes) == theirs
-    deck = max((shape for shape in looks.shapes if shape.kind == "box"), key=lambda shape: shape.half_sizes[0])
+    assert sorted((shape.kind, *np.round(shape.colour, 3)) for shape in visuals.shapes) == theirs
+    deck = max((shape for shape in visuals.shapes if shape.kind == "box"), key=lambda shape: shape.half_sizes[0])
     assert deck.half_sizes == pytest.approx((0.53, 0.30, 0.015))
     assert deck.origin[:3, 3] == pytest.approx((0.35, 0.0, 0.245))
-    tyre = next(shape for shape in looks.shapes if shape.link == "left_wheel")
+    tyre = next(shape for shape in visuals.shapes if shape.link == "left_wheel")
     assert (tyre.kind, tyre.half_sizes) == ("cylinder", pytest.approx((0.125, 0.125, 0.025)))
 
 
-def test_on_the_ground_each_shape_stands_in_its_link(looks: Looks) -> None:
+def test_on_the_ground_each_shape_stands_in_its_link(visuals: Visuals) -> None:
     pose = Pose(3.0, -2.0, 0.8)
-    links, chassis = looks.link_frames(ANGLES), upright(3.0, -2.0, 0.125, 0.8)
-    for shape, frame in zip(looks.shapes, looks.frames(pose, ANGLES), strict=True):
+    links, chassis = visuals.link_frames(ANGLES), upright(3.0, -2.0, 0.125, 0.8)
+    for shape, frame in zip(visuals.shapes, visuals.frames(pose, ANGLES), strict=True):
         assert np.linalg.inv(chassis) @ frame == pytest.approx(links[shape.link] @ shape.origin)
     assert upright(3.0, -2.0, 0.125, 0.8) @ (1.0, 0.0, 0.0, 1.0) == pytest.approx(
         (3.0 + np.cos(0.8), -2.0 + np.sin(0.8), 0.125, 1.0)
     )
 
 
-def test_a_payload_is_seen(vehicle: VehicleSpec, looks: Looks) -> None:
-    loaded = Looks(said_of(replace(vehicle, payload=Payload(mass=40.0, ahead=0.35, height=0.6))))
-    (cube,) = [shape for shape in loaded.shapes if shape.link not in {other.link for other in looks.shapes}]
+def test_a_payload_is_seen(vehicle: VehicleSpec, visuals: Visuals) -> None:
+    loaded = Visuals(said_of(replace(vehicle, payload=Payload(mass=40.0, ahead=0.35, height=0.6))))
+    (cube,) = [shape for shape in loaded.shapes if shape.link not in {other.link for other in visuals.shapes}]
     assert (cube.kind, cube.half_sizes) == ("box", pytest.approx((0.2, 0.2, 0.2)))
     (place,) = [
         frame[:3, 3]
@@ -86,13 +86,13 @@ def test_a_payload_is_seen(vehicle: VehicleSpec, looks: Looks) -> None:
 
 def test_what_has_no_colour_is_grey(vehicle: VehicleSpec) -> None:
     said = said_of(vehicle)
-    bare = Looks({**said, "urdf": said["urdf"].replace('<material name="light" />', "")})
+    bare = Visuals({**said, "urdf": said["urdf"].replace('<material name="light" />', "")})
     assert sum(shape.colour == UNPAINTED for shape in bare.shapes) == 2
 
 
 def test_a_recording_that_does_not_say_is_refused() -> None:
     with pytest.raises(UserError, match="record it again"):
-        Looks({"name": "tricycle"})
+        Visuals({"name": "tricycle"})
 
 
 def test_meshes_are_refused(vehicle: VehicleSpec) -> None:
@@ -100,4 +100,4 @@ def test_meshes_are_refused(vehicle: VehicleSpec) -> None:
     mast = '<cylinder radius="0.025" length="0.2" />'
     assert mast in said["urdf"]
     with pytest.raises(UserError, match="'chassis' of the vehicle looks like a mesh"):
-        Looks({**said, "urdf": said["urdf"].replace(mast, '<mesh filename="mast.stl" />')})
+        Visuals({**said, "urdf": said["urdf"].replace(mast, '<mesh filename="mast.stl" />')})

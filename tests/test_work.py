@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import pytest
 
 from nnql_bullet.cli import parser
-from nnql_bullet.cli.work import WorkFailed, run_all
+from nnql_bullet.cli.console import progress
+from nnql_bullet.errors import WorkFailed
 from nnql_bullet.executors import make_executor
+from nnql_bullet.work import Progress, run_all
 
 
 @dataclass(frozen=True)
@@ -45,5 +47,11 @@ def test_the_command_line_says_so_in_one_line(
 
 
 def test_progress_counts_the_size_of_pieces(capfd: pytest.CaptureFixture[str]) -> None:
-    run_all(make_executor("inline", 1), "squaring", square, [Piece(3), Piece(4)], lambda piece: piece.seed)
+    seen: list[Progress] = []
+    pieces = [Piece(3), Piece(4)]
+    run_all(make_executor("inline"), "squaring", square, pieces, lambda piece: piece.seed, on_progress=seen.append)
+    assert seen == [Progress("squaring", done, 7) for done in (0, 3, 7)]
+    assert capfd.readouterr() == ("", "")
+    with progress() as show:
+        run_all(make_executor("inline"), "squaring", square, pieces, lambda piece: piece.seed, on_progress=show)
     assert "squaring 7/7" in capfd.readouterr().err

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from nnql_bullet.sim.local import as_motions, local_fleet
 from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
@@ -24,7 +25,6 @@ from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
 from nnql_bullet.sim.base import Motions, WorkerDied
-from nnql_bullet.sim.local import as_motions, local_fleet
 from nnql_bullet.sim.workers import WorkerFleet
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec

@@ -15,7 +15,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.worlds.grid import GRID_CELL, is_solvable
 from nnql_bullet.worlds.layouts import random_boxes
-from nnql_bullet.worlds.source import MOST_ATTEMPTS, WorldFile, WorldSource, load_world
+from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 ROOM = 0.8
@@ -32,11 +32,11 @@ PATROL = Patrol(OrientedBox(10.0, 12.0, 1.0, 0.5, 0.2), (30.0, 12.0), 0.5, 0.25)
 @pytest.fixture(scope="module")
 def drawn():
     """The file and the world of each."""
-    return [((source := load_world(name)).file, source.draw(seed, ROOM)) for name, seed in DRAWN]
+    return [((source := load_world(name)), source.draw(seed, ROOM)) for name, seed in DRAWN]
 
 
 def source_of(**values):
-    return WorldSource("test", parse(WorldFile, values, "test"))
+    return parse(World, {"name": "test", **values}, "test")
 
 
 def small_world(*boxes, **values):
@@ -240,7 +240,7 @@ def test_cells_are_free_where_there_is_room_and_only_there(seed):
 
 @pytest.mark.parametrize("room", [0.3, 0.5, 0.8])
 def test_solvable_worlds_are_those_that_the_whole_grid_shows(room):
-    layout = crowded().file.layout
+    layout = crowded().layout
     arena = random_boxes.Arena(24.0, 24.0, ((5.0, 5.0), (19.0, 19.0)))
     answers = []
     for seed in range(20):
@@ -381,8 +381,8 @@ def test_base_gives_what_a_world_leaves_out(tmp_path):
     (tmp_path / "top.toml").write_text('base = "middle"\ntarget = [45, 45]\n[layout]\ncover = 0.2\n')
     source = load_world(str(tmp_path / "top.toml"))
     assert source.name == "top"
-    assert (source.file.width, source.file.depth, source.file.target) == (50.0, 60.0, (45.0, 45.0))
-    assert (source.file.layout.cover, source.file.layout.min_side) == (0.2, 1.0)
+    assert (source.width, source.depth, source.target) == (50.0, 60.0, (45.0, 45.0))
+    assert (source.layout.cover, source.layout.min_side) == (0.2, 1.0)
 
 
 def test_explicit_boxes_may_replace_the_random_ones_of_a_base(tmp_path):
@@ -394,7 +394,7 @@ def test_explicit_boxes_may_replace_the_random_ones_of_a_base(tmp_path):
 
 def test_base_may_be_a_shipped_world(tmp_path):
     (tmp_path / "mine.toml").write_text('base = "cover_10"\ntarget_radius = 3.0\n')
-    file = load_world(str(tmp_path / "mine.toml")).file
+    file = load_world(str(tmp_path / "mine.toml"))
     assert (file.target_radius, file.layout.cover) == (3.0, 0.1)
 
 

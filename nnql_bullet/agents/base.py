@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import TOWARD_TARGET, Observations, Transitions
+from nnql_bullet.env import TOWARD_TARGET, Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.task import StateProperty
 
@@ -18,10 +18,10 @@ class Agent(Protocol):
     def reset(self, vehicle: int, world_seed: int) -> None:
         """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The actions (n,) that the agent holds best for vehicles 0 to n - 1."""
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """What it expects of the paper's five turns (n, 5); NaN where it did not ask itself."""
 
 
@@ -53,7 +53,7 @@ class LearningAgent(Trainable, Protocol):
     """An agent that learns from every step, as Q-learning does."""
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         """Actions (n,) for learning.
 
@@ -63,7 +63,7 @@ class LearningAgent(Trainable, Protocol):
             uniforms: All the chance there is: a number in [0, 1) for each (n,).
         """
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """Learns from one step of n vehicles, at once.
 
         Returns:
@@ -105,24 +105,59 @@ class NoMemory:
 class Rule(NoMemory):
     """The parts that agents share which compare no values of turns, and by default remember nothing."""
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """It has none: NaN (n, 5)."""
         return np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
+
+
+@runtime_checkable
+class Decider(Protocol):
+    """The least that an object needs to drive. It may have `reset` and `action_values` of `Agent` too."""
+
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """Actions (n,) for vehicles 0 to n - 1, one of `paper.TURNS` or of the manoeuvres of `env` each."""
+
+
+class Custom(Rule):
+    """An object of somebody else as an agent."""
+
+    def __init__(self, decider: Decider) -> None:
+        self.decider = decider
+
+    @property
+    def name(self) -> str:
+        """Name of the object's class."""
+        return type(self.decider).__name__
+
+    def reset(self, vehicle: int, world_seed: int) -> None:
+        """Tells the object that a vehicle is put into a world, if it listens to that."""
+        if hasattr(self.decider, "reset"):
+            self.decider.reset(vehicle, world_seed)
+
+    def act(self, observations: Observation) -> NDArray[np.int64]:
+        """The object's actions (n,)."""
+        return np.asarray(self.decider.act(observations), np.int64)
+
+    def action_values(self, observations: Observation) -> Array:
+        """The object's values of the five turns (n, 5); NaN if it has none."""
+        if hasattr(self.decider, "action_values"):
+            return np.asarray(self.decider.action_values(observations))
+        return super().action_values(observations)
 
 
 class TurnChooser(NoMemory, ABC):
     """The parts of an agent that values the paper's five turns, and is asked in non-safe states only (III.C)."""
 
     @abstractmethod
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """Q(s, a) of the five turns (k, 5) for those k of n vehicles that are asked (n,)."""
 
     @staticmethod
-    def asks(observations: Observations) -> NDArray[np.bool_]:
+    def asks(observations: Observation) -> NDArray[np.bool_]:
         """Which vehicles ask (n,)."""
         return np.asarray(observations.state_property != StateProperty.SAFE)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
         actions = np.full(len(observations.state_property), TOWARD_TARGET)
         asked = self.asks(observations)
@@ -130,7 +165,7 @@ class TurnChooser(NoMemory, ABC):
             actions[asked] = self.values(observations, asked).argmax(axis=-1)
         return actions
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """Q(s, a) of the five turns (n, 5); NaN in safe states, where it is not asked."""
         values = np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
         asked = self.asks(observations)

@@ -1,12 +1,16 @@
 """Printing: lines, complaints, and the progress of long work."""
 
+import logging
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
+from time import monotonic
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as RichProgress
+
+from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED_PYTHON = (
     ""
@@ -26,50 +30,73 @@ def say(text: str) -> None:
     out.print(text, markup=False)
 
 
-def say_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on standard output, its columns as wide as they have to be."""
-    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
-    for line in (header, *rows):
-        say("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip())
-
-
 def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
     err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
     return 2
 
 
-@contextmanager
-def progress(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
-    """Shows how far long work is, on standard error: a bar on a terminal, a line now and then elsewhere.
+def items(text: str | None) -> list[str]:
+    """The parts of a list with commas."""
+    return [item.strip() for item in (text or "").split(",") if item.strip()]
 
-    Gives a function of (finished so far, what to say beside it).
-    """
-    if err.is_terminal:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeRemainingColumn(),
-            TextColumn("left"),
-        )
-        with Progress(*columns, console=err, expand=True) as bar:
-            task = bar.add_task(what, total=total, completed=done, note="")
-            yield lambda finished, note: bar.update(task, completed=finished, note=note)
-    else:
-        yield _Lines(what, total, done)
+
+class _Saying(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        say(self.format(record))
+
+
+@contextmanager
+def messages() -> Iterator[None]:
+    """Prints what the library logs for information, on standard output."""
+    logger, handler = logging.getLogger("nnql_bullet"), _Saying()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
+
+
+@contextmanager
+def progress() -> Iterator[OnProgress]:
+    """Shows the progress of library functions on standard error: bars on a terminal, a line now and then elsewhere."""
+    if not err.is_terminal:
+        yield _Lines()
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+    )
+    with RichProgress(*columns, console=err, expand=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def show(now: Progress) -> None:
+            if now.what not in tasks:
+                tasks[now.what] = bars.add_task(now.what, total=now.total, completed=now.done, note=now.note)
+            bars.update(tasks[now.what], completed=now.done, total=now.total, note=now.note)
+
+        yield show
 
 
 class _Lines:
-    def __init__(self, what: str, total: int, done: int) -> None:
-        self._what, self._total, self._first = what, total, done
-        self._begin = self._last = time.monotonic()
+    """Progress as plain lines."""
 
-    def __call__(self, finished: int, note: str) -> None:
-        now = time.monotonic()
-        if now - self._last < LINE_EVERY and finished < self._total:
+    def __init__(self) -> None:
+        self._what = ""
+
+    def __call__(self, now: Progress) -> None:
+        time = monotonic()
+        if now.what != self._what:
+            self._what, self._first, self._begin, self._last = now.what, now.done, time, time
+        if (time - self._last < LINE_EVERY and now.done < now.total) or now.done == self._first:
             return
-        self._last = now
-        left = (now - self._begin) / max(finished - self._first, 1) * (self._total - finished)
-        err.print(f"{self._what} {finished}/{self._total}  {note}  {left:.0f} s left", markup=False)
+        self._last = time
+        left = (time - self._begin) / (now.done - self._first) * (now.total - now.done)
+        err.print(f"{now.what} {now.done}/{now.total}  {now.note}  {left:.0f} s left", markup=False)

@@ -1,24 +1,18 @@
 """The parser: from arguments to a verb, from what goes wrong to an exit code."""
 
 import errno
-import functools
-import io
-import re
 from collections.abc import Callable
-from contextlib import redirect_stderr
 from importlib import import_module
 from inspect import getdoc
 
-import tyro
-
 from nnql_bullet import __version__
-from nnql_bullet.cli.console import complain, say
-from nnql_bullet.cli.work import WorkFailed
-from nnql_bullet.errors import UserError
+from nnql_bullet.cli.console import complain, messages, say
+from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.sim.base import WorkerDied
 
 VERBS = (
     "train",
+    "keys",
     "policies",
     "drive",
     "render",
@@ -33,6 +27,8 @@ VERBS = (
     "doctor",
 )
 """Each a function in a module of its name."""
+RENAMED_VERBS = {"navigate": "drive", "ledger": "ablate"}
+"""Verbs of version 0.1, and their names now."""
 
 ABOUT = """\
 A three-wheeled vehicle learns to avoid obstacles by neural-network Q-learning, in contact physics.
@@ -56,10 +52,18 @@ def run(arguments: list[str]) -> int:
     if verb in ("-h", "--help"):
         say(_overview())
         return 0
+    if verb in RENAMED_VERBS:
+        return complain(f"the verb '{verb}' is now '{RENAMED_VERBS[verb]}'")
     if verb not in VERBS:
         return complain(f"there is no verb '{verb}'; there are: {', '.join(VERBS)}")
+    from nnql_bullet.cli.flags import parse  # takes seconds, as all that configures does
+
     try:
-        return _call(verb, rest)
+        call = parse(verb_of(verb), f"nnql-bullet {verb}", rest)
+        with messages():
+            return call()
+    except SystemExit:  # help was asked for
+        return 0
     except UserError as error:
         return complain(str(error))
     except (WorkerDied, WorkFailed) as error:
@@ -73,42 +77,6 @@ def verb_of(name: str) -> Callable[..., int]:
     """A verb, imported when it is asked for: what others need takes seconds and hundreds of megabytes."""
     verb: Callable[..., int] = getattr(import_module(f"nnql_bullet.cli.{name}"), name)
     return verb
-
-
-def _call(verb: str, arguments: list[str]) -> int:
-    """Parses the arguments of a verb, then runs it; a mistake in them is one line."""
-    box = io.StringIO()
-    try:
-        with redirect_stderr(box):
-            call = tyro.cli(_delayed(verb_of(verb)), prog=f"nnql-bullet {verb}", args=arguments)
-    except SystemExit as stop:
-        if not stop.code:
-            return 0
-        return complain(f"{_sentence(box.getvalue())}; see: nnql-bullet {verb} --help")
-    return call()
-
-
-def _delayed(verb: Callable[..., int]) -> Callable[..., Callable[[], int]]:
-    """The verb with the same signature and help, that only takes note of its arguments."""
-
-    @functools.wraps(verb)
-    def note(*args: object, **kwargs: object) -> Callable[[], int]:
-        return lambda: verb(*args, **kwargs)
-
-    return note
-
-
-def _sentence(box: str) -> str:
-    """What the parser's box of text says first."""
-    lines = [line.strip("╭╮╰╯│─ ") for line in box.splitlines()[1:]]
-    text = " ".join(lines[: lines.index("")] if "" in lines else lines)
-    text = re.sub(r"no type matching \S+ could be instantiated from \['(.*?)'\]", r"not a valid value: '\1'", text)
-    sentence = re.split(r"\. | ?Perhaps| For full", text)[0].rstrip(".")
-    choices = re.search(r"Expected one of \((.*?)\)", text)
-    if choices:
-        names = sorted(set(re.findall(r"'(.*?)'", choices[1])) - {"None"})
-        sentence += f"; give one of: {', '.join(names)}"
-    return sentence
 
 
 def _overview() -> str:

@@ -10,7 +10,7 @@ from nnql_bullet.errors import UserError
 
 
 def policies(
-    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None,
+    name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     /,
 ) -> int:
     """List the trained policies that are shipped, or show the card of one: how it was trained, how good it is, limits.

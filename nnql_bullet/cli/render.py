@@ -6,39 +6,32 @@ from typing import Annotated, Literal
 
 import tyro
 
-from nnql_bullet.cli.console import say
-from nnql_bullet.cli.filming import FPS, SIZE, shoot, shoot_sheet
+from nnql_bullet.cli.console import progress, say
 from nnql_bullet.errors import UserError
-from nnql_bullet.recording import load_recording
+from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
-from nnql_bullet.render.film import Film, frame_times
-from nnql_bullet.render.renderers import RendererName, best_renderer, check_renderer
-from nnql_bullet.render.timeline import Timeline
+from nnql_bullet.render.filming import FPS, SIZE
+from nnql_bullet.render.renderers import RendererName
 from nnql_bullet.render.video import VideoFormat
-
-SMALLEST, LARGEST = 64, 7680
-"""Side of a picture [pixels]."""
 
 
 def render(
-    recording: Annotated[
-        Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING|RUN|RULE", help_behavior_hint="")
-    ],
+    recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING|RUN|RULE")],
     /,
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    camera: Annotated[CameraName, tyro.conf.arg(help_behavior_hint="")] = "chase",
-    size: Annotated[str, tyro.conf.arg(metavar="WxH", help_behavior_hint="")] = f"{SIZE[0]}x{SIZE[1]}",
-    fps: Annotated[float, tyro.conf.arg(metavar="F", help_behavior_hint="")] = FPS,
-    speed: Annotated[float, tyro.conf.arg(metavar="X", help_behavior_hint="")] = 1.0,
-    begin: Annotated[float, tyro.conf.arg(metavar="S", help_behavior_hint="")] = 0.0,
-    end: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
-    renderer: Annotated[Literal["auto"] | RendererName, tyro.conf.arg(help_behavior_hint="")] = "auto",
-    format: Annotated[VideoFormat | None, tyro.conf.arg(help_behavior_hint="")] = None,
-    frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png", help_behavior_hint="")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    seed: Annotated[int | None, tyro.conf.arg(metavar="S")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    camera: CameraName = "chase",
+    size: Annotated[str, tyro.conf.arg(metavar="WxH")] = f"{SIZE[0]}x{SIZE[1]}",
+    fps: Annotated[float, tyro.conf.arg(metavar="F")] = FPS,
+    speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
+    begin: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
+    end: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    renderer: Literal["auto"] | RendererName = "auto",
+    format: VideoFormat | None = None,
+    frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
 ) -> int:
     """Draw a recorded drive as a video: what was recorded, without simulating anything again.
 
@@ -74,14 +67,9 @@ def render(
         sheet: Leave the key moments of the drive as one picture.
         workers: Processes that draw; default one a core. The result does not depend on it.
     """
-    width, height = _size(size)
-    if not 1.0 <= fps <= 240.0:
-        raise UserError(f"--fps: must be between 1 and 240, not {fps:g}")
-    if not 0.0 < speed <= 1000.0:
-        raise UserError(f"--speed: must be above 0 and at most 1000, not {speed:g}")
-    if workers is not None and workers < 1:
-        raise UserError(f"--workers: must be at least 1, not {workers}")
-    kind = _kind(out, format)
+    picture = _size(size)
+    filming.check_pictures(picture, fps, speed)
+    kind = filming.video_format(out, format)
     if recording.suffix == ".npz":
         if world is not None or seed is not None:
             raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")
@@ -89,17 +77,23 @@ def render(
     else:
         path = _driven(recording, world, seed or 0)
     video = out or (None if frames or sheet else path.with_suffix(f".{kind}"))
-    loaded = load_recording(path)
-    duration = Timeline(loaded).duration
-    last = duration if end is None else min(end, duration)
-    if not 0.0 <= begin < last:
-        raise UserError(f"--begin, --end: the drive takes {duration:.1f} s; nothing is between {begin:g} and {last:g}")
-    film = Film(path, camera, width, height, best_renderer(width, height) if renderer == "auto" else renderer)
-    check_renderer(loaded, film.renderer)
-    if video or frames:
-        shoot(film, frame_times(begin, last, fps, speed), video, kind, fps, frames, workers)
-    if sheet:
-        shoot_sheet(film, sheet, workers)
+    with progress() as show:
+        filming.render(
+            path,
+            video,
+            camera=camera,
+            size=picture,
+            fps=fps,
+            speed=speed,
+            begin=begin,
+            end=end,
+            renderer=renderer,
+            kind=kind,
+            pictures=frames,
+            sheet=sheet,
+            workers=workers,
+            on_progress=show,
+        )
     for what, where in (("video", video), ("frames", frames), ("sheet", sheet)):
         if where:
             say(f"{what}: {where}")
@@ -107,12 +101,11 @@ def render(
 
 
 def _driven(policy: Path, world: str | None, seed: int) -> Path:
-    """Where the recording of a drive of the policy lies, as `drive` would have left it."""
-    from nnql_bullet.cli.driving import RECORDING, drive  # all that drives; to draw, none of it is needed
-    from nnql_bullet.runs import drives_folder
+    """Drives a policy as the verb `drive` does; returns the file of the recording."""
+    from nnql_bullet.driving import RECORDING, drive, drive_folder  # all that drives; to draw, none of it is needed
 
-    recording, _ = drive(policy, seed, {"world": world, "simulator": "bullet", "physics": "reference"})
-    folder = drives_folder(policy) / f"{recording.world.name}-{seed}"
+    recording = drive(policy, world=world, seed=seed)
+    folder = drive_folder(policy, recording.world.name, seed)
     folder.mkdir(parents=True, exist_ok=True)
     recording.save(folder / RECORDING)
     return folder / RECORDING
@@ -120,21 +113,6 @@ def _driven(policy: Path, world: str | None, seed: int) -> Path:
 
 def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    width, height = (int(match[1]), int(match[2])) if match else (0, 0)
-    if not all(SMALLEST <= side <= LARGEST and side % 2 == 0 for side in (width, height)):
-        raise UserError(f"--size: give WIDTHxHEIGHT, even numbers from {SMALLEST} to {LARGEST}, not '{text}'")
-    return width, height
-
-
-def _kind(out: Path | None, given: VideoFormat | None) -> VideoFormat:
-    """The format that is asked for, by an option or a name.
-
-    Raises:
-        UserError: If they contradict each other, or the name says neither.
-    """
-    if out is None:
-        return given or "mp4"
-    suffix = out.suffix.lower()
-    if suffix not in (".mp4", ".gif") or (given and suffix != f".{given}"):
-        raise UserError(f"{out}: give --out a name that ends in {f'.{given}' if given else '.mp4 or .gif'}")
-    return "gif" if suffix == ".gif" else "mp4"
+    if not match:
+        raise UserError(f"--size: give WIDTHxHEIGHT, not '{text}'")
+    return int(match[1]), int(match[2])

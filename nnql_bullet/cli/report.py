@@ -12,15 +12,15 @@ from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import html
 from nnql_bullet.reports.html import Results, Verb, open_results
-from nnql_bullet.runs import open_run
+from nnql_bullet.runs import load_run
 
 
 def report(
-    runs: Annotated[list[Path], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")],
+    runs: Annotated[list[Path], tyro.conf.arg(metavar="RUN ...")],
     /,
-    evaluation: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    gap: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    evaluation: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    gap: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
     """Put all that is known of some runs into one HTML file, which needs no network and can be sent to anybody.
 
@@ -43,7 +43,7 @@ def report(
     path = out or (runs[0] if len(runs) == 1 else Path("runs")) / "report.html"
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give --out the name of a file")
-    opened = [open_run(folder, None)[0] for folder in runs]
+    opened = [load_run(folder) for folder in runs]
     policies = open_policies(runs)
     evaluated = _results("evaluate", evaluation, policies)
     measured = _results("gap", gap, policies)

@@ -1,188 +1,103 @@
 """`nnql-bullet train`."""
 
 import signal
-import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import Annotated
+from types import FrameType, MappingProxyType
+from typing import Annotated, Any
 
-import torch
 import tyro
 
-from nnql_bullet.agents import Trainable
+from nnql_bullet.api import training as api
 from nnql_bullet.cli.console import complain, err, progress, say
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
-from nnql_bullet.reports.plots import draw_learning_curve
-from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, Run, open_run
+from nnql_bullet.run_config import RunConfig
+from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
 from nnql_bullet.sim.base import WorkerDied
-from nnql_bullet.sim.engines import PhysicsName
-from nnql_bullet.training.base import Trainer
-from nnql_bullet.training.selection import SelectionOptions, finalists, keep
-
-SAVE_EVERY = 5.0
-"""Seconds from one checkpoint to the next."""
-RECENT = 100
-"""Episodes that the shown success is over."""
 
 
 def train(
-    config: Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE", help_behavior_hint="")] = None,
-    sim: Annotated[
-        SimulatorName | None, tyro.conf.arg(metavar="bullet|mujoco|kinematic", help_behavior_hint="")
-    ] = None,
-    episodes: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    seed: Annotated[int | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None,
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help_behavior_hint="")] = None,
-    physics: Annotated[PhysicsName | None, tyro.conf.arg(metavar="fast|reference", help_behavior_hint="")] = None,
-    vehicles: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="")] = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None,
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")] = False,
+    config: Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    overwrite: bool = False,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    keys: Annotated[Mapping[str, Any], KeyFlags(RunConfig, shown=lambda name: "." not in name)] = MappingProxyType({}),
 ) -> int:
     """Train the vehicle, headless, and leave a run folder.
 
     The folder holds config.toml, episodes.csv, policy.safetensors, learning_curve.png and a checkpoint. The result is a
-    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to go on from.
-    With the table training.selection in the configuration, late states of the training are tried in
-    validation worlds in the kinematic model, whatever it drove in; the best is the policy, and selection.csv says how
-    all did.
+    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from.
+
+    Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the same with numbers set by
+    evidence), q_table (a table instead of the network), genetic (a search over its weights), double_dqn (decides every
+    step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
+    model.
+
+    Every key of the configuration is a flag, such as --agent.discount or --task.front-distance; to list them:
+    nnql-bullet keys --config double_dqn
 
     For example:
 
         nnql-bullet train
         nnql-bullet train --config literal --seed 3 --out runs/mine
-        nnql-bullet train --vehicles 64 --out runs/quick
-        nnql-bullet train --vehicles 64 --sim kinematic --out runs/quicker
-        nnql-bullet train --config genetic --vehicles 200 --sim kinematic
-        nnql-bullet train --config tuned
-        nnql-bullet train --config double_dqn --seed 1
+        nnql-bullet train --vehicles 64 --sim kinematic --out runs/quick
+        nnql-bullet train --config double_dqn --agent.discount 0.8 --conditions.payload 80
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
-        config: TOML file or preset: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the
-            same with numbers set by evidence; in the kinematic model, 64 vehicles), q_table (a table instead of the
-            network), genetic (a search over its weights), double_dqn (which decides every step and keeps a map; in the
-            kinematic model, 64 vehicles, a mix of worlds) or sb3_dqn (DQN of stable-baselines3).
-        sim: Contact physics (bullet, the default, or mujoco) or the kinematic model (kinematic: no slip, much faster).
-        episodes: Training episodes in all; default 1000, with genetic 20000, with double_dqn 12000.
-        seed: Of the whole run; default 0.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default paper, tuned cover_7.5, double_dqn a mix.
-        physics: Solver settings of contact physics; default fast.
-        vehicles: One policy learns from so many at once, each in its own world; default 1, as in the paper.
-        workers: Processes (kinematic: threads) to share them among; default one a core. The result does not depend on
-            it.
+        config: Preset, or TOML file with keys over a preset.
         out: Run folder; default runs/CONFIG-SEED.
-        resume: Go on with the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
+        resume: Continue the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
         overwrite: Start anew in a folder that holds a run already.
+        workers: Processes (kinematic: threads) that share the vehicles; default one a core. The result does not depend
+            on it.
+        keys: Keys of the configuration.
     """
     if resume is not None:
-        fixed = {"--config": config, "--sim": sim, "--seed": seed, "--world": world, "--physics": physics, "--out": out}
-        fixed["--vehicles"] = vehicles
-        given = [flag for flag, value in fixed.items() if value is not None] + ["--overwrite"] * overwrite
+        given = ["--config"] * (config is not None) + ["--out"] * (out is not None) + ["--overwrite"] * overwrite
+        given += flags({key: value for key, value in keys.items() if key != "episodes"})
         if given:
             raise UserError(f"{given[0]} cannot go with --resume: a run goes on as it was configured")
-        run, state = open_run(resume, episodes)
+        run = load_run(resume, keys.get("episodes"))
+        folder, total = resume, run.config.episodes
         if run.is_over:
-            say(f"{run.folder} has its {run.config.episodes} episodes already; give more with --episodes")
+            say(f"{folder} has its {total} episodes already; give more with --episodes")
             return 0
-        experiment = Experiment(run.config)
     else:
-        name = config or "paper"
-        changes = {"simulator": sim, "episodes": episodes, "seed": seed, "world": world, "physics": physics}
-        mix: dict[str, list[str]] | None = None if world is None else {"worlds": []}
-        resolved = load_config(name, {**changes, "vehicles": vehicles, "training": mix})
-        experiment, state = Experiment(resolved), None
-        experiment.trainable  # noqa: B018 (refuses rules)
-        # What is wrong with worlds or robot shows before anything is written.
-        experiment.training_world(0)
-        experiment.selection_worlds  # noqa: B018
-        run = Run(out or Path("runs") / f"{Path(name).stem}-{resolved.seed}", resolved, [])
-    c = run.config
-    torch.set_num_threads(1)  # the networks here are too small for threads not to wait for each other
-    with closing(experiment.training_fleet(workers)) as fleet:
-        agent = experiment.trainable
-        training = experiment.trainer(FleetNavigation(fleet, c.task))
-        where = "the kinematic model" if c.simulator == "kinematic" else f"{c.physics} contact physics"
-        several = "" if c.vehicles == 1 else f", {c.vehicles} vehicles in lockstep"
+        # A world that is asked for takes the place of a mix of worlds.
+        mix = {"training": {"worlds": [], **keys.get("training", {})}} if "world" in keys else {}
+        resolved = load_config(config or "paper", {**keys, **mix})
+        folder, total = out or Path("runs") / f"{Path(config or 'paper').stem}-{resolved.seed}", resolved.episodes
+    died: WorkerDied | None = None
+    with _interrupts() as interrupted, progress() as show:
         try:
-            if state:
-                agent.load_state_dict(state.learned)
-                training.load_state_dict(state.under_way)
-            if resume is None:
-                run.create(overwrite)
+            if resume is not None:
+                api.resume(folder, total, workers=workers, on_progress=show, stop=interrupted)
             else:
-                run.save_config()
-            worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(c.training.worlds or (c.world,)))
-            say(f"training {c.agent.kind} in {where}, world {worlds}{several}")
-            finished, died = len(run.episodes) == c.episodes or _run(run, agent, training), None
+                api.train(
+                    resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=show, stop=interrupted
+                )
         except WorkerDied as error:
-            finished, died = False, error
+            died = error
+    run = load_run(folder)
     if run.episodes:
-        draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
-        say(f"learning curve: {run.folder / LEARNING_CURVE}")
-    if finished:
-        if c.training.selection:
-            _select(run, experiment, c.training.selection, workers)
-        say(f"policy: {run.folder / POLICY}; drive it with: nnql-bullet drive {run.folder}")
+        say(f"learning curve: {folder / LEARNING_CURVE}")
+    if run.is_over:
+        if run.config.training.selection:
+            say(f"selection: {folder / SELECTION}")
+        say(f"policy: {folder / POLICY}; drive it with: nnql-bullet drive {folder}")
         return 0
-    stopped = f"stopped after episode {len(run.episodes)} of {c.episodes}"
-    go_on = f"go on with: nnql-bullet train --resume {run.folder}"
+    stopped = f"stopped after episode {len(run.episodes)} of {total}; go on with: nnql-bullet train --resume {folder}"
     if died:
-        complain(f"{died}; {stopped}; {go_on}")
+        complain(f"{died}; {stopped}")
         return 1
-    say(f"{stopped}; {go_on}")
+    say(stopped)
     return 130
-
-
-def _run(run: Run, agent: Trainable, training: Trainer) -> bool:
-    """Trains to the end or to an interrupt, with checkpoints; whether it came to the end.
-
-    Raises:
-        WorkerDied: If a worker process is gone; a checkpoint is written before.
-    """
-    total, begin = run.config.episodes, time.monotonic()
-    recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
-    steps, saved, selection = 0, begin, run.config.training.selection
-    with _interrupts() as interrupted, progress("training", total, len(run.episodes)) as show:
-        try:
-            for episode in training.episodes():
-                run.episodes.append(episode)
-                if selection:
-                    keep(run.candidates, len(run.episodes), agent, selection)
-                recent.append(episode.summary.ending == "goal")
-                steps += episode.summary.steps
-                done, now = len(run.episodes), time.monotonic()
-                success, rate = sum(recent) / len(recent), steps / (now - begin)
-                show(done, f"success {success:4.0%} of last {len(recent)}  {rate:.0f} steps/s")
-                if interrupted() or done == total or now - saved >= SAVE_EVERY:
-                    run.save(agent, training)
-                    saved = now
-                if interrupted() or done == total:
-                    break
-        except WorkerDied:
-            run.save(agent, training)
-            if not interrupted():  # else whatever interrupted this process reached that one too
-                raise
-    return len(run.episodes) == total
-
-
-def _select(run: Run, experiment: Experiment, selection: SelectionOptions, workers: int | None) -> None:
-    """Makes the candidate that does best in validation worlds the policy."""
-    candidates = finalists(run.candidates, len(run.episodes), experiment.trainable, selection)
-    worlds = len(experiment.selection_worlds)
-    say(f"trying {len(candidates)} candidates in {worlds} validation worlds, in the kinematic model")
-    goals = experiment.try_out(candidates, workers)
-    best = run.save_selected(candidates, goals, worlds)
-    others = f"the {len(goals)} came to {min(goals.values())} to {max(goals.values())}; all: {run.folder / SELECTION}"
-    say(f"selected: what was learned after {best} episodes, with {goals[best]} goals of {worlds}; {others}")
 
 
 @contextmanager

@@ -12,9 +12,9 @@ from nnql_bullet.recording import load_recording
 
 
 def view(
-    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING", help_behavior_hint="")],
+    recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING")],
     /,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
     """Put a recorded drive on a time line, in a file for the Rerun viewer.
 

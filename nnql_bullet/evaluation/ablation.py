@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from nnql_bullet.config import merged, parse, to_values
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.statistics import RESAMPLES, Estimate, success_over_seeds
@@ -29,7 +29,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
-CONTACT_FLEET = 8
+CONTACT_VEHICLES = 8
 """Vehicles that are tested at a time in contact physics, where each takes 34 MB."""
 
 Verdict = Literal["default", "better", "worse", "undecided"]
@@ -91,8 +91,8 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     """Trains, selects if so configured, then drives greedily through validation worlds, in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
-    with closing(experiment.training_fleet(workers=1)) as fleet:
-        training = experiment.trainer(FleetNavigation(fleet, config.task))
+    with closing(experiment.new_training_simulator(workers=1)) as simulator:
+        training = experiment.trainer(Navigation(simulator, config.task))
         agent, selection = experiment.trainable, config.training.selection
         candidates: Candidates = {}
         for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
@@ -103,11 +103,11 @@ def train_and_test(task: AblationTask) -> list[Counts]:
         agent.load_state_dict(candidates[most_goals(experiment.try_out(candidates, workers=1))])
     found = []
     for world in task.tiers:
-        vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_FLEET)
+        vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_VEHICLES)
         test = Experiment(changed(config, world=world, vehicles=vehicles))
         worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds)]
-        with closing(test.fleet(workers=1)) as fleet:
-            summaries = run_episodes(FleetNavigation(fleet, config.task), worlds, experiment.agent)
+        with closing(test.new_simulator(workers=1)) as simulator:
+            summaries = run_episodes(Navigation(simulator, config.task), worlds, experiment.agent)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found

@@ -10,7 +10,7 @@ from typing import Any
 
 from nnql_bullet import __version__
 from nnql_bullet.commands import flags
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -19,10 +19,11 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
+from nnql_bullet.worlds.source import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +40,18 @@ class Tier:
     """Of the worlds."""
     frozen: bool
     """Whether they were checked to be the frozen ones."""
+    given: World | None = None
+    """The world, if it was made in code."""
 
     @property
     def title(self) -> str:
         """As it is printed."""
         return self.name if self.cover is None else f"{100 * self.cover:g} % cover"
+
+    @property
+    def world(self) -> str | World:
+        """What a configuration's key `world` takes."""
+        return self.given or self.file
 
     def block(self, first: int) -> range:
         """Seeds of the worlds of one piece of work, the first of which is this one of the tier."""
@@ -83,29 +91,42 @@ class Setting:
         return ["--sim", self.simulator, *physics, *flags({"conditions": self.conditions})]
 
 
-def draw_tiers(files: Sequence[str], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
-    """Draws the first worlds of a split from each file, and checks them.
+def check_setting(policy: Policy, setting: Setting) -> None:
+    """Makes a simulator once, so that a missing engine or impossible conditions show before anything is driven.
+
+    Raises:
+        UserError: If there is no such engine, or a condition is impossible.
+    """
+    experiment = load_policy(policy.source, setting.changes).experiment
+    experiment.simulator.close()
+
+
+def draw_tiers(given: Sequence[str | Path | World], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
+    """Draws the first worlds of a split of each kind, and checks them.
 
     Args:
-        files: Shipped worlds or TOML files.
+        given: Shipped worlds, TOML files or worlds made in code.
         setting: Names the split.
-        worlds: How many of each.
+        worlds: Number of worlds of each kind.
         policy: Any of those that will drive; its vehicle has to fit through.
 
     Raises:
-        UserError: If a file is wrong or given twice, or its worlds are not what they were.
+        UserError: If a world is wrong or given twice, or its worlds are not what they were.
     """
     seeds, frozen = split_seeds(setting.split, worlds), load_frozen()
     tiers: list[Tier] = []
-    for file in files:
-        experiment, _ = open_policy(Path(policy.path), {"world": file})
-        name, world = experiment.worlds.name, experiment.worlds.file
-        if name in [tier.name for tier in tiers]:
-            raise UserError(f"there are two worlds named '{name}'; give each once")
-        checked = check_frozen(file, setting.split, worlds, policy.room, experiment.world, frozen)
+    for one in given:
+        file = one if isinstance(one, World) else str(one)
+        experiment = load_policy(policy.source, {"world": file}).experiment
+        world = experiment.worlds
+        if world.name in [tier.name for tier in tiers]:
+            raise UserError(f"there are two worlds named '{world.name}'; give each once")
+        named = "" if isinstance(file, World) else file
+        checked = check_frozen(named, setting.split, worlds, policy.room, experiment.world, frozen)
         digests = tuple(experiment.world(seed).digest for seed in seeds)
         cover = world.layout.cover if isinstance(world.layout, RandomBoxes) and not world.patrols else None
-        tiers.append(Tier(file, name, cover, seeds, digests, checked))
+        code = file if isinstance(file, World) else None
+        tiers.append(Tier(named or world.name, world.name, cover, seeds, digests, checked, code))
     return tiers
 
 
@@ -131,6 +152,8 @@ class DriveTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
+        if self.policy.custom:
+            return ""
         where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
         return part_name("drives", self.policy.fingerprint, *where, *self.tier.drawn(self.first))
 
@@ -149,12 +172,12 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     """Drives a piece: the kinematic model all worlds at once, contact physics one after another."""
     seeds = task.tier.block(task.first)
     if task.setting.simulator == "kinematic":
-        experiment = _experiment(task.policy, task.tier.file, task.setting, len(seeds))
-        with closing(experiment.fleet(workers=1)) as fleet:
-            navigation = FleetNavigation(fleet, experiment.config.task)
+        experiment = _experiment(task.policy, task.tier.world, task.setting, len(seeds))
+        with closing(experiment.new_simulator(workers=1)) as simulator:
+            navigation = Navigation(simulator, experiment.config.task)
             return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
-    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
-    return [run_episode(experiment.navigation, experiment.world(seed), experiment.policy) for seed in seeds]
+    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
+    return run_episodes(experiment.navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
 
 
 class SurveyTask(_BlockTask):
@@ -168,7 +191,7 @@ class SurveyTask(_BlockTask):
 
 def survey(task: SurveyTask) -> list[Difficulty]:
     """Looks at each world."""
-    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
+    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     seeds = task.tier.block(task.first)
     return [difficulty(experiment.world(seed), experiment.room) for seed in seeds]
 
@@ -203,7 +226,7 @@ class FilmTask:
 
 def film(task: FilmTask) -> Recording:
     """Records the drive."""
-    experiment = _experiment(task.policy, task.tier.file, task.setting, 1)
+    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     recorder = Recorder(experiment.vehicle, experiment.policy)
     run_episode(experiment.navigation, experiment.world(task.seed), experiment.policy, watcher=recorder)
     config = experiment.config
@@ -213,6 +236,6 @@ def film(task: FilmTask) -> Recording:
 
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _experiment(policy: Policy, world: str, setting: Setting, vehicles: int) -> Experiment:
+def _experiment(policy: Policy, world: str | World, setting: Setting, vehicles: int) -> Experiment:
     changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
-    return open_policy(Path(policy.path), changes)[0]
+    return load_policy(policy.source, changes).experiment

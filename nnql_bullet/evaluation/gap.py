@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
+from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion
 from nnql_bullet.experiment import Experiment
@@ -18,9 +19,10 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
+from nnql_bullet.worlds.source import World
 
 CONDITIONS: dict[str, Conditions] = {
     "friction 0.5": Conditions(wheel_friction=0.5),
@@ -60,14 +62,12 @@ class Side:
 class PairTask:
     """One policy through some worlds, in both simulators."""
 
-    run: str
-    world: str | None
-    """Another world file than the policy was trained in."""
+    policy: Policy
+    world: str | World | None
+    """Another world than the policy was trained in."""
     seeds: range
     first: Side
     second: Side
-    flips: str
-    """Folder for the recordings of drives that ended differently."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,8 @@ class Pair:
     """When they first decided differently [s]; infinite if they never did."""
     explanation: Explanation | None
     """Where they ended differently."""
+    recordings: tuple[Recording, ...] = ()
+    """Of both drives, where they ended differently."""
 
     @property
     def flipped(self) -> bool:
@@ -95,7 +97,7 @@ class Pair:
 
 def drive_pairs(task: PairTask) -> list[Pair]:
     """Drives both sides through each world, and compares them."""
-    sides = [_experiment(task.run, task.world, side, None) for side in (task.first, task.second)]
+    sides = [_experiment(task.policy, task.world, side, None) for side in (task.first, task.second)]
     pairs = []
     for seed in task.seeds:
         drives = [_drive(experiment, seed) for experiment in sides]
@@ -103,12 +105,11 @@ def drive_pairs(task: PairTask) -> list[Pair]:
         explanation = None
         if first.ending != second.ending:
             explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive.speed)
-            for side, (_, recording) in zip((task.first, task.second), drives, strict=True):
-                recording.save(flip_file(Path(task.flips), task.run, seed, side))
         k = parting(one, other)
         times, distances = apart(one, other)
         parted = float(times[k]) if k < len(times) else float("inf")
-        pairs.append(Pair(task.run, seed, first, second, times, distances, parted, explanation))
+        kept = (one, other) if explanation else ()
+        pairs.append(Pair(task.policy.path, seed, first, second, times, distances, parted, explanation, kept))
     return pairs
 
 
@@ -121,8 +122,8 @@ def flip_file(folder: Path, run: str, seed: int, side: Side) -> Path:
 class FaultTask:
     """One policy through some worlds, with something wrong."""
 
-    run: str
-    world: str | None
+    policy: Policy
+    world: str | World | None
     seeds: range
     side: Side
     fault: str
@@ -141,19 +142,19 @@ class Trial:
 
 def drive_faulty(task: FaultTask) -> list[Trial]:
     """Drives through each world with the fault."""
-    experiment = _experiment(task.run, task.world, task.side, task.fault)
+    experiment = _experiment(task.policy, task.world, task.side, task.fault)
     trials = []
     for seed in task.seeds:
         summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy)
-        trials.append(Trial(task.run, task.side, task.fault, summary))
+        trials.append(Trial(task.policy.path, task.side, task.fault, summary))
     return trials
 
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _experiment(run: str, world: str | None, side: Side, fault: str | None) -> Experiment:
+def _experiment(policy: Policy, world: str | World | None, side: Side, fault: str | None) -> Experiment:
     conditions = CONDITIONS[fault] if fault else None
     changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
-    return open_policy(Path(run), changes)[0]
+    return load_policy(policy.source, changes).experiment
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
@@ -201,22 +202,36 @@ class Gap:
         return f"nnql-bullet drive {pair.run}{world} --seed {pair.world_seed} --sim {side.simulator}{physics}"
 
 
+def check_sides(policy: Policy, world: str | World | None, sides: Sequence[Side], seed: int) -> None:
+    """Makes each simulator and a world once, so that what is wrong with them shows before anything is driven.
+
+    Raises:
+        UserError: If a simulator or the world cannot be made.
+    """
+    for side in sides:
+        experiment = load_policy(policy.source, {"world": world, "simulator": side.simulator}).experiment
+        experiment.simulator.close()
+        experiment.world(seed)
+
+
 WORLDS_AT_A_TIME = 5
 
 
 def tasks(
-    runs: Sequence[Path], world: str | None, seeds: range, first: Side, second: Side, faults: bool, flips: Path
+    policies: Sequence[Policy], world: str | World | None, seeds: range, first: Side, second: Side, faults: bool
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
     The kinematic model has no friction and no mass: there, only faults of the sensors are tried.
     """
     chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
-    names = [str(run) for run in runs]
-    shares = [(run, chunk) for run in names for chunk in chunks]
-    pairs = [PairTask(run, world, chunk, first, second, str(flips)) for run, chunk in shares]
+    shares = [(policy, chunk) for policy in policies for chunk in chunks]
+    pairs = [PairTask(policy, world, chunk, first, second) for policy, chunk in shares]
     wrong = [(side, fault) for fault in CONDITIONS for side in (first, second) if side.notices(fault)] if faults else []
-    return [*pairs, *(FaultTask(run, world, chunk, side, fault) for side, fault in wrong for run, chunk in shares)]
+    return [
+        *pairs,
+        *(FaultTask(policy, world, chunk, side, fault) for side, fault in wrong for policy, chunk in shares),
+    ]
 
 
 def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:

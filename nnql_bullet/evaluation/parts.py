@@ -1,50 +1,55 @@
-"""Results of pieces of work in a folder, so that work which was interrupted goes on where it was."""
+"""Results of pieces of work, kept in a folder so that interrupted work continues where it stopped."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from nnql_bullet import __version__
 from nnql_bullet.errors import UserError
+from nnql_bullet.executors import Executor
 from nnql_bullet.files import write_text
+from nnql_bullet.work import OnProgress, run_all
 
 R = TypeVar("R")
 
 
 class Piece(Protocol):
-    """A piece of work whose result can be kept: some records."""
+    """A piece of work whose result, a list of records, can be kept."""
 
     @property
     def part(self) -> str:
-        """A name for its result, another one whenever something that the result depends on is another."""
+        """Name of the result; it differs whenever anything that the result depends on differs. Empty: never kept."""
 
     @property
     def size(self) -> int:
-        """How much of the work it is."""
+        """Units of work."""
+
+
+P = TypeVar("P", bound=Piece)
 
 
 def part_name(*depends: object) -> str:
-    """A hash of what a result depends on, and of the program's version."""
+    """Hashes everything that a result depends on, with the version of the program."""
     return hashlib.sha256(" ".join(map(str, (__version__, *depends))).encode()).hexdigest()[:24]
 
 
 class Parts:
-    """Lists of dataclass records, each in a JSON file of its own."""
+    """Lists of dataclass records, each list in its own JSON file. Without a folder, nothing is kept."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def load(self, name: str, record: type[R]) -> list[R] | None:
-        """The records of a piece, if they are there.
+        """Reads the records of a piece; None if there are none.
 
         Raises:
             UserError: If their file is damaged.
         """
-        path = self._folder / f"{name}.json"
-        if not path.exists():
+        path = self._path(name)
+        if path is None or not path.exists():
             return None
         try:
             return [record(**values) for values in json.loads(path.read_text(encoding="utf-8"))]
@@ -52,6 +57,51 @@ class Parts:
             raise UserError(f"{path}: damaged ({error}); delete it, and its work is done again") from None
 
     def save(self, name: str, records: Sequence[Any]) -> None:
-        """Keeps the records of a piece."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        write_text(self._folder / f"{name}.json", json.dumps([asdict(record) for record in records]) + "\n")
+        """Writes the records of a piece."""
+        path = self._path(name)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, json.dumps([asdict(record) for record in records]) + "\n")
+
+    def _path(self, name: str) -> Path | None:
+        return self._folder / f"{name}.json" if self._folder and name else None
+
+
+def run_kept(
+    executor: Executor,
+    what: str,
+    function: Callable[[P], list[R]],
+    tasks: Sequence[P],
+    parts: Parts,
+    record: type[R],
+    on_progress: OnProgress | None = None,
+) -> list[list[R]]:
+    """Applies a function to every task whose result is not kept yet; returns all results in the order of the tasks.
+
+    Args:
+        executor: Runs the tasks.
+        what: Name of the work, for its progress and its errors.
+        function: See `executors.Executor.map`.
+        tasks: The pieces of work; those with the same `part` are done once.
+        parts: Keeps each result as soon as it is there.
+        record: Class of the records.
+        on_progress: Receives the progress.
+
+    Raises:
+        WorkFailed: If the function raises on a task; the others are stopped.
+        UserError: If a kept result is damaged.
+    """
+    names = [task.part or f"not kept {number}" for number, task in enumerate(tasks)]
+    kept = {name: parts.load(task.part, record) for name, task in zip(names, tasks, strict=True)}
+    missing = {name: task for name, task in zip(names, tasks, strict=True) if kept[name] is None}
+    found = run_all(
+        executor,
+        what,
+        function,
+        list(missing.values()),
+        lambda task: task.size,
+        lambda task, its: parts.save(task.part, its),
+        on_progress,
+    )
+    done = dict(zip(missing, found, strict=True))
+    return [done[name] if name in done else kept[name] or [] for name in names]

@@ -1,9 +1,10 @@
 """The policies of an evaluation: read, named, and told which are one method with several training seeds."""
 
 import hashlib
+import itertools
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from inspect import getdoc
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from typing import Any
 import numpy as np
 
 from nnql_bullet import assets
-from nnql_bullet.agents import RULES, Trainable
+from nnql_bullet.agents import RULES, Agent, Trainable
+from nnql_bullet.agents.base import Custom
 from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
+from nnql_bullet.executors import Executor, ExecutorKind, make_executor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
-from nnql_bullet.runs import open_policy
+from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,18 @@ class Policy:
     """Hash of what it learned and of the configuration that it drives with."""
     shielded: bool = False
     """Whether it is asked to drive in a shield, which its own configuration does not give it."""
+    custom: Custom | None = None
+    """The object of this process that it is, if it is one; its fingerprint is then empty."""
+
+    @property
+    def source(self) -> PolicyLike:
+        """What `runs.load_policy` takes."""
+        return self.custom or self.path
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The fields that JSON can take."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "custom"}
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -52,34 +67,38 @@ class Policy:
         return {"shield": {}} if self.shielded else {}
 
 
-def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
-    """Reads policies.
+def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = False) -> list[Policy]:
+    """Reads policies, and tells which of them are one method.
 
     Args:
-        paths: Run folders, policy files, rules by name, or TOML files.
+        policies: One or several.
         shield: Whether each is followed by itself in a shield.
 
     Raises:
-        UserError: If there is none, one cannot be read or is given twice, or vehicles differ in size: the same seeds
-            would then be different worlds.
+        UserError: If there is none, one cannot be read, is given twice or has changed since it was loaded, or vehicles
+            differ in size: the same seeds would then be different worlds.
     """
-    if not paths:
+    several = list(policies) if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
+    if not several:
         raise UserError(
             f"give a policy: a run folder, a policy file, or one of: {', '.join((*assets.policies(), *RULES))}"
         )
-    given = [str(path) for path in paths]
-    twice = [path for path in given if given.count(path) > 1]
-    if twice:
-        raise UserError(f"{twice[0]}: is given twice; give each policy once")
-    opened = [open_policy(path, {}) for path in paths]
-    experiments = [experiment for experiment, _ in opened]
+    opened = [load_policy(policy) for policy in several]
+    experiments = [its.experiment for its in opened]
+    agents = [experiment.agent for experiment in experiments]
+    given = _paths(several, agents)
+    for policy, experiment in zip(several, experiments, strict=True):
+        if isinstance(policy, LoadedPolicy) and fingerprint(experiment) != fingerprint(policy.experiment):
+            raise UserError(f"{policy.name}: has changed since it was loaded; load it again")
     odd = [path for path, its in zip(given, experiments, strict=True) if its.room != experiments[0].room]
     if odd:
         raise UserError(
             f"{given[0]} and {odd[0]} drive vehicles of different size, so worlds differ; evaluate them apart"
         )
     names = _short_names(given)
-    recipes = [_recipe(experiment) for experiment in experiments]
+    recipes = [
+        path if isinstance(its.agent, Custom) else _recipe(its) for path, its in zip(given, experiments, strict=True)
+    ]
     methods: dict[str, str] = {}
     for recipe in recipes:
         alike = [name for name, its in zip(names, recipes, strict=True) if its == recipe]
@@ -91,22 +110,58 @@ def open_policies(paths: Sequence[Path], shield: bool = False) -> list[Policy]:
             path=path,
             name=name,
             method=methods[recipe],
-            kind=experiment.config.agent.kind,
+            kind=agent.name if isinstance(agent, Custom) else experiment.config.agent.kind,
             seed=experiment.config.seed,
-            episodes=episodes,
-            learned=sum(values.size for values in _learned(experiment).values()),
-            about=(getdoc(type(experiment.agent)) or "").partition("\n")[0],
+            episodes=its.episodes,
+            learned=sum(values.size for values in _learned(agent).values()),
+            about=(getdoc(type(agent.decider if isinstance(agent, Custom) else agent)) or "").partition("\n")[0],
             room=experiment.room,
             fingerprint=fingerprint(experiment),
+            custom=agent if isinstance(agent, Custom) else None,
         )
-        for path, name, recipe, (experiment, episodes) in zip(given, names, recipes, opened, strict=True)
+        for path, name, recipe, agent, its, experiment in zip(
+            given, names, recipes, agents, opened, experiments, strict=True
+        )
     ]
     return [policy for one in bare for policy in ((one, _shielded(one)) if shield else (one,))]
 
 
+def executor_for(
+    policies: Sequence[Policy], kind: ExecutorKind | None, workers: int | None, address: str | None = None
+) -> Executor:
+    """Makes the executor that drives policies. Objects of this process are driven in it.
+
+    Raises:
+        UserError: If an object of this process is to be driven elsewhere; see also `executors.make_executor`.
+    """
+    custom = [policy.name for policy in policies if policy.custom]
+    if custom and kind not in (None, "inline"):
+        raise UserError(f"policy '{custom[0]}' is an object of this process; give it the executor 'inline'")
+    return make_executor("inline" if custom else kind, workers, address)
+
+
+def _paths(policies: Sequence[PolicyLike], agents: Sequence[Agent]) -> list[str]:
+    """The path of each policy, or the name of its class with a number if that is taken.
+
+    Raises:
+        UserError: If a policy is given twice.
+    """
+    found: list[str] = []
+    for policy, agent in zip(policies, agents, strict=True):
+        if isinstance(agent, Custom):
+            numbered = (agent.name if number == 1 else f"{agent.name} {number}" for number in itertools.count(1))
+            path = next(name for name in numbered if name not in found)
+        else:
+            path = policy.name if isinstance(policy, LoadedPolicy) else str(policy)
+            if path in found:
+                raise UserError(f"{path}: is given twice; give each policy once")
+        found.append(path)
+    return found
+
+
 def _shielded(policy: Policy) -> Policy:
     """The same in a shield."""
-    experiment, _ = open_policy(Path(policy.path), {"shield": {}})
+    experiment = load_policy(policy.source, {"shield": {}}).experiment
     return replace(
         policy,
         name=f"{policy.name}+shield",
@@ -127,8 +182,8 @@ def _short_names(paths: Sequence[str]) -> list[str]:
     return list(paths)
 
 
-def _learned(experiment: Experiment) -> dict[str, Array]:
-    return experiment.agent.state_dict() if isinstance(experiment.agent, Trainable) else {}
+def _learned(agent: Agent) -> dict[str, Array]:
+    return agent.state_dict() if isinstance(agent, Trainable) else {}
 
 
 def _recipe(experiment: Experiment) -> str:
@@ -137,12 +192,17 @@ def _recipe(experiment: Experiment) -> str:
 
 
 def fingerprint(experiment: Experiment) -> str:
-    """Hash of what a policy learned and of the configuration that it drives with, wherever it drives."""
-    config = to_values(experiment.config)
+    """Hash of what a policy learned and of the configuration that it drives with, wherever it drives.
+
+    Empty for an object of this process, of which nobody knows what it depends on.
+    """
+    if isinstance(experiment.agent, Custom):
+        return ""
+    values = to_values(experiment.config)
     told = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
-    driving = {key: config[key] for key in told if key in config}
+    driving = {key: values[key] for key in told if key in values}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
-    for name, values in sorted(_learned(experiment).items()):
+    for name, array in sorted(_learned(experiment.agent).items()):
         whole.update(name.encode())
-        whole.update(np.ascontiguousarray(values).tobytes())
+        whole.update(np.ascontiguousarray(array).tobytes())
     return whole.hexdigest()[:16]

@@ -10,7 +10,9 @@ from pathlib import Path
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
+from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions
 
 
@@ -88,6 +90,18 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet evaluate") from None
 
 
+def finished(evaluation: Evaluation) -> FinishedEvaluation:
+    """The failed drives of an evaluation."""
+    failed = [
+        FailedDrive(FilmTask(policy, tier, evaluation.setting, one.world_seed), one.ending, one.steps)
+        for policy in evaluation.policies
+        for tier in evaluation.tiers
+        for one in evaluation.drives[policy.name, tier.name]
+        if one.ending != "goal"
+    ]
+    return FinishedEvaluation(evaluation.command, failed)
+
+
 def earlier_alike(keys: Iterable[Hashable]) -> list[int]:
     """Of each key, how many before it are the same."""
     seen: Counter[Hashable] = Counter()
@@ -117,7 +131,7 @@ def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]
         UserError: If one cannot be read, or is not what it was.
     """
     for policy in dict.fromkeys(one.film.policy for one in failed):
-        (now,) = open_policies([Path(policy.path)])
+        (now,) = open_policies([policy.source], policy.shielded)[-1:]
         if now.fingerprint != policy.fingerprint:
             raise UserError(f"{policy.path}: is not what was evaluated; evaluate anew: {evaluation.command}")
 
@@ -134,6 +148,7 @@ class Replay:
     digest: str
     """Of the world, now."""
     features: Features
+    recording: Recording
 
     @property
     def group(self) -> Group:
@@ -141,12 +156,13 @@ class Replay:
         return group(self.features)
 
 
-def replay(failed: FailedDrive, folder: Path) -> Replay:
-    """Drives it again, and leaves the recording in a folder."""
+def replay(failed: FailedDrive) -> Replay:
+    """Drives it again."""
     recording = film(failed.film)
-    recording.save(folder / failed.film.name)
     about = recording.about
-    return Replay(failed, about["ending"], len(recording.action), about["world"]["digest"], features(recording))
+    return Replay(
+        failed, about["ending"], len(recording.action), about["world"]["digest"], features(recording), recording
+    )
 
 
 def check_replay(evaluation: FinishedEvaluation, replayed: Replay) -> None:

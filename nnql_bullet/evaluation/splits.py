@@ -43,7 +43,7 @@ def split_seeds(split: SplitName, worlds: int) -> range:
         UserError: If there are not so many that are frozen.
     """
     if not 1 <= worlds <= FROZEN:
-        raise UserError(f"--worlds must be from 1 to {FROZEN}, the worlds that are frozen, not {worlds}")
+        raise UserError(f"the number of worlds must be from 1 to {FROZEN}, the worlds that are frozen, not {worlds}")
     return SPLITS[split][:worlds]
 
 

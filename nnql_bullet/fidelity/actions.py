@@ -40,13 +40,13 @@ def watch_actions(bench: Bench) -> list[WatchedTurn]:
     turns = {change: plan_turn(0.0, change, limits) for change in paper.TURNS}
     longest = max(turn.duration for turn in turns.values())
     watched = []
-    with bench.simulator(decision_period=ceil(10 * longest + 1) / 10) as simulator:
+    with bench.open_engine(decision_period=ceil(10 * longest + 1) / 10) as engine:
         for change, turn in turns.items():
-            simulator.reset(open_ground())
-            instants = follow_turn(simulator, change)
+            engine.reset(open_ground())
+            instants = follow_turn(engine, change)
             times = np.array([instant.time for instant in instants])
             path = np.array([(instant.pose.x - MIDDLE.x, instant.pose.y - MIDDLE.y) for instant in instants])
-            ideal = _ideal(turn, times, simulator.drive.speed)
+            ideal = _ideal(turn, times, engine.drive.speed)
             watched.append(WatchedTurn(change, turn, times, path, ideal, forces_by_command(instants)))
     return watched
 

@@ -17,7 +17,7 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, open_ground
 from nnql_bullet.fidelity.turning import follow_turn, forces_by_command, largest_slip
 from nnql_bullet.geometry import wrap_angle
 from nnql_bullet.sim.base import SAMPLE_EVERY
-from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.limits import TurnDemand, static_rear_load, tip_angle, turn_demand
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.profiles import plan_turn
@@ -190,8 +190,8 @@ def measure_turn(task: EnvelopeTask) -> Result:
     """
     case = task.case
     vehicle = vehicle_for(task.bench.vehicle, case)
-    with task.bench.simulator(vehicle, decision_period=case.period, speed=case.speed) as simulator:
-        measured = worst_of([_followed(simulator, case, heading) for heading in HEADINGS])
+    with task.bench.open_engine(vehicle, decision_period=case.period, speed=case.speed) as engine:
+        measured = worst_of([_followed(engine, case, heading) for heading in HEADINGS])
     return Result(case, measured, on_paper(task.bench.vehicle, case), vehicle.wheel_torque)
 
 
@@ -209,15 +209,15 @@ def worst_of(turns: Sequence[Followed]) -> Followed:
     )
 
 
-def _followed(simulator: ContactSimulator, case: Case, heading: float) -> Followed:
+def _followed(engine: ContactEngine, case: Case, heading: float) -> Followed:
     """One turn from a heading [rad], and a control period straight after it."""
-    vehicle = simulator.vehicle
-    simulator.reset(open_ground(start=replace(MIDDLE, yaw=heading)))
+    vehicle = engine.vehicle
+    engine.reset(open_ground(start=replace(MIDDLE, yaw=heading)))
     rolling = case.speed / vehicle.wheel_radius
-    simulator.command_wheels(rolling, rolling)
-    simulator.run(SETTLE_TIME)
-    begin = simulator.pose()
-    turn, after = follow_turn(simulator, case.heading_change), follow_turn(simulator, 0.0)
+    engine.command_wheels(rolling, rolling)
+    engine.run(SETTLE_TIME)
+    begin = engine.pose()
+    turn, after = follow_turn(engine, case.heading_change), follow_turn(engine, 0.0)
     forces = forces_by_command(turn, SAMPLE_EVERY)
     left, right = forces.normal[:, :2].T
     roll = max(abs(instant.roll) for instant in chain(turn, after))

@@ -1,23 +1,23 @@
-"""What a probe of physics is: a closed form, what an engine makes of it, and how far the two may be apart."""
+"""Probes of physics: a quantity by a closed form, as an engine has it, and the accepted difference."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_simulator
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_engine
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 MIDDLE = Pose(100.0, 100.0, 0.0)
-"""Of the open ground."""
+"""Middle of the open ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One quantity: what mechanics says, what the engine does, and what is accepted."""
+    """One quantity: its value by mechanics, its value in the engine, and the accepted range."""
 
     quantity: str
     unit: str
@@ -25,76 +25,73 @@ class Measurement:
     expected: float
     measured: float
     low: float
-    """The smallest that is accepted."""
+    """Smallest accepted value."""
     high: float
-    """The largest that is accepted."""
+    """Largest accepted value."""
 
     @property
     def ok(self) -> bool:
-        """Whether it is accepted; NaN never is."""
+        """Whether the measured value is accepted; NaN never is."""
         return bool(self.low <= self.measured <= self.high)
 
 
 def close_to(
     quantity: str, unit: str, expected: float, measured: float, absolute: float = 0.0, relative: float = 0.0
 ) -> Measurement:
-    """A quantity that may be off by a tolerance, absolute or in proportion to what is expected, to either side."""
+    """A quantity with a tolerance to either side: the larger of an absolute and a relative one."""
     tolerance = max(absolute, relative * abs(expected))
     return Measurement(quantity, unit, expected, measured, expected - tolerance, expected + tolerance)
 
 
 def at_most(quantity: str, unit: str, limit: float, measured: float, slack: float = 0.0) -> Measurement:
-    """A quantity that is not negative and may reach a limit, or exceed it by a share `slack` of it."""
+    """A quantity from 0 to a limit, which it may exceed by a share `slack`."""
     return Measurement(quantity, unit, limit, measured, 0.0, limit * (1 + slack))
 
 
-def step_factor(simulator: ContactSimulator) -> float:
-    """What a tolerance that was found at a time step of 1/240 s is multiplied by where errors grow with the step.
-
-    A smaller step does not narrow it.
-    """
-    return max(1.0, 240 * simulator.time_step)
+def step_factor(engine: ContactEngine) -> float:
+    """Factor on tolerances that grow with the time step: 1 at 1/240 s and below."""
+    return max(1.0, 240 * engine.time_step)
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """A vehicle in an engine, to be probed."""
+    """A vehicle and an engine, for probes."""
 
     vehicle: VehicleSpec
-    """As its files describe it: what is expected follows from this."""
+    """The vehicle as its files describe it. Expected values follow from it."""
     engine: EngineName = "bullet"
     physics: PhysicsName = "reference"
     refinement: int = 1
-    """What the settings' time step is divided by."""
+    """Divisor of the settings' time step."""
 
     @contextmanager
-    def simulator(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[ContactSimulator]:
-        """A new simulator, closed in the end.
+    def open_engine(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[ContactEngine]:
+        """Makes an engine, and closes it in the end.
 
         Args:
-            vehicle: Another one than the bench's.
+            vehicle: The vehicle in it, the bench's by default.
             drive: See `DriveOptions`.
         """
-        made = contact_simulator(
-            self.engine, self.physics, vehicle or self.vehicle, DriveOptions(**drive), self.refinement
-        )
-        with closing(made):
+        vehicle = vehicle or self.vehicle
+        with closing(
+            contact_engine(self.engine, self.physics, vehicle, DriveOptions(**drive), self.refinement)
+        ) as made:
             yield made
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A question to an engine that mechanics answers."""
+    """A test of an engine against mechanics."""
 
     name: str
     title: str
     closed_form: str
-    """What mechanics says, as a formula."""
+    """The formula of mechanics."""
     source: str
-    """Where the formula stands."""
+    """Source of the formula."""
     measure: Callable[[Bench], list[Measurement]]
 
 
 def open_ground(*boxes: OrientedBox, start: Pose = MIDDLE) -> WorldSpec:
-    """A plain of 200 m x 200 m, with nothing on it but these boxes."""
+    """A plain of 200 m x 200 m with these boxes on it."""
     return WorldSpec("open ground", 0, 200.0, 200.0, boxes, start, (190.0, 190.0), 2.0, 1.5)

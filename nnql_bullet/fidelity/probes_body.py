@@ -5,11 +5,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
 from nnql_bullet.fidelity.probes_vehicles import on_ice, rolling_freely, top_heavy
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.limits import GRAVITY, tip_angle
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.vehicle.limits import tip_angle
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -30,9 +31,9 @@ def _inertials(vehicle: VehicleSpec) -> dict[str, tuple[float, Array]]:
 
 def _read_back(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
-    with bench.simulator() as simulator:
-        simulator.reset(open_ground())
-        held = simulator.link_dynamics()
+    with bench.open_engine() as engine:
+        engine.reset(open_ground())
+        held = engine.link_dynamics()
     inertials = _inertials(vehicle)
     rows = [at_most("links that only one of the two has", "", 0, len(held.keys() ^ inertials.keys()))]
     for name, (mass, moments) in inertials.items():
@@ -60,10 +61,10 @@ def _read_back(bench: Bench) -> list[Measurement]:
 
 def _settle(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
-    with bench.simulator(rolling_freely(vehicle)) as simulator:  # its resistance would carry a moment at rest too
-        simulator.place(open_ground(), ASKEW, 0.0)
-        simulator.run(2.0)
-        heights, loads = simulator.wheel_heights(), simulator.wheel_loads()
+    with bench.open_engine(rolling_freely(vehicle)) as engine:  # its resistance would carry a moment at rest too
+        engine.place(open_ground(), ASKEW, 0.0)
+        engine.run(2.0)
+        heights, loads = engine.wheel_heights(), engine.wheel_loads()
     weight = vehicle.mass * GRAVITY
     rear, front = weight * vehicle.rear_share / 2, weight * vehicle.com_ahead / vehicle.wheelbase
     radii = vehicle.wheel_radius, vehicle.wheel_radius, vehicle.caster_radius
@@ -81,19 +82,19 @@ def _settle(bench: Bench) -> list[Measurement]:
 
 
 def _creep(bench: Bench) -> list[Measurement]:
-    with bench.simulator() as simulator:
-        simulator.place(open_ground(), ASKEW, 0.0)
-        simulator.command_wheels(0.0, 0.0)
-        simulator.run(10.0)
-        pose = simulator.pose()
+    with bench.open_engine() as engine:
+        engine.place(open_ground(), ASKEW, 0.0)
+        engine.command_wheels(0.0, 0.0)
+        engine.run(10.0)
+        pose = engine.pose()
     return [at_most("way in 10 s", "mm", 0.5, 1e3 * hypot(pose.x - ASKEW.x, pose.y - ASKEW.y))]
 
 
 def _free_fall(bench: Bench) -> list[Measurement]:
-    with bench.simulator() as simulator:
-        simulator.place(open_ground(), ASKEW, 0.0, height=50.0, ground=False)
-        simulator.run(1.0)
-        fallen, time = -simulator.velocity()[2], simulator.time()
+    with bench.open_engine() as engine:
+        engine.place(open_ground(), ASKEW, 0.0, height=50.0, ground=False)
+        engine.run(1.0)
+        fallen, time = -engine.velocity()[2], engine.time()
     return [
         close_to("time", "s", 1.0, time, relative=1e-6),
         close_to("speed", "m/s", GRAVITY * time, fallen, relative=1e-6),
@@ -102,37 +103,37 @@ def _free_fall(bench: Bench) -> list[Measurement]:
 
 def _yaw_inertia(bench: Bench) -> list[Measurement]:
     torque = bench.vehicle.yaw_inertia  # for 1 rad/s2
-    with bench.simulator(on_ice(bench.vehicle)) as simulator:
-        simulator.place(open_ground(), ASKEW, 0.0)
-        simulator.lock_joints()
-        simulator.run(0.5)
-        before, time = simulator.yaw_rate(), simulator.time()
-        for _ in range(round(1.0 / simulator.time_step)):
-            simulator.twist(torque)
-            simulator.step()
-        gained, time = simulator.yaw_rate() - before, simulator.time() - time
+    with bench.open_engine(on_ice(bench.vehicle)) as engine:
+        engine.place(open_ground(), ASKEW, 0.0)
+        engine.lock_joints()
+        engine.run(0.5)
+        before, time = engine.yaw_rate(), engine.time()
+        for _ in range(round(1.0 / engine.time_step)):
+            engine.twist(torque)
+            engine.step()
+        gained, time = engine.yaw_rate() - before, engine.time() - time
     return [close_to("yaw rate", "rad/s", torque * time / bench.vehicle.yaw_inertia, gained, relative=5e-3)]
 
 
-def _tilted_until_it_tips(simulator: ContactSimulator, side: int, slope: float) -> float:
+def _tilted_until_it_tips(engine: ContactEngine, side: int, slope: float) -> float:
     """The slope [rad] from which on the upper rear wheel carries nothing.
 
     Args:
-        simulator: Of the vehicle.
+        engine: Of the vehicle.
         side: 1 to tilt down to the left, -1 to the right.
         slope: Where this should be [rad]. It is passed at a fifth of this a second.
     """
-    simulator.place(open_ground(), MIDDLE, 0.0)
-    simulator.lock_joints()
-    simulator.run(0.5)
+    engine.place(open_ground(), MIDDLE, 0.0)
+    engine.lock_joints()
+    engine.run(0.5)
     upper = 1 if side > 0 else 0
-    nothing = 1e-3 * simulator.wheel_loads()[upper]
+    nothing = 1e-3 * engine.wheel_loads()[upper]
     tilt, lifted = 0.0, nan
     while tilt < 1.1 * slope:
-        tilt += slope * simulator.time_step * (0.8 if tilt < 0.8 * slope else 0.2)
-        simulator.set_gravity((0.0, side * GRAVITY * sin(tilt), -GRAVITY * cos(tilt)))
-        simulator.step()
-        if simulator.wheel_loads()[upper] > nothing:  # a wheel that hardly touches any more may do so now and then
+        tilt += slope * engine.time_step * (0.8 if tilt < 0.8 * slope else 0.2)
+        engine.set_gravity((0.0, side * GRAVITY * sin(tilt), -GRAVITY * cos(tilt)))
+        engine.step()
+        if engine.wheel_loads()[upper] > nothing:  # a wheel that hardly touches any more may do so now and then
             lifted = nan
         elif isnan(lifted):
             lifted = tilt
@@ -143,9 +144,9 @@ def _tilt_table(bench: Bench) -> list[Measurement]:
     vehicle = top_heavy(bench.vehicle)
     slope = tip_angle(vehicle)
     rows = []
-    with bench.simulator(rolling_freely(vehicle).gripping(max(1.0, 3 * tan(slope)))) as simulator:
+    with bench.open_engine(rolling_freely(vehicle).gripping(max(1.0, 3 * tan(slope)))) as engine:
         for side, name in ((1, "left"), (-1, "right")):
-            tipped = _tilted_until_it_tips(simulator, side, slope)
+            tipped = _tilted_until_it_tips(engine, side, slope)
             rows.append(close_to(f"slope to the {name}", "deg", degrees(slope), degrees(tipped), absolute=0.25))
     return rows
 

@@ -5,11 +5,11 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
 from nnql_bullet.fidelity.probes_vehicles import driven_by, skidding_friction
 from nnql_bullet.geometry import OrientedBox
-from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.vehicle.limits import GRAVITY
+from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 
@@ -27,31 +27,29 @@ def _rear_braking(vehicle: VehicleSpec) -> float:
 def _locked_braking(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
     locking = 4 * vehicle.contact.wheel_friction * vehicle.mass * GRAVITY * vehicle.wheel_radius
-    with bench.simulator(driven_by(vehicle, locking)) as simulator:
-        speed, deceleration = simulator.drive.speed, _rear_braking(vehicle)
-        simulator.place(open_ground(), MIDDLE, speed)
-        simulator.command_wheels(0.0, 0.0)
-        simulator.run(2 * speed / deceleration)
-        stopped, left = simulator.pose().x - MIDDLE.x, abs(simulator.speed())
+    with bench.open_engine(driven_by(vehicle, locking)) as engine:
+        speed, deceleration = engine.drive.speed, _rear_braking(vehicle)
+        engine.place(open_ground(), MIDDLE, speed)
+        engine.command_wheels(0.0, 0.0)
+        engine.run(2 * speed / deceleration)
+        stopped, left = engine.pose().x - MIDDLE.x, abs(engine.speed())
     return [
         close_to("stopping distance", "m", speed**2 / (2 * deceleration), stopped, relative=2e-2),
         at_most("speed left", "m/s", 1e-3, left),
     ]
 
 
-def _sliding(simulator: ContactSimulator) -> float:
+def _sliding(engine: ContactEngine) -> float:
     """Speed [m/s]."""
-    vx, vy, _ = simulator.velocity()
+    vx, vy, _ = engine.velocity()
     return hypot(vx, vy)
 
 
-def _skid(
-    simulator: ContactSimulator, direction: float, until: float, look: Callable[[], None] = lambda: None
-) -> float:
+def _skid(engine: ContactEngine, direction: float, until: float, look: Callable[[], None] = lambda: None) -> float:
     """Sends the vehicle off with every joint locked, at twice the drive's speed.
 
     Args:
-        simulator: Of the vehicle, which faces along x.
+        engine: Of the vehicle, which faces along x.
         direction: Of the skid [rad].
         until: The skid ends at this share of the first speed.
         look: Called after every step.
@@ -59,13 +57,13 @@ def _skid(
     Returns:
         The first speed [m/s].
     """
-    speed = 2 * simulator.drive.speed
-    simulator.place(open_ground(), MIDDLE, 0.0)
-    simulator.run(0.2)
-    simulator.lock_joints()
-    simulator.set_velocity(speed * cos(direction), speed * sin(direction))
-    while _sliding(simulator) > until * speed and simulator.time() < 10.0:
-        simulator.step()
+    speed = 2 * engine.drive.speed
+    engine.place(open_ground(), MIDDLE, 0.0)
+    engine.run(0.2)
+    engine.lock_joints()
+    engine.set_velocity(speed * cos(direction), speed * sin(direction))
+    while _sliding(engine) > until * speed and engine.time() < 10.0:
+        engine.step()
         look()
     return speed
 
@@ -74,9 +72,9 @@ def _skids(bench: Bench) -> list[Measurement]:
     rows = []
     for part in (1.0, 0.5):
         friction = part * skidding_friction(bench.vehicle)
-        with bench.simulator(bench.vehicle.gripping(friction)) as simulator:
+        with bench.open_engine(bench.vehicle.gripping(friction)) as engine:
             for direction, name in ((0.0, "ahead"), (pi / 2, "sideways")):
-                speed, pose = _skid(simulator, direction, until=2.5e-3), simulator.pose()
+                speed, pose = _skid(engine, direction, until=2.5e-3), engine.pose()
                 expected, slid = speed**2 / (2 * friction * GRAVITY), hypot(pose.x - MIDDLE.x, pose.y - MIDDLE.y)
                 rows.append(close_to(f"distance {name}, mu = {friction:.3g}", "m", expected, slid, relative=3e-2))
     return rows
@@ -85,44 +83,42 @@ def _skids(bench: Bench) -> list[Measurement]:
 def _friction_cone(bench: Bench) -> list[Measurement]:
     friction = skidding_friction(bench.vehicle)
     used: list[float] = []
-    with bench.simulator(bench.vehicle.gripping(friction)) as simulator:
+    with bench.open_engine(bench.vehicle.gripping(friction)) as engine:
 
         def look() -> None:
-            used.extend(
-                force.friction / (friction * force.normal) for force in simulator.wheel_forces() if force.normal
-            )
+            used.extend(force.friction / (friction * force.normal) for force in engine.wheel_forces() if force.normal)
 
         for direction in (pi / 6, pi / 4, pi / 3):
-            _skid(simulator, direction, until=0.5, look=look)
+            _skid(engine, direction, until=0.5, look=look)
     return [
         at_most("friction over mu N, largest", "", 1.0, float(np.max(used)), slack=1e-3),
         close_to("friction over mu N, mean", "", 1.0, float(np.mean(used)), absolute=0.01),
     ]
 
 
-def _hit(simulator: ContactSimulator, gap: float) -> tuple[float, float, float]:
+def _hit(engine: ContactEngine, gap: float) -> tuple[float, float, float]:
     """Flies the locked vehicle into a wall: impulse [N s], speed after it and depth [m/s, m]."""
-    footprint, speed = simulator.vehicle.footprint, simulator.drive.speed
+    footprint, speed = engine.vehicle.footprint, engine.drive.speed
     front = footprint.x + footprint.half_length
     face = MIDDLE.x + front + gap
     wall = OrientedBox(face + 0.5, MIDDLE.y + footprint.y, 0.5, 2 * footprint.half_width)
-    simulator.place(open_ground(wall), MIDDLE, 0.0, ground=False)
-    simulator.set_gravity((0.0, 0.0, 0.0))
-    simulator.lock_joints()
-    simulator.set_velocity(speed, 0.0)
+    engine.place(open_ground(wall), MIDDLE, 0.0, ground=False)
+    engine.set_gravity((0.0, 0.0, 0.0))
+    engine.lock_joints()
+    engine.set_velocity(speed, 0.0)
     forces, depths = [], []
-    while simulator.time() < 2 * gap / speed:
-        simulator.step()
-        forces.append(simulator.obstacle_force())
-        depths.append(simulator.pose().x + front - face)
-    return sum(forces) * simulator.time_step, simulator.velocity()[0], float(np.max(depths))
+    while engine.time() < 2 * gap / speed:
+        engine.step()
+        forces.append(engine.obstacle_force())
+        depths.append(engine.pose().x + front - face)
+    return sum(forces) * engine.time_step, engine.velocity()[0], float(np.max(depths))
 
 
 def _wall(bench: Bench) -> list[Measurement]:
-    with bench.simulator() as simulator:
-        speed, way = simulator.drive.speed, simulator.drive.speed * simulator.time_step
+    with bench.open_engine() as engine:
+        speed, way = engine.drive.speed, engine.drive.speed * engine.time_step
         # Where within a step it arrives makes all the difference.
-        hits = [_hit(simulator, 0.1 + part * way) for part in (0.0, 0.2, 0.4, 0.6, 0.8)]
+        hits = [_hit(engine, 0.1 + part * way) for part in (0.0, 0.2, 0.4, 0.6, 0.8)]
     impulses, after, depths = np.array(hits).T
     taken = bench.vehicle.mass * (speed - after)
     worst = int(np.argmax(np.abs(impulses - taken)))

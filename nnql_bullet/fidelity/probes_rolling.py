@@ -6,13 +6,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from nnql_bullet import paper
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground, step_factor
 from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sim.base import Motion, Sample
-from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.sim.base import Sample
+from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
-from nnql_bullet.vehicle.limits import GRAVITY, grip_acceleration, quasi_steady, tip_acceleration
+from nnql_bullet.vehicle.limits import grip_acceleration, quasi_steady, tip_acceleration
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 OUT_OF_REACH = 1e6
@@ -21,23 +22,23 @@ OUT_OF_REACH = 1e6
 
 def _acceleration(bench: Bench) -> list[Measurement]:
     vehicle, torque = bench.vehicle, gentlest_torque(bench.vehicle)
-    with bench.simulator(driven_by(rolling_freely(vehicle), torque)) as simulator:
-        simulator.place(open_ground(), MIDDLE, 0.0)
-        simulator.command_wheels(OUT_OF_REACH, OUT_OF_REACH)
-        simulator.run(1.0)
-        speed, time = simulator.speed(), simulator.time()
+    with bench.open_engine(driven_by(rolling_freely(vehicle), torque)) as engine:
+        engine.place(open_ground(), MIDDLE, 0.0)
+        engine.command_wheels(OUT_OF_REACH, OUT_OF_REACH)
+        engine.run(1.0)
+        speed, time = engine.speed(), engine.time()
     expected = 2 * torque * time / (vehicle.wheel_radius * vehicle.rolling_mass)
     return [close_to("speed after 1 s", "m/s", expected, speed, relative=1e-3)]
 
 
 def _coast(bench: Bench) -> list[Measurement]:
     rows = []
-    with bench.simulator(rolling_freely(bench.vehicle)) as simulator:
-        for speed in (simulator.drive.speed, 4 * simulator.drive.speed):
-            simulator.place(open_ground(), MIDDLE, speed)
-            simulator.release_wheels()
-            simulator.run(5.0)
-            rows.append(close_to(f"5 s after {speed:g} m/s", "m/s", speed, simulator.speed(), absolute=1e-3))
+    with bench.open_engine(rolling_freely(bench.vehicle)) as engine:
+        for speed in (engine.drive.speed, 4 * engine.drive.speed):
+            engine.place(open_ground(), MIDDLE, speed)
+            engine.release_wheels()
+            engine.run(5.0)
+            rows.append(close_to(f"5 s after {speed:g} m/s", "m/s", speed, engine.speed(), absolute=1e-3))
     return rows
 
 
@@ -45,21 +46,21 @@ def _rolling_resistance(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
     on_rear = vehicle.mass * GRAVITY * vehicle.rear_share
     force = vehicle.contact.rolling_friction * on_rear / vehicle.wheel_radius
-    with bench.simulator() as simulator:
-        speed, deceleration = simulator.drive.speed, force / vehicle.rolling_mass
-        simulator.place(open_ground(), MIDDLE, speed)
-        simulator.release_wheels()
-        simulator.run(min(1.0, 0.5 * speed / deceleration) if deceleration > 0 else 1.0)
-        expected = speed - deceleration * simulator.time()
-        return [close_to("speed", "m/s", expected, simulator.speed(), absolute=5e-3)]
+    with bench.open_engine() as engine:
+        speed, deceleration = engine.drive.speed, force / vehicle.rolling_mass
+        engine.place(open_ground(), MIDDLE, speed)
+        engine.release_wheels()
+        engine.run(min(1.0, 0.5 * speed / deceleration) if deceleration > 0 else 1.0)
+        expected = speed - deceleration * engine.time()
+        return [close_to("speed", "m/s", expected, engine.speed(), absolute=5e-3)]
 
 
 def _straight(bench: Bench) -> list[Measurement]:
-    with bench.simulator() as simulator:
-        simulator.reset(open_ground())
-        periods = round(20.0 / simulator.control_period)
-        path_length = sum(simulator.advance(0.0).path_length for _ in range(periods))
-        expected, pose = simulator.drive.speed * simulator.time(), simulator.pose()
+    with bench.open_engine() as engine:
+        engine.reset(open_ground())
+        periods = round(20.0 / engine.drive.decision_period)
+        path_length = sum(engine.advance(0.0).path_length for _ in range(periods))
+        expected, pose = engine.drive.speed * engine.time(), engine.pose()
     return [
         close_to("distance in 20 s", "m", expected, pose.x - MIDDLE.x, relative=2e-4),
         close_to("path length", "m", expected, path_length, relative=2e-4),
@@ -93,12 +94,12 @@ def _actions(bench: Bench) -> list[Measurement]:
     at_share = "" if share == 1 else f" at {share:.2f} of its yaw rate"
     longest = max(_quickest(turn, vehicle.limits)[1] for turn in paper.TURNS)
     rows, gaps, slips, rates = [], [], [], []
-    with bench.simulator(vehicle, decision_period=ceil(2 * (longest + 0.1)) / 2) as simulator:
-        speed, world = simulator.drive.speed, open_ground()
+    with bench.open_engine(vehicle, decision_period=ceil(2 * (longest + 0.1)) / 2) as engine:
+        speed, world = engine.drive.speed, open_ground()
         for turn in paper.TURNS:
             trace: list[Sample] = []
-            simulator.reset(world)
-            motion = simulator.advance(turn, trace)
+            engine.reset(world)
+            motion = engine.advance(turn, trace)
             wanted, reached = degrees(turn), degrees(motion.pose.yaw)
             rows.append(close_to(f"turn of {wanted:.0f} deg{at_share}", "deg", wanted, reached, absolute=0.1))
             times = np.array([sample.time for sample in trace])
@@ -107,7 +108,7 @@ def _actions(bench: Bench) -> list[Measurement]:
             gaps.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
             slips += _slips(vehicle, motion, trace[-1])
             rates.append(abs(motion.yaw_rate))
-        gap = 6.0 * step_factor(simulator)
+        gap = 6.0 * step_factor(engine)
     return [
         *rows,
         at_most("RMS distance from the unicycle, largest", "mm", gap, 1e3 * float(np.max(gaps))),
@@ -116,7 +117,7 @@ def _actions(bench: Bench) -> list[Measurement]:
     ]
 
 
-def _slips(vehicle: VehicleSpec, motion: Motion, end: Sample) -> list[float]:
+def _slips(vehicle: VehicleSpec, motion: VehicleMotion, end: Sample) -> list[float]:
     """How far the way and the turn that the drive wheels rolled off are from the true ones, as shares of these."""
     left, right, *_ = (vehicle.wheel_radius * angle for angle in end.joint_angles)
     slips = [abs((left + right) / 2 / motion.path_length - 1)]
@@ -125,28 +126,28 @@ def _slips(vehicle: VehicleSpec, motion: Motion, end: Sample) -> list[float]:
     return slips
 
 
-def _turn_steadily(simulator: ContactSimulator, v: float, w: float) -> Array:
+def _turn_steadily(engine: ContactEngine, v: float, w: float) -> Array:
     """Loads of left, right and caster wheel [N], speed and yaw rate: means over 1 s of a turn (5,)."""
-    vehicle = simulator.vehicle
-    simulator.place(open_ground(), MIDDLE, v)
+    vehicle = engine.vehicle
+    engine.place(open_ground(), MIDDLE, v)
     for rate in np.linspace(0.0, w, round(0.5 * COMMAND_RATE)):
         half = rate * vehicle.track / 2
-        simulator.command_wheels((v - half) / vehicle.wheel_radius, (v + half) / vehicle.wheel_radius)
-        simulator.run(1 / COMMAND_RATE)
-    simulator.run(2.0)
+        engine.command_wheels((v - half) / vehicle.wheel_radius, (v + half) / vehicle.wheel_radius)
+        engine.run(1 / COMMAND_RATE)
+    engine.run(2.0)
     seen = []
-    for _ in range(round(1.0 / simulator.time_step)):
-        simulator.step()
-        seen.append((*simulator.wheel_loads(), simulator.speed(), simulator.yaw_rate()))
+    for _ in range(round(1.0 / engine.time_step)):
+        engine.step()
+        seen.append((*engine.wheel_loads(), engine.speed(), engine.yaw_rate()))
     return np.asarray(np.mean(seen, axis=0))
 
 
 def _steady_turn(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
-    with bench.simulator(rolling_freely(vehicle)) as simulator:
-        v = simulator.drive.speed
+    with bench.open_engine(rolling_freely(vehicle)) as engine:
+        v = engine.drive.speed
         w = min(grip_acceleration(vehicle) / 3 / v, tip_acceleration(vehicle) / 3 / v, vehicle.limits.yaw_rate)
-        *loads, speed, yaw_rate = _turn_steadily(simulator, v, w).tolist()
+        *loads, speed, yaw_rate = _turn_steadily(engine, v, w).tolist()
     inner, outer, front = quasi_steady(vehicle, v, np.array([w]), np.zeros(1)).loads[0].tolist()
     return [
         close_to("speed", "m/s", v, speed, relative=2e-3),
@@ -157,18 +158,18 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
     ]
 
 
-def _trailing_after(simulator: ContactSimulator, speed: float, begin: float, end: float, longest: float) -> float:
+def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
     """When the caster, put at the angle `begin`, has come within `end` of trailing for good [rad, s]."""
-    simulator.place(open_ground(), MIDDLE, speed)
-    simulator.command_wheels(*(speed / simulator.vehicle.wheel_radius,) * 2)
-    simulator.run(0.2)
-    simulator.set_swivel(begin)
-    start, before, within = simulator.time(), begin, nan
-    while (time := simulator.time() - start) < longest:
-        simulator.step()
-        angle = abs(simulator.sample().joint_angles[2])
+    engine.place(open_ground(), MIDDLE, speed)
+    engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
+    engine.run(0.2)
+    engine.set_swivel(begin)
+    start, before, within = engine.time(), begin, nan
+    while (time := engine.time() - start) < longest:
+        engine.step()
+        angle = abs(engine.sample().joint_angles[2])
         if before > end >= angle:
-            within = time + simulator.time_step * (before - end) / (before - angle)
+            within = time + engine.time_step * (before - end) / (before - angle)
         elif angle > end:
             within = nan
         before = angle
@@ -180,14 +181,14 @@ def _caster(bench: Bench) -> list[Measurement]:
     decay = 0.08  # trail over speed [s]: slow enough for every step to be much shorter
     slowly = vehicle.caster_trail / decay
     expected = decay * log(tan(begin / 2) / tan(end / 2))
-    with bench.simulator() as simulator:
-        tolerance = 0.05 * step_factor(simulator)
-        trailing = _trailing_after(simulator, slowly, begin, end, 3 * expected)
-        limit = 6 * vehicle.caster_trail / simulator.drive.speed
-        at_speed = _trailing_after(simulator, simulator.drive.speed, begin, end, 3 * limit)
+    with bench.open_engine() as engine:
+        tolerance = 0.05 * step_factor(engine)
+        trailing = _trailing_after(engine, slowly, begin, end, 3 * expected)
+        limit = 6 * vehicle.caster_trail / engine.drive.speed
+        at_speed = _trailing_after(engine, engine.drive.speed, begin, end, 3 * limit)
     return [
         close_to(f"from 30 to 1 deg at {slowly:.3g} m/s", "s", expected, trailing, relative=tolerance),
-        at_most(f"from 30 to 1 deg at {simulator.drive.speed:.3g} m/s", "s", limit, at_speed),
+        at_most(f"from 30 to 1 deg at {engine.drive.speed:.3g} m/s", "s", limit, at_speed),
     ]
 
 

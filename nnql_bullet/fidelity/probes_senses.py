@@ -10,7 +10,7 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_mos
 from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sensing import ray_angles
-from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -47,7 +47,7 @@ def _analytic(eye: tuple[float, float], yaw: float, world: WorldSpec) -> Array:
 
 def _largest_error(bench: Bench) -> Measurement:
     errors = []
-    with bench.simulator() as simulator:
+    with bench.open_engine() as engine:
         for seed in range(6):
             generator = rng(seed, Stream.LAYOUT)
             world = _cluttered(seed, generator)
@@ -55,17 +55,17 @@ def _largest_error(bench: Bench) -> Measurement:
                 eye = _eye(bench.vehicle, Pose(x, y, yaw))
                 if _analytic(eye, yaw, world).min() < 0.05:
                     continue  # a ray that starts within a box reads nothing
-                simulator.place(world, Pose(x, y, yaw), 0.0)
-                read = simulator.scan().distances
+                engine.place(world, Pose(x, y, yaw), 0.0)
+                read = engine.scan()
                 beside = [_analytic(eye, yaw + nudge, world) for nudge in (-GRAZING, 0.0, GRAZING)]
                 errors.append(float(np.max(np.min(np.abs(np.array(beside) - read), axis=0))))
     return at_most("error in 25 boxes, largest", "mm", 2.0, 1e3 * float(np.max(errors)))
 
 
-def _hits(simulator: ContactSimulator, world: WorldSpec) -> int:
+def _hits(engine: ContactEngine, world: WorldSpec) -> int:
     """How many rays meet anything when the vehicle stands in the middle."""
-    simulator.place(world, MIDDLE, 0.0)
-    return int(np.sum(~(simulator.scan().distances == paper.SENSOR_RANGE)))
+    engine.place(world, MIDDLE, 0.0)
+    return int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
 
 
 def _heights(bench: Bench) -> list[Measurement]:
@@ -75,9 +75,9 @@ def _heights(bench: Bench) -> list[Measurement]:
     seen = int(np.sum(_analytic((x, y), 0.0, open_ground(box)) < paper.SENSOR_RANGE))
     height = bench.vehicle.sensor_height
     margin = min(0.02, height / 2)
-    with bench.simulator() as simulator:
-        over = _hits(simulator, replace(open_ground(box), obstacle_height=height - margin))
-        under = _hits(simulator, replace(open_ground(box), obstacle_height=height + margin))
+    with bench.open_engine() as engine:
+        over = _hits(engine, replace(open_ground(box), obstacle_height=height - margin))
+        under = _hits(engine, replace(open_ground(box), obstacle_height=height + margin))
     return [
         at_most(f"rays that meet a box {1e3 * margin:.0f} mm lower", "", 0, over),
         at_most(f"rays that miss a box {1e3 * margin:.0f} mm higher", "", 0, abs(seen - under)),
@@ -96,10 +96,10 @@ def _own_body(bench: Bench) -> Measurement:
         (behind, 0.0, axle),
         (behind, 0.0, 1e-3 - vehicle.wheel_radius),  # a millimetre above the ground
     ):
-        with bench.simulator(replace(vehicle, sensor=sensor)) as simulator:
-            hits += _hits(simulator, open_ground())
-            simulator.advance(paper.TURNS[1])  # it leans
-            hits += int(np.sum(~(simulator.scan().distances == paper.SENSOR_RANGE)))
+        with bench.open_engine(replace(vehicle, sensor=sensor)) as engine:
+            hits += _hits(engine, open_ground())
+            engine.advance(paper.TURNS[1])  # it leans
+            hits += int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
     return at_most("rays that meet the vehicle or the ground", "", 0, hits)
 
 
@@ -107,20 +107,20 @@ def _rays(bench: Bench) -> list[Measurement]:
     return [_largest_error(bench), *_heights(bench), _own_body(bench)]
 
 
-def _drive(simulator: ContactSimulator, world: WorldSpec) -> Array:
+def _drive(engine: ContactEngine, world: WorldSpec) -> Array:
     """Everything that is seen of a series of decisions, as one row of numbers."""
     seen: list[float] = []
-    simulator.reset(world)
+    engine.reset(world)
     for turn in (0.0, 0.5, -1.0, 0.3, 0.9, -0.2, 0.0, -0.7):
-        motion = simulator.advance(turn)
-        seen += [motion.pose.x, motion.pose.y, motion.pose.yaw, motion.speed, motion.yaw_rate, *motion.wheel_speeds]
-        seen += [motion.duration, motion.path_length, motion.clearance, *simulator.scan().distances.tolist()]
+        motion = engine.advance(turn)
+        seen += [motion.pose.x, motion.pose.y, motion.pose.yaw, engine.speed(), motion.yaw_rate, *engine.wheel_speeds()]
+        seen += [motion.duration, motion.path_length, motion.clearance, *engine.scan().tolist()]
     return np.array(seen)
 
 
 def _determinism(bench: Bench) -> list[Measurement]:
     here, there = (_cluttered(seed, rng(seed, Stream.LAYOUT)) for seed in (10, 11))
-    with bench.simulator() as first, bench.simulator() as second:
+    with bench.open_engine() as first, bench.open_engine() as second:
         once, twice = _drive(first, here), _drive(second, here)
         _drive(second, there)
         second.command_wheels(50.0, -50.0)
@@ -144,7 +144,7 @@ SENSES = (
         name="determinism",
         title="The same calls give the same numbers, bit for bit",
         closed_form="x(calls) = x(calls)",
-        source="the contract of a simulator: what follows a reset is a function of the calls since then",
+        source="the contract of a engine: what follows a reset is a function of the calls since then",
         measure=_determinism,
     ),
 )

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from nnql_bullet import paper
-from nnql_bullet.vehicle.limits import GRAVITY, tip_acceleration, turn_demand
+from nnql_bullet.constants import GRAVITY
+from nnql_bullet.vehicle.limits import tip_acceleration, turn_demand
 from nnql_bullet.vehicle.payload import loaded
 from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec

@@ -106,23 +106,23 @@ def measure_stop(task: StopTask) -> Stop:
     """
     vehicle = braking_vehicle(task.bench.vehicle, task.conditions)
     paper_says = braking(vehicle)
-    with task.bench.simulator(vehicle, speed=task.speed) as simulator:
-        simulator.reset(open_ground())
+    with task.bench.open_engine(vehicle, speed=task.speed) as engine:
+        engine.reset(open_ground())
         rolling = task.speed / vehicle.wheel_radius
-        simulator.command_wheels(rolling, rolling)
-        simulator.run(SETTLE_TIME)
-        begin, began = simulator.pose(), simulator.time()
+        engine.command_wheels(rolling, rolling)
+        engine.run(SETTLE_TIME)
+        begin, began = engine.pose(), engine.time()
         patience = TIME_LIMIT_FACTOR * (1 + task.speed / paper_says.deceleration)
         times, forces = [], []
-        simulator.command_wheels(0.0, 0.0)
-        while simulator.speed() > STANDSTILL_SPEED:
-            if simulator.time() - began > patience:
+        engine.command_wheels(0.0, 0.0)
+        while engine.speed() > STANDSTILL_SPEED:
+            if engine.time() - began > patience:
                 friction = task.conditions.friction
                 raise UserError(f"the vehicle does not stop from {task.speed:g} m/s on friction {friction:g}; raise it")
-            simulator.step()
-            times.append(simulator.time() - began)
-            forces.append(simulator.wheel_forces())
-        end = simulator.pose()
+            engine.step()
+            times.append(engine.time() - began)
+            forces.append(engine.wheel_forces())
+        end = engine.pose()
     seen = mean_forces(times, forces, SAMPLE_EVERY)
     return Stop(
         conditions=task.conditions,

@@ -7,7 +7,8 @@ from math import asin, cos, hypot, sin
 import numpy as np
 
 from nnql_bullet.geometry import Array, Pose, wrap_angle
-from nnql_bullet.sim.contact import ContactForce, ContactSimulator
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.physics import ContactForce
 from nnql_bullet.vehicle.controller import COMMAND_RATE, whole_steps
 from nnql_bullet.vehicle.limits import static_rear_load
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -33,20 +34,20 @@ class Instant:
     """Speed of the left and right drive wheel's contact point over the ground, during the step [m/s]."""
 
 
-def follow_turn(simulator: ContactSimulator, heading_change: float) -> list[Instant]:
+def follow_turn(engine: ContactEngine, heading_change: float) -> list[Instant]:
     """Advances by one control period, and takes down the vehicle after each physics step.
 
     Args:
-        simulator: With the vehicle placed in its world.
+        engine: With the vehicle placed in its world.
         heading_change: Wanted change from the present yaw [rad], positive to the left.
     """
-    begin, began = simulator.pose(), simulator.time()
+    begin, began = engine.pose(), engine.time()
     instants: list[Instant] = []
 
     def look() -> None:
-        instants.append(_observed(simulator, instants[-1].pose if instants else begin, began))
+        instants.append(_observed(engine, instants[-1].pose if instants else begin, began))
 
-    simulator.advance(heading_change, look=look)
+    engine.advance(heading_change, look=look)
     return instants
 
 
@@ -105,22 +106,22 @@ def largest_slip(instants: Sequence[Instant], speed: float) -> float:
     return max(max(instant.slips) for instant in instants) / speed
 
 
-def _observed(simulator: ContactSimulator, before: Pose, began: float) -> Instant:
+def _observed(engine: ContactEngine, before: Pose, began: float) -> Instant:
     """What a physics step did, given where it began.
 
     The velocity of the rear-axle centre is the way from there to here; it points along the chord.
     """
-    vehicle, dt, pose = simulator.vehicle, simulator.time_step, simulator.pose()
+    vehicle, dt, pose = engine.vehicle, engine.time_step, engine.pose()
     turned = wrap_angle(pose.yaw - before.yaw)
     heading, dx, dy = before.yaw + turned / 2, pose.x - before.x, pose.y - before.y
     ahead, aside = (dx * cos(heading) + dy * sin(heading)) / dt, (dy * cos(heading) - dx * sin(heading)) / dt
     from_turning = turned / dt * vehicle.track / 2
-    left, right = (vehicle.wheel_radius * speed for speed in simulator.wheel_speeds())
-    left_height, right_height, _ = simulator.wheel_heights()
+    left, right = (vehicle.wheel_radius * speed for speed in engine.wheel_speeds())
+    left_height, right_height, _ = engine.wheel_heights()
     return Instant(
-        time=simulator.time() - began,
+        time=engine.time() - began,
         pose=pose,
         roll=asin(min(max((left_height - right_height) / vehicle.track, -1.0), 1.0)),
-        forces=simulator.wheel_forces(),
+        forces=engine.wheel_forces(),
         slips=(hypot(ahead - from_turning - left, aside), hypot(ahead + from_turning - right, aside)),
     )

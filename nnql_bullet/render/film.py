@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nnql_bullet.errors import WorkFailed
 from nnql_bullet.executors import Executor
 from nnql_bullet.recording import load_recording
 from nnql_bullet.render.camera import PATHS, CameraName
@@ -61,10 +62,6 @@ class FrameTask:
     """Number of the first frame."""
 
 
-class FramesLost(Exception):
-    """Raised when frames could not be drawn; the message says why."""
-
-
 def draw_frames(task: FrameTask) -> Bytes:
     """Draws the frames of a task (n, height, width, 3)."""
     studio = _studio(task.film)
@@ -80,7 +77,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
         executor: Executor that runs the tasks.
 
     Raises:
-        FramesLost: If drawing fails.
+        WorkFailed: If drawing fails.
     """
     size = max(PIECE // (film.width * film.height * 3), 1)
     tasks = (FrameTask(film, tuple(times[k : k + size]), k) for k in range(0, len(times), size))
@@ -88,7 +85,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
     wanted = 0
     for outcome in executor.map(draw_frames, tasks):
         if outcome.error:
-            raise FramesLost(f"frame {outcome.task.first + 1}: {outcome.error.message}")
+            raise WorkFailed(f"frame {outcome.task.first + 1}: {outcome.error.message}")
         ahead[outcome.index] = outcome.value  # type: ignore[assignment]  # there is no error
         while wanted in ahead:
             yield from ahead.pop(wanted)

@@ -7,7 +7,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.solids import BulletRenderer, Renderer
 from nnql_bullet.sim.bullet_scene import NO_EGL, works
-from nnql_bullet.vehicle.visuals import Looks
+from nnql_bullet.vehicle.visuals import Visuals
 
 RendererName = Literal["tiny", "egl", "vtk"]
 
@@ -37,7 +37,7 @@ def check_renderer(recording: Recording, name: RendererName) -> None:
     Raises:
         UserError: If the renderer does not work here, or the recording does not hold the vehicle's shapes.
     """
-    Looks(recording.about["vehicle"])
+    Visuals(recording.about["vehicle"])
     if name == "vtk" and find_spec("pyvista") is None:
         raise UserError(NO_VTK)
     if name == "egl" and not works("egl"):

@@ -18,7 +18,7 @@ from nnql_bullet.render.light import SAMPLES, light_in_pixels, placed_parts, sta
 from nnql_bullet.render.shading import eye_of
 from nnql_bullet.render.solids import BOX, MOVING, WALL, Solids
 from nnql_bullet.render.timeline import Moment
-from nnql_bullet.vehicle.visuals import Colour, Looks, Shape, upright
+from nnql_bullet.vehicle.visuals import Colour, Shape, Visuals, upright
 
 FACETS = 96
 """Facets around a cylinder or sphere."""
@@ -42,7 +42,7 @@ class VtkRenderer:
         Raises:
             UserError: If the recording does not hold the vehicle's shapes.
         """
-        self._looks = Looks(recording.about["vehicle"])
+        self._visuals = Visuals(recording.about["vehicle"])
         world = recording.world
         self._height = world.obstacle_height
         self._boxes = standing_boxes(world)
@@ -56,17 +56,17 @@ class VtkRenderer:
             for box in boxes:
                 self._add_box(box, colour)
         self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
-        self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._looks.shapes]
+        self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._visuals.shapes]
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
         """Draws what the camera sees at a moment."""
-        frames = self._looks.frames(moment.pose, moment.joint_angles)
+        frames = self._visuals.frames(moment.pose, moment.joint_angles)
         for part, frame in zip(self._parts, frames, strict=True):
             part.user_matrix = frame
         for mover, box in zip(self._movers, moment.movers, strict=True):
             mover.user_matrix = upright(box.x, box.y, self._height / 2, box.yaw)
         colours, depths = self._picture(camera)
-        boxes, parts = with_movers(self._boxes, moment.movers), placed_parts(self._looks.shapes, frames)
+        boxes, parts = with_movers(self._boxes, moment.movers), placed_parts(self._visuals.shapes, frames)
         light = light_in_pixels(depths, eye_of(camera), boxes, parts)
         return Solids(colours, depths, 1.0, light)
 

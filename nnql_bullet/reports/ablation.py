@@ -117,21 +117,24 @@ def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> d
 
 def ablation_csv(entries: Sequence[Entry]) -> str:
     """Returns CSV with a line for each variant, tier and training seed."""
-    return csv_text(
-        [
-            {
-                "factor": entry.factor.name,
-                "variant": entry.variant.label,
-                "verdict": entry.verdict,
-                "world": world,
-                "seed": seed,
-                "success": success,
-            }
-            for entry in entries
-            for world, successes in entry.by_seed.items()
-            for seed, success in enumerate(successes)
-        ]
-    )
+    return csv_text(ablation_records(entries))
+
+
+def ablation_records(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Returns a flat record for each variant, tier and training seed."""
+    return [
+        {
+            "factor": entry.factor.name,
+            "variant": entry.variant.label,
+            "verdict": entry.verdict,
+            "world": world,
+            "seed": seed,
+            "success": success,
+        }
+        for entry in entries
+        for world, successes in entry.by_seed.items()
+        for seed, success in enumerate(successes)
+    ]
 
 
 def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: Path) -> None:

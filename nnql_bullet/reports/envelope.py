@@ -235,6 +235,24 @@ def case_record(result: Result) -> dict[str, float | bool]:
     }
 
 
+def envelope_sentence(base: Case, results: Sequence[Result]) -> str:
+    """The number of turns that were followed, and the quickest one of the base case."""
+    followed = sum(result.measured.follows for result in results)
+    agreed = sum(result.measured.follows == result.allowed for result in results)
+    periods = [
+        result.case.period
+        for result in results
+        if result.measured.follows
+        and (result.case.speed, result.case.heading_change) == (base.speed, base.heading_change)
+        and (result.case.friction, result.case.payload) == (base.friction, base.payload)
+    ]
+    quickest = f"{min(periods):.1f} s" if periods else "longer than was tried"
+    return (
+        f"turns: {followed} of {len(results)} followed, {agreed} as on paper; the quickest of {base.speed:g} m/s and "
+        f"{degrees(base.heading_change):.0f} degrees that is followed takes {quickest}"
+    )
+
+
 def envelope_csv(results: Sequence[Result]) -> str:
     """Returns CSV of every case in full precision."""
     return csv_text([case_record(result) for result in results])

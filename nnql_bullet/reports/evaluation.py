@@ -236,7 +236,7 @@ def evaluation_values(
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "endings": list(ENDINGS),
-        "policies": [asdict(policy) for policy in e.policies],
+        "policies": [policy.values for policy in e.policies],
         "tiers": [
             {
                 "file": tier.file,
@@ -269,7 +269,12 @@ def evaluation_values(
 
 def results_csv(rows: Sequence[Row]) -> str:
     """Returns CSV with a line for each method in each kind of world."""
-    return csv_text([_flat(row) for row in rows])
+    return csv_text(method_records(rows))
+
+
+def method_records(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Returns a flat record for each method in each kind of world."""
+    return [_flat(row) for row in rows]
 
 
 def _flat(row: Row) -> dict[str, Any]:
@@ -284,6 +289,11 @@ def _flat(row: Row) -> dict[str, Any]:
 
 def episodes_csv(evaluation: Evaluation) -> str:
     """Returns CSV with a line for each drive."""
+    return csv_text(episode_records(evaluation))
+
+
+def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Returns a flat record for each drive."""
     e, records = evaluation, []
     for policy in e.policies:
         for tier in e.tiers:
@@ -293,7 +303,7 @@ def episodes_csv(evaluation: Evaluation) -> str:
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
                 records.append({**where, **values, **terms, "shortest_path": difficulty.shortest_path})
-    return csv_text(records)
+    return records
 
 
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:

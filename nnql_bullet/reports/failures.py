@@ -182,6 +182,31 @@ def _cells(features: Features) -> dict[str, str]:
     }
 
 
+def clear(folder: Path) -> None:
+    """Removes the recordings, pictures and reports of failures from a folder."""
+    for pattern in ("*.npz", "*.png", "failures.*"):
+        for old in folder.glob(pattern):
+            old.unlink()
+
+
+def failure_records(found: Failures) -> list[dict[str, Any]]:
+    """A record for each failure."""
+    return [
+        {
+            "policy": one.failed.film.policy.name,
+            "method": one.failed.film.policy.method,
+            "world": one.failed.film.tier.name,
+            "world_seed": one.failed.seed,
+            "ending": one.ending,
+            "steps": one.steps,
+            "group": one.group,
+            "time": one.features.time,
+            "target_distance": one.features.target_distance,
+        }
+        for one in found.replays
+    ]
+
+
 def failures_values(found: Failures) -> dict[str, Any]:
     """Returns the same as plain values, for JSON."""
     return {

@@ -141,6 +141,29 @@ def _measured_rows(probe: Probe, measured: list[Measurement], halved: list[Measu
     ]
 
 
+def fidelity_records(fidelity: Fidelity) -> list[dict[str, Any]]:
+    """A flat record for each quantity."""
+    return [{"probe": probe.name, **_plain(m)} for probe, measured, _ in fidelity.probes for m in measured]
+
+
+def fidelity_table(fidelity: Fidelity) -> str:
+    """Every quantity as text: expected, measured, accepted; probe by probe."""
+    rows = [("quantity", "unit", "expected", "measured", "accepted", "")]
+    for probe, measured, _ in fidelity.probes:
+        rows.append((probe.title, "", "", "", "", ""))
+        for m in measured:
+            expected, found = number(m.expected, m), number(m.measured, m)
+            rows.append((f"  {m.quantity}", m.unit, expected, found, tolerance(m), "ok" if m.ok else "OUT"))
+    widths = [max(len(row[column]) for row in rows if row[1] or row[2]) for column in range(6)]
+    lines = [
+        f"{quantity:<{widths[0]}}  {unit:<{widths[1]}}  {expected:>{widths[2]}}  {found:>{widths[3]}}  "
+        f"{accepted:<{widths[4]}}  {verdict}".rstrip()
+        for quantity, unit, expected, found, accepted, verdict in rows
+    ]
+    count = len(fidelity.measurements)
+    return "\n".join([*lines, f"{fidelity.title}: {count - len(fidelity.out)} of {count} quantities within tolerance"])
+
+
 def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
     """Returns the same as plain values, for JSON."""
     f = fidelity

@@ -178,16 +178,36 @@ def gap_values(gap: Gap) -> dict[str, Any]:
 
 def gap_csv(gap: Gap) -> str:
     """Returns CSV with a line for each drive, with and without faults."""
+    return csv_text(gap_records(gap))
+
+
+def gap_records(gap: Gap) -> list[dict[str, Any]]:
+    """Returns a flat record for each drive, with and without faults."""
     drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
     drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
     drives += [(trial.run, trial.side.name, trial.fault, trial.summary) for trial in gap.trials]
     shown = ("world_seed", "ending", "steps", "duration", "path_length", "clearance")
-    return csv_text(
-        [
-            {"run": run, "simulator": simulator, "fault": fault, **{name: getattr(summary, name) for name in shown}}
-            for run, simulator, fault, summary in drives
-        ]
-    )
+    return [
+        {"run": run, "simulator": simulator, "fault": fault, **{name: getattr(summary, name) for name in shown}}
+        for run, simulator, fault, summary in drives
+    ]
+
+
+def gap_table(gap: Gap) -> str:
+    """Endings on the two sides against each other, then success by fault, as text."""
+    lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives"]
+    lines.append(f"{'':<11}" + "".join(f"{ending:>11}" for ending in ENDINGS))
+    for ending, row in zip(ENDINGS, outcome_matrix(gap.pairs).tolist(), strict=True):
+        lines.append(f"{ending:<11}" + "".join(f"{count:>11}" for count in row))
+    p_value = success_p_value(gap.pairs)
+    lines.append(f"McNemar p = {p_value:.2g}; {len(gap.flips)} drives ended differently")
+    if gap.trials:
+        lines.append(f"{'fault':<24}{'goal %':>20}{'collision %':>20}{'p':>9}{f'goal % in {gap.first.name}':>28}")
+        for one in fault_rows(gap):
+            shares = f"{one.shares['goal']!s:>20}{one.shares['collision']!s:>20}"
+            p_text = f"{one.p_value:.2g}" if one.fault else ""
+            lines.append(f"{one.fault or 'none':<24}{shares}{p_text:>9}{one.first_goal or 'as none'!s:>28}")
+    return "\n".join(lines)
 
 
 def draw_gap(gap: Gap, path: Path) -> None:

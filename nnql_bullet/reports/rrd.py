@@ -33,7 +33,7 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.task import REWARD_TERMS
-from nnql_bullet.vehicle.visuals import Looks, Shape
+from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
 """Time lines: time [s], and number of decisions so far."""
@@ -131,12 +131,13 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
 
 def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
     """Logs the shapes of each link and its frames at the samples; before the first sample it stands as there."""
-    looks = Looks(recording.about["vehicle"])
-    frames = [looks.link_frames(angles) for angles in recording.joint_angles[[0, *range(len(recording.joint_angles))]]]
+    visuals = Visuals(recording.about["vehicle"])
+    all_angles = np.concatenate([recording.joint_angles[:1], recording.joint_angles])
+    frames = [visuals.link_frames(angles) for angles in all_angles]
     times = [_times(np.append(0.0, recording.sample_time))]
-    for link in dict.fromkeys(shape.link for shape in looks.shapes):
+    for link in dict.fromkeys(shape.link for shape in visuals.shapes):
         entity = f"world/vehicle/{link}"
-        shapes = [shape for shape in looks.shapes if shape.link == link]
+        shapes = [shape for shape in visuals.shapes if shape.link == link]
         for number, shape in enumerate(shapes):
             stream.log(f"{entity}/{number}", _solid(shape), static=True)
             turn = rr.Quaternion(xyzw=Rotation.from_matrix(shape.origin[:3, :3]).as_quat())

@@ -17,6 +17,7 @@ from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditi
 from nnql_bullet.reports.document import Report, Section, table
 from nnql_bullet.reports.drawing import MARKS, OPEN, finish_axes, legend_below, new_figure, save_figure
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
@@ -103,6 +104,16 @@ def safe_speed_record(safe: SafeSpeed) -> dict[str, float | None]:
         "by_grip_m_s2": safe.braking.by_grip,
         "by_torque_m_s2": safe.braking.by_torque,
     }
+
+
+def stopping_sentences(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[str]:
+    """The largest speeds from which the vehicle stops within what its sensors see, a line each."""
+    lines = [f"stops within the {sight(vehicle):.2f} m that it sees ahead of its front edge, from at most:"]
+    for safe in safe_speeds(vehicle, stops):
+        measured = "more than was measured" if safe.measured is None else f"{safe.measured:.2f} m/s"
+        conditions = f"friction {safe.conditions.friction:g}, payload {safe.conditions.payload:g} kg"
+        lines.append(f"  {conditions}: {measured} (on paper {safe.on_paper:.2f})")
+    return lines
 
 
 def stopping_csv(stops: Sequence[Stop]) -> str:

@@ -12,6 +12,15 @@ NOT_A_CERTIFICATE = (
 )
 
 
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table as plain text, its columns as wide as they have to be."""
+    widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
+    lines = (
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) for line in (header, *rows)
+    )
+    return "\n".join(line.rstrip() for line in lines)
+
+
 def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
     """Returns a line for each record, under the names of the first one; numbers are exact."""
     text = io.StringIO()

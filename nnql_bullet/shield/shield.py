@@ -23,7 +23,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import Agent, Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import STOP, Observations, heading_change
+from nnql_bullet.env import STOP, Observation, heading_change
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
@@ -166,11 +166,11 @@ class Shield:
         self._memories[vehicle] = _Memory(self._drive.speed)
         self.agent.reset(vehicle, world_seed)
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """What the agent expects of the paper's five turns (n, 5)."""
         return self.agent.action_values(observations)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The manoeuvres (n,): the agent's best action that stays clear or, where there is none, a stop."""
         self._make_room(len(observations.yaw_rate))
         memories = self._memories[: len(observations.yaw_rate)]
@@ -198,7 +198,7 @@ class Shield:
 
     # What is there
 
-    def _at_worst(self, o: Observations, memories: list[_Memory]) -> tuple[Observations, NDArray[np.bool_]]:
+    def _at_worst(self, o: Observation, memories: list[_Memory]) -> tuple[Observation, NDArray[np.bool_]]:
         """The observations with dead sectors completed, and which rays meet what moves (n, 72)."""
         rays, moving = o.ray_distances.copy(), np.zeros(o.ray_distances.shape, np.bool_)
         for i, memory in enumerate(memories):
@@ -234,7 +234,7 @@ class Shield:
     # What is wanted
 
     def _ranks(
-        self, o: Observations, values: Array, wanted: NDArray[np.int64], turns: Array, memories: list[_Memory]
+        self, o: Observation, values: Array, wanted: NDArray[np.int64], turns: Array, memories: list[_Memory]
     ) -> Array:
         """How good actions are held to be (n, 6): the agent's choice, then by its values or by nearness to its choice.
 
@@ -371,7 +371,7 @@ class Shield:
 
     # What is remembered
 
-    def _remember(self, o: Observations, chosen: NDArray[np.int64], memories: list[_Memory]) -> None:
+    def _remember(self, o: Observation, chosen: NDArray[np.int64], memories: list[_Memory]) -> None:
         """Reckons where the decisions take each vehicle, and at what speed."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
         speed = np.array([memory.speed for memory in memories])

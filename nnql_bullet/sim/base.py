@@ -1,6 +1,6 @@
-"""The seam between the task and what moves the vehicle: what every simulator is."""
+"""The interface of every simulator: n vehicles in lockstep, each in a world of its own."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sensing import Scan
-from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SAMPLE_EVERY = 4
-"""Commands from one sample of a trace to the next: 30 samples a second. The moment an episode ends is sampled too."""
+"""Wheel commands from one sample of a trace to the next, which makes 30 samples a second. A period that ends early has
+a last sample at its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,132 +20,95 @@ class Sample:
     """The vehicle at one instant between two decisions, for drawing."""
 
     time: float
-    """Since the reset [s]."""
+    """Time since the reset [s]."""
     pose: Pose
     joint_angles: tuple[float, float, float, float]
-    """Left and right drive, swivel, caster roll [rad]."""
+    """Angles of left drive, right drive, swivel and caster roll [rad]."""
     wheel_speeds: tuple[float, float]
-    """Left and right [rad/s]."""
+    """Speeds of the left and right drive wheel [rad/s]."""
+
+
+Traces = Mapping[int, list[Sample]]
+"""Lists that a simulator appends samples to, by vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What one control period did to the vehicle. It ends early at the first contact, or inside the target."""
-
-    pose: Pose
-    """At its end."""
-    speed: float
-    """Of the rear-axle centre along the vehicle, at its end [m/s]."""
-    yaw_rate: float
-    """At its end [rad/s]."""
-    wheel_speeds: tuple[float, float]
-    """Left and right, at its end [rad/s]."""
-    duration: float
-    """[s]"""
-    path_length: float
-    """Of the rear-axle centre [m]."""
-    clearance: float
-    """Smallest distance from the footprint to an obstacle or wall, looked at 30 times a second or more [m]."""
-    heading_error: float
-    """Commanded heading change less the one reached, at its end [rad]."""
-    touching: bool
-    """Whether the vehicle touched an obstacle or wall."""
-    at_target: bool
-    """Whether the rear-axle centre came within the target's radius."""
-
-
-class Simulator(Protocol):
-    """A vehicle in a world. `reset` comes first; what follows is a function of the calls since then."""
-
-    @property
-    def vehicle(self) -> VehicleSpec:
-        """The vehicle it moves."""
-
-    @property
-    def control_period(self) -> float:
-        """Time from one decision to the next [s]."""
-
-    def reset(self, world: WorldSpec) -> None:
-        """Puts the vehicle on the world's start, already at speed, whatever happened before."""
-
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
-        """Drives one control period.
-
-        Args:
-            heading_change: Wanted change from the present yaw [rad], positive to the left. A standing vehicle turns on
-                the spot, about its rear-axle centre.
-            trace: Where samples between the decisions are appended, if wanted.
-            speed_scale: Wanted speed as a share of the drive's, from 0, which is to stand. It is reached as fast as the
-                vehicle's limits let it.
-        """
-
-    def pose(self) -> Pose:
-        """Where the vehicle is."""
-
-    def scan(self) -> Scan:
-        """What its sensors read."""
-
-    def close(self) -> None:
-        """Frees what it holds. It cannot be used after that."""
-
-
-@dataclass(frozen=True, slots=True)
-class Motions:
-    """What one control period did to each of n vehicles: see `Motion`."""
+    """The motion of n vehicles in one control period. A period ends early at the first contact or inside the target."""
 
     pose: Array
-    """x, y [m], yaw [rad] at its end (n, 3)."""
+    """x, y [m] and yaw [rad] of the rear-axle centre at the end (n, 3)."""
     yaw_rate: Array
-    """(n,) [rad/s]"""
+    """Yaw rate at the end (n,) [rad/s]."""
     duration: Array
     """(n,) [s]"""
     path_length: Array
-    """(n,) [m]"""
+    """Length of the path of the rear-axle centre (n,) [m]."""
     clearance: Array
-    """(n,) [m]"""
+    """Smallest distance from the footprint to an obstacle or wall (n,) [m], checked at least 30 times a second."""
     heading_error: Array
-    """(n,) [rad]"""
+    """Commanded heading change minus the one that was reached (n,) [rad]."""
     touching: NDArray[np.bool_]
-    """(n,)"""
+    """Whether the vehicle touched an obstacle or wall (n,)."""
     at_target: NDArray[np.bool_]
-    """(n,)"""
+    """Whether the rear-axle centre came within the target's radius (n,)."""
 
 
-class Fleet(Protocol):
-    """n vehicles in lockstep, each in a world of its own, none of which the others notice."""
+def no_motion(size: int) -> Motion:
+    """The motion of n vehicles that stand by: all zero."""
+    return Motion(np.zeros((size, 3)), *np.zeros((5, size)), *np.zeros((2, size), np.bool_))
+
+
+def driving(active: NDArray[np.bool_] | None, size: int) -> Sequence[int]:
+    """The vehicles that drive, of n: see `Simulator.advance`."""
+    return range(size) if active is None else np.flatnonzero(active).tolist()
+
+
+class Simulator(Protocol):
+    """n vehicles in lockstep, each in a world of its own; they do not interact.
+
+    `reset` comes first. What follows is a function of the calls since then. The arrays that are returned belong to the
+    caller.
+    """
 
     @property
     def size(self) -> int:
-        """How many vehicles: n."""
+        """Number of vehicles: n."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each, as `Simulator.reset` does.
+        """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
 
         Returns:
             Their poses (k, 3) and ray distances (k, 72) [m], in the order of `worlds`.
         """
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-    ) -> tuple[Motions, Array]:
-        """Drives one control period, as `Simulator.advance` does.
-
-        The arrays returned may be overwritten by the next call.
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
+        """Drives one control period.
 
         Args:
-            heading_changes: Wanted changes from the present yaws (n,) [rad].
-            active: Which vehicles drive (n,); the others stand by, and their rows in the result mean nothing.
-            speed_scales: Wanted speeds as shares of the drive's (n,); the drive's speed if they are not given.
+            heading_changes: Wanted changes from the present yaws (n,) [rad], positive to the left. A vehicle that
+                stands turns on the spot, about its rear-axle centre.
+            active: Vehicles that drive (n,), all by default. The others stand by, and their rows in the result have no
+                meaning.
+            speed_scales: Wanted speeds as shares of the drive's (n,), 1 by default; 0 is to stop. The vehicle's limits
+                say how fast a speed is reached.
+            traces: Lists that receive samples between the decisions, by vehicle.
 
         Returns:
-            The motions, and the ray distances (n, 72) [m] at their end.
+            The motion, and the ray distances (n, 72) [m] at its end.
 
         Raises:
-            WorkerDied: If a process that holds some of them is gone.
+            WorkerDied: If a process that holds some vehicles is gone.
         """
 
     def close(self) -> None:
-        """Frees what it holds. It cannot be used after that."""
+        """Frees all resources. The simulator cannot be used after that."""
 
 
 class WorkerDied(Exception):

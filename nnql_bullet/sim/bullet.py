@@ -10,27 +10,29 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import cos, hypot, sin
+from math import cos, sin
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
 from nnql_bullet import paper
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.contact import (
-    CONTACT_MARGIN,
-    ContactForce,
-    ContactSimulator,
-    LinkDynamics,
-    Quaternion,
+from nnql_bullet.sim.bullet_state import (
+    DynamicsInfo,
+    JointInfo,
+    JointState,
+    LinkState,
+    contact_force,
+    hit_fractions,
 )
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities
@@ -91,11 +93,14 @@ PHYSICS = {
 }
 
 
-class BulletSimulator(ContactSimulator):
+class BulletEngine(ContactEngine):
     """One vehicle in one world, in a DIRECT client of its own.
 
-    It also names the engine's own numbers: of its `client`, of the vehicle's `body`, and of the drive joints `left` and
-    `right`.
+    Attributes:
+        client: PyBullet's number of the client.
+        body: PyBullet's number of the vehicle.
+        left: PyBullet's number of the left drive joint.
+        right: PyBullet's number of the right drive joint.
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
@@ -126,7 +131,7 @@ class BulletSimulator(ContactSimulator):
     def lock_joints(self) -> None:
         """Stops every joint and holds it where it is."""
         for joint in self._joints:
-            angle = bullet.getJointState(self.body, joint, self.client)[0]
+            angle = JointState(*bullet.getJointState(self.body, joint, self.client)).position
             bullet.resetJointState(self.body, joint, angle, 0.0, self.client)
             self._hold(joint, LOCK)
 
@@ -161,8 +166,8 @@ class BulletSimulator(ContactSimulator):
 
     def wheel_speeds(self) -> tuple[float, float]:
         """Left and right drive wheel [rad/s]."""
-        left, right = bullet.getJointStates(self.body, [self.left, self.right], self.client)
-        return left[1], right[1]
+        left, right = self._joint_states(self.left, self.right)
+        return left.velocity, right.velocity
 
     def wheel_heights(self) -> Vector:
         """Of the left, right and caster wheel centre above the ground [m]."""
@@ -171,18 +176,15 @@ class BulletSimulator(ContactSimulator):
 
     def sample(self) -> Sample:
         """The vehicle now."""
-        joints = [self.left, self.right, self._swivel, self._caster]
-        states = bullet.getJointStates(self.body, joints, self.client)
-        left, right, swivel, roll = (state[0] for state in states)
-        return Sample(self.time(), self.pose(), (left, right, swivel, roll), (states[0][1], states[1][1]))
+        left, right, swivel, roll = self._joint_states(self.left, self.right, self._swivel, self._caster)
+        angles = left.position, right.position, swivel.position, roll.position
+        return Sample(self.time(), self.pose(), angles, (left.velocity, right.velocity))
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """What the engine holds of every link, by the link's name."""
-        base = bullet.getBodyInfo(self.body, self.client)[0].decode()
-        names = {base: -1}
-        for joint in range(bullet.getNumJoints(self.body, self.client)):
-            names[bullet.getJointInfo(self.body, joint, self.client)[12].decode()] = joint
-        return {name: self._dynamics(index) for name, index in names.items()}
+        base, _ = bullet.getBodyInfo(self.body, self.client)
+        names = {base.decode(): -1, **{joint.link_name: joint.number for joint in self._joint_infos()}}
+        return {name: self._dynamics(index).dynamics for name, index in names.items()}
 
     # How it is built
 
@@ -255,19 +257,17 @@ class BulletSimulator(ContactSimulator):
             | bullet.URDF_IGNORE_VISUAL_SHAPES,
             physicsClientId=self.client,
         )
-        joints = {}
-        for link in range(bullet.getNumJoints(self.body, self.client)):
-            info = bullet.getJointInfo(self.body, link, self.client)
-            if info[2] != bullet.JOINT_FIXED:
-                joints[info[1].decode()] = link
-                self._hold(link, 0.0)  # every joint starts with a motor that holds it
+        infos = self._joint_infos()
+        joints = {joint.name: joint.number for joint in infos if joint.joint_type != bullet.JOINT_FIXED}
+        for joint in joints.values():
+            self._hold(joint, 0.0)  # every joint starts with a motor that holds it
         self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
         self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
         self._joints = tuple(joints.values())
-        self._com = self._dynamics_info(-1)[3]
+        self._com = self._dynamics(-1).inertia_position
         wheels = (self.left, self.right, self._caster)
-        for link in range(-1, bullet.getNumJoints(self.body, self.client)):
+        for link in range(-1, len(infos)):
             # Damping goes to the whole body and must stand in a call of its own; so must friction.
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
             group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
@@ -300,19 +300,19 @@ class BulletSimulator(ContactSimulator):
             self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=self.client
         )
 
-    def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
+    def _engage_motors(self) -> None:
         if self._resisted and not self.physics.resists_driven:
             self._resist(0.0)
-        motors, mode = bullet.setJointMotorControlArray, bullet.VELOCITY_CONTROL
-        body, client, wheels, torques = self.body, self.client, self._wheels, self._torques
-        step = self.step if watched else self._step
-        for number, pair in enumerate(speeds, 1):
-            motors(body, wheels, mode, targetVelocities=pair, forces=torques, physicsClientId=client)
-            for _ in range(steps):
-                step()
-                if watched and self.touching():
-                    return number, True
-        return len(speeds), False
+
+    def _command(self, speeds: list[float]) -> None:
+        bullet.setJointMotorControlArray(
+            self.body,
+            self._wheels,
+            bullet.VELOCITY_CONTROL,
+            targetVelocities=speeds,
+            forces=self._torques,
+            physicsClientId=self.client,
+        )
 
     def _step(self) -> None:
         bullet.stepSimulation(self.client)
@@ -335,24 +335,23 @@ class BulletSimulator(ContactSimulator):
 
     def _cast(self, begins: Array, ends: Array) -> Array:
         hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
-        return np.array([hit[2] for hit in hits]) * paper.SENSOR_RANGE
+        return np.array(hit_fractions(hits)) * paper.SENSOR_RANGE
 
     def _link_height(self, joint: int) -> float:
-        return float(bullet.getLinkState(self.body, joint, physicsClientId=self.client)[4][2])
+        return LinkState(*bullet.getLinkState(self.body, joint, physicsClientId=self.client)).position[2]
 
     def _contact_force(self, link: int) -> ContactForce:
-        contacts = bullet.getContactPoints(bodyA=self.body, linkIndexA=link, physicsClientId=self.client)
-        return ContactForce(
-            normal=float(sum(contact[9] for contact in contacts)),
-            friction=float(sum(hypot(contact[10], contact[12]) for contact in contacts)),
-        )
+        return contact_force(bullet.getContactPoints(bodyA=self.body, linkIndexA=link, physicsClientId=self.client))
 
-    def _dynamics_info(self, link: int) -> Any:
-        return bullet.getDynamicsInfo(self.body, link, self.client)
+    def _joint_infos(self) -> list[JointInfo]:
+        joints = range(bullet.getNumJoints(self.body, self.client))
+        return [JointInfo(*bullet.getJointInfo(self.body, joint, self.client)) for joint in joints]
 
-    def _dynamics(self, link: int) -> LinkDynamics:
-        info = self._dynamics_info(link)
-        return LinkDynamics(info[0], info[2], info[1], info[6], info[7])
+    def _joint_states(self, *joints: int) -> list[JointState]:
+        return [JointState(*state) for state in bullet.getJointStates(self.body, joints, self.client)]
+
+    def _dynamics(self, link: int) -> DynamicsInfo:
+        return DynamicsInfo(*bullet.getDynamicsInfo(self.body, link, self.client))
 
 
 def _release(client: int, folder: TemporaryDirectory[str] | None) -> None:
@@ -367,4 +366,4 @@ def has_numpy() -> bool:
     return bool(bullet.isNumpyEnabled())
 
 
-__all__ = ["PHYSICS", "BulletSimulator", "Physics", "bullet", "has_numpy", "silenced"]
+__all__ = ["PHYSICS", "BulletEngine", "Physics", "bullet", "has_numpy", "silenced"]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.bullet import bullet, silenced
+from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.types import Vector
 
 SceneKind = Literal["tiny", "egl", "window"]
@@ -88,11 +89,13 @@ class BulletScene:
             with silenced():  # it complains of links without a mass
                 body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
         joints = range(bullet.getNumJoints(body, self.client))
-        return body, {bullet.getJointInfo(body, joint, self.client)[1].decode(): joint for joint in joints}
+        infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]
+        return body, {info.name: info.number for info in infos}
 
     def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
         """Puts the origin of something somewhere [m, rad]."""
-        ahead, left, up = bullet.getDynamicsInfo(body, -1, self.client)[3]  # the engine places centres of mass
+        # The engine places centres of mass.
+        ahead, left, up = DynamicsInfo(*bullet.getDynamicsInfo(body, -1, self.client)).inertia_position
         c, s = cos(yaw), sin(yaw)
         centre = (x + c * ahead - s * left, y + s * ahead + c * left, z + up)
         turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))

@@ -1,10 +1,10 @@
-"""Vehicles that are not quite what they should be, each episode in its own way: what a policy is trained against.
+"""Domain randomization: each training episode disturbs the vehicle in its own way.
 
-Randomising what is uncertain, so that reality is but one more variation, is from Tobin et al., "Domain Randomization
-for Transferring Deep Neural Networks from Simulation to the Real World" (IROS 2017).
+A policy that was trained with many disturbances takes reality as one more of them (Tobin et al., "Domain Randomization
+for Transferring Deep Neural Networks from Simulation to the Real World", IROS 2017).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi, radians
 
@@ -15,7 +15,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.sim.base import Fleet, Motions
+from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.sim.faults import SensorFaults, degraded
 from nnql_bullet.types import NonNegative, UnitInterval
 from nnql_bullet.worlds.spec import WorldSpec
@@ -23,83 +23,84 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 @options
 class DomainRandomization:
-    """How far things may be off; an episode's own values are drawn up to these. By default nothing is."""
+    """Largest disturbances; an episode draws its own values up to these. By default there are none."""
 
     start_yaw: bool = False
-    """Whether episodes begin in any direction."""
+    """Whether an episode starts at a random yaw."""
     noise: NonNegative = 0.0
-    """Largest standard deviation of each ray that meets something [m]."""
+    """Largest standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: UnitInterval = 0.0
-    """Chance that one sensor, the same all through the episode, sees nothing."""
+    """Probability that one sensor sees nothing during the whole episode."""
     turn_scale: UnitInterval = 0.0
-    """Largest share that all turns of an episode come out too large or too small by, as on poor ground or behind
-    drives that lag."""
+    """Largest relative error of all turns of an episode, as on poor ground or with drives that lag."""
     turn_noise_degrees: NonNegative = 0.0
-    """Largest standard deviation of each turn [degrees]."""
+    """Largest standard deviation of the noise of each turn [degrees]."""
 
     @property
     def any(self) -> bool:
-        """Whether the vehicle is disturbed at all, wherever it begins."""
+        """Whether the vehicle is disturbed; the yaw of its start does not count."""
         return self.noise > 0 or self.dead_sector > 0 or self.turn_scale > 0 or self.turn_noise_degrees > 0
 
 
 @dataclass(frozen=True, slots=True)
 class _Episode:
-    """What is wrong with a vehicle in one episode."""
+    """Disturbances of one episode."""
 
     sensors: SensorFaults
     turn_scale: float
     turn_noise: float
     """[rad]"""
     generator: np.random.Generator
-    """Of the noise that is still to come."""
+    """Generator of the noise to come."""
 
 
-class RandomizedFleet:
-    """A fleet of disturbed vehicles. See `sim.base.Fleet` for the contract.
+class RandomizedSimulator:
+    """A `Simulator` of disturbed vehicles. The disturbance of an episode is a function of its world alone."""
 
-    What disturbs an episode is a function of its world alone.
-    """
-
-    def __init__(self, fleet: Fleet, domain_randomization: DomainRandomization) -> None:
-        self.size = fleet.size
-        self._fleet = fleet
-        self._disturbances = domain_randomization
+    def __init__(self, simulator: Simulator, domain_randomization: DomainRandomization) -> None:
+        self.size = simulator.size
+        self._simulator = simulator
+        self._domain_randomization = domain_randomization
         self._episodes: dict[int, _Episode] = {}
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each."""
-        self._episodes |= {i: _drawn(self._disturbances, world) for i, world in worlds.items()}
-        poses, distances = self._fleet.reset(worlds)
-        return poses, self._seen(distances, enumerate(worlds))
+        """See `Simulator.reset`."""
+        self._episodes |= {i: _drawn(self._domain_randomization, world) for i, world in worlds.items()}
+        poses, ray_distances = self._simulator.reset(worlds)
+        for row, i in enumerate(worlds):
+            self._degrade(ray_distances, row, i)
+        return poses, ray_distances
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-    ) -> tuple[Motions, Array]:
-        """Drives one control period."""
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
+        """See `Simulator.advance`."""
         turns = heading_changes.copy()
-        driving = np.flatnonzero(active).tolist()
-        for i in driving:
+        vehicles = driving(active, self.size)
+        for i in vehicles:
             episode = self._episodes[i]
             turns[i] = episode.turn_scale * turns[i] + episode.turn_noise * episode.generator.standard_normal()
-        motions, distances = self._fleet.advance(turns, active, speed_scales)
-        return motions, self._seen(distances, ((i, i) for i in driving))
+        motion, ray_distances = self._simulator.advance(turns, active, speed_scales, traces)
+        for i in vehicles:
+            self._degrade(ray_distances, i, i)
+        return motion, ray_distances
 
     def close(self) -> None:
-        """Closes the fleet."""
-        self._fleet.close()
+        """Closes the simulator."""
+        self._simulator.close()
 
-    def _seen(self, distances: Array, rows: Iterable[tuple[int, int]]) -> Array:
-        """What the sensors make of ray distances, of which these rows are of these vehicles."""
-        seen = distances.copy()
-        for row, i in rows:
-            episode = self._episodes[i]
-            seen[row] = degraded(distances[row], episode.sensors, episode.generator)
-        return seen
+    def _degrade(self, ray_distances: Array, row: int, vehicle: int) -> None:
+        """Replaces a row of ray distances by what the vehicle's sensors read."""
+        episode = self._episodes[vehicle]
+        ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator)
 
 
 def turned(world: WorldSpec, domain_randomization: DomainRandomization) -> WorldSpec:
-    """The world with its start in any direction, if that is to be."""
+    """The world with a random yaw at its start, if the options ask for it."""
     if not domain_randomization.start_yaw:
         return world
     yaw = rng(world.seed, Stream.DOMAIN_RANDOMIZATION, 1).uniform(-pi, pi)

@@ -1,43 +1,105 @@
-"""The engines of contact physics by name."""
+"""The engines of contact physics by name, and a simulator of n of them."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nnql_bullet.errors import UserError
-from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.geometry import Array
+from nnql_bullet.sensing import RAYS
+from nnql_bullet.sim.base import Motion, Traces, driving, no_motion
+from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
 
 EngineName = Literal["bullet", "mujoco"]
 PhysicsName = Literal["reference", "fast"]
 """Named settings, which every engine has."""
 
 
-def contact_simulator(
+def contact_engine(
     engine: EngineName, physics: PhysicsName, vehicle: VehicleSpec, drive: DriveOptions, refinement: int = 1
-) -> ContactSimulator:
-    """A new simulator. An engine is imported when it is asked for.
+) -> ContactEngine:
+    """Makes an engine. Its library is imported only when it is asked for.
 
     Args:
-        engine: Which.
-        physics: Its settings.
-        vehicle: What it moves.
+        engine: Name of the engine.
+        physics: Name of its settings.
+        vehicle: The vehicle in it.
         drive: How decisions reach the wheels.
-        refinement: What the settings' time step is divided by.
+        refinement: Divisor of the settings' time step.
 
     Raises:
-        UserError: If the engine is not installed.
+        UserError: If the library is not installed.
     """
     if engine == "bullet":
         from nnql_bullet.sim import bullet
 
         plain = bullet.PHYSICS[physics]
-        # What is left over of each step adds up, and the residual is its square.
+        # The errors of the steps add up, and the residual is the square of an error.
         finer = replace(plain, time_step=plain.time_step / refinement, residual=plain.residual / refinement**2)
-        return bullet.BulletSimulator(vehicle, drive, finer)
+        return bullet.BulletEngine(vehicle, drive, finer)
     try:
         from nnql_bullet.sim import mujoco
     except ImportError:
         raise UserError("MuJoCo is not installed; install it with: pip install 'nnql-bullet[mujoco]'") from None
     chosen = mujoco.PHYSICS[physics]
-    return mujoco.MujocoSimulator(vehicle, drive, replace(chosen, time_step=chosen.time_step / refinement))
+    return mujoco.MujocoEngine(vehicle, drive, replace(chosen, time_step=chosen.time_step / refinement))
+
+
+class ContactSimulator:
+    """A `Simulator` of n engines, which are driven one after another in this process."""
+
+    def __init__(self, engines: Sequence[ContactEngine]) -> None:
+        self.engines = engines
+        self.size = len(engines)
+
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
+        """See `Simulator.reset`."""
+        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), RAYS))
+        for row, (i, world) in enumerate(worlds.items()):
+            engine = self.engines[i]
+            engine.reset(world)
+            pose = engine.pose()
+            poses[row] = pose.x, pose.y, pose.yaw
+            ray_distances[row] = engine.scan()
+        return poses, ray_distances
+
+    def advance(
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
+        """See `Simulator.advance`."""
+        motion, ray_distances, traces = no_motion(self.size), np.zeros((self.size, RAYS)), traces or {}
+        for i in driving(active, self.size):
+            engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
+            m = engine.advance(float(heading_changes[i]), traces.get(i), scale)
+            motion.pose[i] = m.pose.x, m.pose.y, m.pose.yaw
+            motion.yaw_rate[i], motion.duration[i], motion.path_length[i] = m.yaw_rate, m.duration, m.path_length
+            motion.clearance[i], motion.heading_error[i] = m.clearance, m.heading_error
+            motion.touching[i], motion.at_target[i] = m.touching, m.at_target
+            ray_distances[i] = engine.scan()
+        return motion, ray_distances
+
+    def close(self) -> None:
+        """Closes the engines."""
+        for engine in self.engines:
+            engine.close()
+
+
+def contact_simulator(
+    engine: EngineName, physics: PhysicsName, vehicle: VehicleSpec, drive: DriveOptions, size: int
+) -> ContactSimulator:
+    """Makes a simulator of n engines, see `contact_engine`.
+
+    Raises:
+        UserError: If the library is not installed.
+    """
+    return ContactSimulator([contact_engine(engine, physics, vehicle, drive) for _ in range(size)])

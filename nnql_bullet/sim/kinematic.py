@@ -1,8 +1,8 @@
 """The kinematic model: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
 
 A vehicle follows the profiles of yaw rate and speed exactly, as a unicycle (Siegwart and Nourbakhsh, Autonomous Robots,
-3.2). Its footprint collides as the oriented box it is, looked at after every wheel command, with whatever moves
-where it is by then. The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
+3.2). Its footprint is an oriented box; contact with obstacles, walls and patrols is checked after every wheel command.
+The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
 """
 
 import logging
@@ -21,42 +21,42 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
 from nnql_bullet.jit import njit
-from nnql_bullet.sensing import RAYS, Scan, ray_angles, scan_from
-from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Motions, Sample
-from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, whole_steps
+from nnql_bullet.sensing import RAYS, ray_angles
+from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, command_times
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 SHARE = 16
-"""Vehicles that are worth a thread of their own."""
+"""Smallest number of vehicles that get a thread of their own."""
 STILL = 1e-9
-"""What nothing is taken to move less than from one wheel command to the next [m], where it is divided by that."""
+"""Lower bound on displacement per wheel command [m]; avoids division by zero."""
 
 _GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
 
 
 class _Constants(NamedTuple):
-    """What is the same for all vehicles at all times."""
+    """Numbers that are the same for all vehicles at all times."""
 
     speed: float
-    """Of the drive [m/s]."""
+    """Speed of the drive [m/s]."""
     times: Array
-    """Of the commands of a control period, and of its start (k + 1,) [s]."""
+    """See `controller.command_times` (k + 1,) [s]."""
     most_rate: float
-    """[rad/s]"""
+    """Limit on the yaw rate [rad/s]."""
     yaw_acceleration: float
-    """[rad/s2]"""
+    """Limit on the yaw acceleration [rad/s2]."""
     acceleration: float
-    """[m/s2]"""
+    """Limit on the acceleration [m/s2]."""
     footprint: Array
     """A row of `as_rows` (6,)."""
     farthest: float
-    """Of the footprint's points from the axle [m]."""
+    """Largest distance of a point of the footprint from the axle's centre [m]."""
     sensor: Array
-    """x, y in the vehicle frame (2,) [m]."""
+    """Position of the sensor in the vehicle frame: x, y (2,) [m]."""
     directions: Array
-    """Of the rays in the vehicle frame (72, 2)."""
+    """Directions of the rays in the vehicle frame (72, 2)."""
 
 
 class _State(NamedTuple):
@@ -69,68 +69,67 @@ class _State(NamedTuple):
     speed: Array
     """(n,)"""
     clearance: Array
-    """At `pose` (n,) [m]."""
+    """Clearance at `pose` (n,) [m]."""
     solids: Array
-    """Rows of which each world fills the first (n, most, 6): of `as_rows`, first what stands still, then the patrols
-    where they are now; then the patrols' tracks, of `WorldSpec.tracks`."""
+    """Rows of `as_rows` (n, most, 6), of which each world fills the first: obstacles and walls, then the patrols as
+    they are now, then the patrols' tracks (`WorldSpec.tracks`)."""
     counts: NDArray[np.int64]
-    """Solids, patrols among them, and wheel commands since the reset (n, 3). They share an array, as solids and tracks
-    do, because every array takes time to pass on."""
+    """Number of solids, of patrols among them, and of wheel commands since the reset (n, 3). They share an array, as
+    solids and tracks do, because each array costs time in a call of a kernel."""
     target: Array
     """x, y, radius (n, 3) [m]."""
 
 
 class _Period(NamedTuple):
-    """What a control period leaves."""
+    """Results of a control period."""
 
     rates: Array
-    """After each command (n, k + 1) [rad/s]."""
+    """Yaw rates at the start and after each command (n, k + 1) [rad/s]."""
     headings: Array
-    """Likewise, since the start (n, k + 1) [rad]."""
+    """Likewise: headings since the start (n, k + 1) [rad]."""
     speeds: Array
-    """Likewise (n, k + 1) [m/s]."""
+    """Likewise: speeds (n, k + 1) [m/s]."""
     path: Array
-    """Poses after each command (n, k + 1, 3)."""
+    """Likewise: poses (n, k + 1, 3)."""
     near: Array
-    """Room for the solids that may come close, and their tracks (n, most, 6)."""
+    """Work space for the solids that may come close, and their tracks (n, most, 6)."""
     commands: NDArray[np.int64]
-    """How many were carried out (n,)."""
+    """Number of commands that were carried out (n,)."""
     path_length: Array
     """(n,) [m]"""
     clearance: Array
-    """Smallest (n,) [m]."""
+    """Smallest clearance (n,) [m]."""
     heading_error: Array
     """(n,) [rad]"""
     event: NDArray[np.int64]
-    """What ended it (n,)."""
+    """The event that ended the period (n,)."""
     ray_distances: Array
-    """At its end (n, 72) [m]."""
+    """Ray distances at the end (n, 72) [m]."""
 
 
-class KinematicFleet:
-    """n ideal vehicles. See `sim.base.Fleet` for the contract.
+class KinematicSimulator:
+    """A `Simulator` of n ideal vehicles.
 
-    The first one made on a machine waits while the kernels are compiled; they are then kept on disk.
+    The first one on a machine waits while the kernels are compiled; they are then kept on disk.
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, size: int, threads: int | None = None) -> None:
-        """Sets up the vehicles, in no world yet.
+        """Makes the vehicles, in no world yet.
 
         Args:
-            vehicle: What they are.
+            vehicle: The vehicle.
             drive: How decisions reach the wheels.
-            size: How many.
-            threads: That the work is shared among, whatever the result; as many as there are cores if not given.
+            size: Number of vehicles.
+            threads: Number of threads that share the work, one a core by default. The result does not depend on it.
         """
         self.vehicle = vehicle
         self.drive = drive
         self.size = size
-        commands = whole_steps(drive.decision_period, 1 / COMMAND_RATE)
-        footprint, angles = vehicle.footprint, ray_angles()
+        times, footprint, angles = command_times(drive), vehicle.footprint, ray_angles()
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         self._constants = _Constants(
             speed=drive.speed,
-            times=np.arange(commands + 1) / COMMAND_RATE,
+            times=times,
             most_rate=vehicle.limits.yaw_rate,
             yaw_acceleration=vehicle.limits.yaw_acceleration,
             acceleration=vehicle.limits.acceleration,
@@ -140,7 +139,9 @@ class KinematicFleet:
             directions=np.stack([np.cos(angles), np.sin(angles)], axis=1),
         )
         self._state = _empty_state(size)
-        self._period = _empty_period(size, commands)
+        self._period = _empty_period(size, len(times) - 1)
+        self._time, self._joint_angles = np.zeros(size), np.zeros((size, 4))
+        self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
         _compile()
@@ -150,7 +151,7 @@ class KinematicFleet:
         self._pool.shutdown()
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each, at the drive's speed."""
+        """See `Simulator.reset`."""
         rows = {i: np.concatenate([world.solids_at(0.0), world.tracks]) for i, world in worlds.items()}
         self._make_room(max((len(some) for some in rows.values()), default=0))
         state = self._state
@@ -163,39 +164,61 @@ class KinematicFleet:
             state.target[i] = *world.target, world.target_radius
             state.clearance[i] = clearance_at(start.x, start.y, start.yaw, self._constants.footprint, rows[i][:count])
         vehicles = np.array(list(worlds), dtype=np.int64)
+        self._time[vehicles], self._joint_angles[vehicles] = 0.0, 0.0
         self._share(_scan, vehicles, self._constants, state, self._period)
         return state.pose[vehicles], self._period.ray_distances[vehicles]
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-    ) -> tuple[Motions, Array]:
-        """Follows each turn's profile for one control period, or up to the first contact or the target."""
-        period, speed_scales = self._period, np.ones(self.size) if speed_scales is None else speed_scales
-        self._share(
-            _advance, np.flatnonzero(active), heading_changes, speed_scales, self._constants, self._state, period
-        )
-        motions = Motions(
-            pose=self._state.pose,
-            yaw_rate=self._state.yaw_rate,
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
+        """See `Simulator.advance`."""
+        period, state = self._period, self._state
+        vehicles = np.arange(self.size) if active is None else np.flatnonzero(active)
+        scales = np.ones(self.size) if speed_scales is None else speed_scales
+        self._share(_advance, vehicles, heading_changes, scales, self._constants, state, period)
+        motion = Motion(
+            pose=state.pose.copy(),
+            yaw_rate=state.yaw_rate.copy(),
             duration=period.commands / COMMAND_RATE,
-            path_length=period.path_length,
-            clearance=period.clearance,
-            heading_error=period.heading_error,
+            path_length=period.path_length.copy(),
+            clearance=period.clearance.copy(),
+            heading_error=period.heading_error.copy(),
             touching=period.event == _TOUCHING,
             at_target=period.event == _AT_TARGET,
         )
-        return motions, period.ray_distances
+        if traces:
+            for i in vehicles.tolist():
+                if i in traces:
+                    self._extend(traces[i], i, over=bool(motion.touching[i] or motion.at_target[i]))
+        self._time[vehicles] += motion.duration[vehicles]
+        return motion, period.ray_distances.copy()
 
     def path(self, vehicle: int) -> Array:
-        """Poses of the last control period (k + 1, 3), from its start, after each command carried out."""
+        """Poses of the last control period at its start and after each command that was carried out (k + 1, 3)."""
         return self._period.path[vehicle, : self._period.commands[vehicle] + 1]
 
-    def speeds(self, vehicle: int) -> Array:
-        """Likewise its speeds (k + 1,) [m/s]."""
-        return self._period.speeds[vehicle, : self._period.commands[vehicle] + 1]
+    def _extend(self, trace: list[Sample], vehicle: int, over: bool) -> None:
+        """Appends samples of the last control period to a trace; the joints turn as the wheels roll."""
+        path, joints = self.path(vehicle), self._joint_angles[vehicle]
+        speeds = self._period.speeds[vehicle, : len(path)]
+        yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
+        mean_speeds = ((speeds[:-1] + speeds[1:]) / 2).tolist()
+        for command, (speed, yaw_rate) in enumerate(zip(mean_speeds, yaw_rates, strict=True), 1):
+            left, right = wheel_speeds(speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
+            swivel, roll = _caster_rates(joints[2], speed, yaw_rate, *self._caster)
+            joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
+            if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
+                x, y, yaw = path[command].tolist()
+                a, b, c, d = joints.tolist()
+                time = float(self._time[vehicle]) + command / COMMAND_RATE
+                trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
 
     def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
-        """Calls a kernel, which lets go of the interpreter, for a share of the vehicles in each thread."""
+        """Calls a kernel, which releases the interpreter's lock, for a share of the vehicles in each thread."""
         mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // SHARE)))
         waiting = [self._pool.submit(kernel, share, *arguments) for share in others]
         kernel(mine, *arguments)
@@ -203,84 +226,13 @@ class KinematicFleet:
             future.result()
 
     def _make_room(self, most: int) -> None:
-        """Lets each world have so many rows."""
+        """Grows the arrays so that each world can have so many rows."""
         room = self._state.solids.shape[1]
         if most > room:
             grown = np.zeros((self.size, most, 6))
             grown[:, :room] = self._state.solids
             self._state = self._state._replace(solids=grown)
             self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
-
-
-class KinematicSimulator:
-    """One ideal vehicle in one world: a fleet of one. See `sim.base.Simulator` for the contract."""
-
-    def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
-        self.vehicle = vehicle
-        self.drive = drive
-        self.control_period = drive.decision_period
-        self._fleet = KinematicFleet(vehicle, drive, 1, threads=1)
-        self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
-
-    def close(self) -> None:
-        """Ends its fleet."""
-        self._fleet.close()
-
-    def reset(self, world: WorldSpec) -> None:
-        """Puts the vehicle on the world's start, at the drive's speed."""
-        _, (self._ray_distances,) = self._fleet.reset({0: world})
-        self._pose = world.start
-        self._time = 0.0
-        self._joints = np.zeros(4)
-
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
-        """Follows the turn's profile for one control period, or up to the first contact or the target."""
-        m, rays = self._fleet.advance(np.array([heading_change]), np.ones(1, np.bool_), np.array([speed_scale]))
-        self._ray_distances = rays[0].copy()
-        self._pose, yaw_rate, duration = Pose(*m.pose[0].tolist()), float(m.yaw_rate[0]), float(m.duration[0])
-        touching, at_target = bool(m.touching[0]), bool(m.at_target[0])
-        speeds = self._fleet.speeds(0)
-        if trace is not None:
-            self._extend(trace, self._fleet.path(0), speeds, over=touching or at_target)
-        self._time += duration
-        return Motion(
-            pose=self._pose,
-            speed=float(speeds[-1]),
-            yaw_rate=yaw_rate,
-            wheel_speeds=self._wheel_speeds(float(speeds[-1]), yaw_rate),
-            duration=duration,
-            path_length=float(m.path_length[0]),
-            clearance=float(m.clearance[0]),
-            heading_error=float(m.heading_error[0]),
-            touching=touching,
-            at_target=at_target,
-        )
-
-    def pose(self) -> Pose:
-        """Of the rear-axle centre."""
-        return self._pose
-
-    def scan(self) -> Scan:
-        """Rays from the sensor, by the slab method."""
-        return scan_from(self._ray_distances)
-
-    def _wheel_speeds(self, speed: float, yaw_rate: float) -> tuple[float, float]:
-        left, right = wheel_speeds(speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
-        return left, right
-
-    def _extend(self, trace: list[Sample], path: Array, speeds: Array, over: bool) -> None:
-        """Samples between the decisions; the joints turn as the wheels roll."""
-        yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
-        mean_speeds = ((speeds[:-1] + speeds[1:]) / 2).tolist()
-        for command, (speed, yaw_rate) in enumerate(zip(mean_speeds, yaw_rates, strict=True), 1):
-            left, right = self._wheel_speeds(speed, yaw_rate)
-            swivel, roll = _caster_rates(self._joints[2], speed, yaw_rate, *self._caster)
-            self._joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
-            if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
-                x, y, yaw = path[command].tolist()
-                a, b, c, d = self._joints.tolist()
-                time = self._time + command / COMMAND_RATE
-                trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
 
 
 def _empty_state(size: int) -> _State:
@@ -313,7 +265,7 @@ def _empty_period(size: int, commands: int) -> _Period:
 
 @cache
 def _compile() -> None:
-    """Compiles the kernels, or loads them from disk, by calling them for nobody."""
+    """Compiles the kernels, or loads them from disk, by a call for no vehicle."""
     none, some = np.zeros(0, np.int64), np.zeros(1)
     constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
     with _announced("compiling the kinematic model; it is kept on disk, so this happens once"):
@@ -323,7 +275,7 @@ def _compile() -> None:
 
 @contextmanager
 def _announced(what: str, after: float = 1.0) -> Iterator[None]:
-    """Says what is waited for, if it takes longer than `after` [s]."""
+    """Logs a warning if the body takes longer than `after` [s]."""
     timer = Timer(after, logging.getLogger(__name__).warning, [what])
     timer.daemon = True
     timer.start()
@@ -342,7 +294,7 @@ def _advance(
     state: _State,
     period: _Period,
 ) -> None:
-    """One control period of some vehicles, and their scans."""
+    """Drives some vehicles for one control period, and scans."""
     for i in vehicles:
         _advance_one(i, heading_changes[i], speed_scales[i], constants, state, period)
         _scan_one(i, constants, state, period)
@@ -350,7 +302,7 @@ def _advance(
 
 @njit(nogil=True)
 def _scan(vehicles: NDArray[np.int64], constants: _Constants, state: _State, period: _Period) -> None:
-    """The scans of some vehicles."""
+    """Scans with some vehicles."""
     for i in vehicles:
         _scan_one(i, constants, state, period)
 
@@ -380,7 +332,7 @@ def _advance_one(
         path[k, 0] = path[k - 1, 0] + stride * c
         path[k, 1] = path[k - 1, 1] + stride * s
         path[k, 2] = yaw + headings[k]
-    # No point of the footprint and of a solid get nearer to each other by more than this from one command to the next.
+    # No point of the footprint gets nearer to a solid by more than this from one command to the next [m].
     quickest = max(abs(start_rate), abs(peak))
     hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
     count, moving, clock = state.counts[i]
@@ -416,9 +368,9 @@ def _fastest(tracks: Array) -> float:
 
 @njit()
 def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> tuple[Array, Array]:
-    """Solids that may be nearest at some time of the control period, and the tracks of those of them that move.
+    """Finds the solids that may be the nearest one during the control period, and the tracks of those that move.
 
-    Meanwhile the nearest may get farther off by `travel` [m], and another as much nearer.
+    During the period the distance to any solid changes by `travel` [m] at most.
     """
     footprint, (x, y, yaw) = constants.footprint, state.pose[i]
     c, s = np.cos(yaw), np.sin(yaw)
@@ -453,21 +405,21 @@ def _follow(
 ) -> tuple[int, int, float, float]:
     """Follows a path (k + 1, 3) up to the first contact or the target.
 
-    Clearances are taken only where they can matter: from one command to the next none changes by more than `hop` [m].
+    The clearance is computed only where it may be the smallest: it changes by `hop` at most from one command to the
+    next.
 
     Args:
         path: Poses.
         target: x, y, radius [m].
-        clearance: At the path's start [m].
-        hop: By how much a point of the footprint and one of a solid may get nearer to each other from one pose to the
-            next [m].
+        clearance: Clearance at the path's start [m].
+        hop: Largest change of the clearance from one pose to the next [m].
         footprint: A row (6,) in the vehicle's frame.
-        solids: Rows (n, 6) of `as_rows`.
-        tracks: Of the last of them, which are moved along (m, 6).
-        clock: Commands up to the path's start.
+        solids: Rows (n, 6) of `as_rows`; the last m are patrols, which are moved.
+        tracks: Tracks of the patrols (m, 6).
+        clock: Number of commands up to the path's start.
 
     Returns:
-        Index of the last pose reached, what ended it, the smallest clearance on the way and that at the end [m].
+        Index of the last pose reached, the event that ended it, the smallest clearance, and that at the end [m].
     """
     last, event, movers = len(path) - 1, _GOES_ON, solids[len(solids) - len(tracks) :]
     to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
@@ -509,15 +461,15 @@ def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> 
 def cast_rays(
     x: float, y: float, yaw: float, directions: Array, boxes: Array, sensor_range: float, distances: Array
 ) -> None:
-    """Where rays first meet a box: `geometry.ray_distances` as a kernel, one box at a time.
+    """Computes where rays first meet a box: `geometry.ray_distances` as a kernel, one box at a time.
 
     Args:
-        x: Where the rays start [m].
-        y: Where the rays start [m].
-        yaw: Of the frame that the directions are given in [rad].
+        x: x of the rays' origin [m].
+        y: y of the rays' origin [m].
+        yaw: Yaw of the frame of the directions [rad].
         directions: Unit vectors (m, 2).
         boxes: Rows (n, 6) of `geometry.as_rows`.
-        sensor_range: What a ray that meets nothing reads [m].
+        sensor_range: Distance that a ray reads which meets nothing [m].
         distances: Filled with the distances (m,) [m].
     """
     distances[:] = sensor_range
@@ -540,7 +492,7 @@ def cast_rays(
 
 @njit()
 def _slab(start: float, direction: float, half: float) -> tuple[float, float]:
-    """Where a ray enters and leaves the slab from -half to half; an empty interval if it never does."""
+    """Distances at which a ray enters and leaves the slab from -half to half; an empty interval if it never does."""
     if direction == 0.0:
         return (-np.inf, np.inf) if abs(start) <= half else (np.inf, -np.inf)
     first, second = (-half - start) / direction, (half - start) / direction
@@ -553,8 +505,8 @@ def _caster_rates(
 ) -> tuple[float, float]:
     """Rates [rad/s] of the swivel angle and of the wheel of a trailing caster that rolls without slip.
 
-    The swivel axis, `ahead` of the axle, moves at (speed, yaw_rate * ahead); the wheel, `trail` behind it along the
-    fork, may not move sideways.
+    The swivel axis is `ahead` of the axle and moves at (speed, yaw_rate * ahead). The wheel is `trail` behind it along
+    the fork and cannot move sideways.
     """
     along = speed * np.cos(swivel) + yaw_rate * ahead * np.sin(swivel)
     across = yaw_rate * ahead * np.cos(swivel) - speed * np.sin(swivel)

@@ -21,14 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.contact import ContactForce, ContactSimulator, LinkDynamics, Quaternion
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -80,7 +81,7 @@ PHYSICS = {
 }
 
 
-class MujocoSimulator(ContactSimulator):
+class MujocoEngine(ContactEngine):
     """One vehicle in one world.
 
     Resistance to rolling and spinning acts on free wheels only. The engine has one limit for friction in all directions
@@ -224,17 +225,12 @@ class MujocoSimulator(ContactSimulator):
         resisting = 6 if contact.rolling_friction > 0 else 4 if contact.spinning_friction > 0 else 3
         self._model.geom_condim[self._drive_geoms] = 3 if self._driven else resisting
 
-    def _run(self, speeds: list[list[float]], steps: int, watched: bool) -> tuple[int, bool]:
+    def _engage_motors(self) -> None:
         if not self._driven:
             self._hold(drives=self.vehicle.wheel_torque, joints=0.0)
-        step = self.step if watched else self._step
-        for number, pair in enumerate(speeds, 1):
-            self._commanded = pair
-            for _ in range(steps):
-                step()
-                if watched and self.touching():
-                    return number, True
-        return len(speeds), False
+
+    def _command(self, speeds: list[float]) -> None:
+        self._commanded = speeds
 
     def _step(self) -> None:
         model, data = self._model, self._data

@@ -1,13 +1,14 @@
-"""A fleet that is spread over worker processes.
+"""Vehicles that are shared out among worker processes.
 
-Each process holds a fleet of its own, which it is told how to make; what travels are worlds, commands and motions. A
-worker ends when its pipe does, however that comes about, so none outlives this process.
+Each process makes a simulator of its own for its share. Worlds, commands, motions and samples travel. A worker ends
+when its pipe ends, whatever the reason, so no worker outlives this process.
 """
 
 import multiprocessing
 import signal
 import traceback
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -19,31 +20,31 @@ from numpy.typing import NDArray
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Fleet, Motions, WorkerDied
+from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, no_motion
 from nnql_bullet.worlds.spec import WorldSpec
 
 EXIT_TIMEOUT = 5.0
-"""How long a worker may take to end by itself [s]."""
+"""Time that a worker may take to end by itself [s]."""
 
 
-class WorkerFleet:
-    """Vehicle i lives in process i modulo the number of processes. See `sim.base.Fleet` for the contract."""
+class WorkerSimulator:
+    """A `Simulator` over processes. Vehicle i lives in process i modulo the number of processes."""
 
-    def __init__(self, make: Callable[[int], Fleet], size: int, workers: int) -> None:
-        """Starts the processes. After any error the fleet can only be closed.
+    def __init__(self, make: Callable[[int], Simulator], size: int, workers: int) -> None:
+        """Starts the processes. After any error the simulator can only be closed.
 
         Args:
-            make: Makes a fleet of a given size; it is sent to the processes, so it has to be importable there.
-            size: Vehicles in all.
-            workers: Processes, at most `size`.
+            make: Makes a simulator of a given size; it is sent to the processes, so it must be importable there.
+            size: Number of vehicles.
+            workers: Number of processes, at most `size`.
         """
         self.size = size
         self._shares = [np.arange(first, size, workers) for first in range(workers)]
         context = multiprocessing.get_context("spawn")  # a fork would copy threads' locks, and all memory
         self._pipes: list[Connection] = []
         self._processes: list[BaseProcess] = []
-        # Ctrl-C reaches every process of a terminal, but it is for this one to decide what it means. Its children take
-        # over what it blocks.
+        # Ctrl-C reaches every process of a terminal, but only this process is to react. Its children inherit the
+        # signals that it blocks.
         resource_tracker.ensure_running()  # else the first child starts it, and that unblocks Ctrl-C again
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -63,7 +64,7 @@ class WorkerFleet:
             raise
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each."""
+        """See `Simulator.reset`."""
         workers = len(self._pipes)
         asked: dict[int, dict[int, WorldSpec]] = {}
         for i, world in worlds.items():
@@ -79,27 +80,34 @@ class WorkerFleet:
         return poses, distances
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-    ) -> tuple[Motions, Array]:
-        """Drives one control period, in all processes at once."""
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
+    ) -> tuple[Motion, Array]:
+        """See `Simulator.advance`; all processes work at once."""
+        active = np.ones(self.size, np.bool_) if active is None else active
         speed_scales = np.ones(self.size) if speed_scales is None else speed_scales
+        traces = traces or {}
         asked = [worker for worker, share in enumerate(self._shares) if active[share].any()]
         for worker in asked:
             share = self._shares[worker]
-            self._send(worker, ("advance", heading_changes[share], active[share], speed_scales[share]))
+            traced = [row for row, i in enumerate(share.tolist()) if i in traces]
+            self._send(worker, ("advance", heading_changes[share], active[share], speed_scales[share], traced))
         answers = self._collect(asked)
-        distances = np.zeros((self.size, RAYS))
-        pose, numbers, events = np.zeros((self.size, 3)), np.zeros((5, self.size)), np.zeros((2, self.size), np.bool_)
+        motion, ray_distances = no_motion(self.size), np.zeros((self.size, RAYS))
         for worker in asked:
             share = self._shares[worker]
-            m, distances[share] = answers[worker]
-            pose[share] = m.pose
-            numbers[:, share] = m.yaw_rate, m.duration, m.path_length, m.clearance, m.heading_error
-            events[:, share] = m.touching, m.at_target
-        return Motions(pose, *numbers, *events), distances
+            (part, ray_distances[share]), samples = answers[worker]
+            for field in fields(Motion):
+                getattr(motion, field.name)[share] = getattr(part, field.name)
+            for row, some in samples.items():
+                traces[int(share[row])].extend(some)
+        return motion, ray_distances
 
     def close(self) -> None:
-        """Ends the processes: by closing their pipes, and by force where that is not enough."""
+        """Ends the processes: closes their pipes, and kills those that go on."""
         for pipe in self._pipes:
             pipe.close()
         for process in self._processes:
@@ -115,7 +123,7 @@ class WorkerFleet:
             raise self._death_of(worker) from None
 
     def _collect(self, workers: Iterable[int]) -> dict[int, Any]:
-        """The answers of some workers, in whatever order they come; one that died is noticed at once."""
+        """Answers of some workers, in the order that they come; a death is noticed at once."""
         waiting = {self._pipes[worker]: worker for worker in workers}
         answers = {}
         while waiting:
@@ -143,14 +151,19 @@ class WorkerFleet:
         )
 
 
-def _serve(pipe: Connection, make: Callable[[int], Fleet], size: int) -> None:
-    """What a worker process does: answers (result, error) to each message until the pipe ends."""
+def _serve(pipe: Connection, make: Callable[[int], Simulator], size: int) -> None:
+    """Runs in a worker process: answers (result, error) to each message until the pipe ends."""
     try:
-        fleet = make(size)
+        simulator = make(size)
         pipe.send((None, None))
         while True:
             verb, *arguments = pipe.recv()
-            pipe.send((getattr(fleet, verb)(*arguments), None))
+            if verb == "reset":
+                pipe.send((simulator.reset(*arguments), None))
+            else:
+                heading_changes, active, speed_scales, traced = arguments
+                traces: dict[int, list[Sample]] = {row: [] for row in traced}
+                pipe.send(((simulator.advance(heading_changes, active, speed_scales, traces), traces), None))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
     except UserError as error:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.learning.genetic import Genetic, GeneticOptions, first_generation, layers, network_outputs
-from nnql_bullet.env import FleetNavigation, Observations
+from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, distance
 from nnql_bullet.rollout import finished_episodes
@@ -33,9 +33,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 class Evolution:
     """A `Trainer`. The agent is given the fittest genome whenever a generation is over."""
 
-    def __init__(
-        self, agent: Genetic, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
-    ) -> None:
+    def __init__(self, agent: Genetic, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> None:
         self._agent = agent
         self._navigation = navigation
         self._world_of = world_of
@@ -120,12 +118,12 @@ class Crowd(TurnChooser):
         self._driving[vehicle] = self._begun
         self._begun += 1
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """As each vehicle's network says."""
         self.left[list(self._driving.values())] = observations.target_distance[list(self._driving)]
         return super().act(observations)
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """What each vehicle's network puts out."""
         genomes = [self._driving.get(vehicle, 0) for vehicle in np.flatnonzero(asked).tolist()]  # some stand by
         return network_outputs(self._genomes[genomes], observations.readings[asked])

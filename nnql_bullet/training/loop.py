@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.agents import LearningAgent
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import Tally
 from nnql_bullet.seeding import Stream, rng
@@ -32,13 +32,13 @@ class Training:
     """
 
     def __init__(
-        self, agent: LearningAgent, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
+        self, agent: LearningAgent, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int
     ) -> None:
         self._agent = agent
         self._navigation = navigation
         self._world_of = world_of
         self._seed = seed
-        n, most = navigation.fleet.size, navigation.task.max_steps
+        n, most = navigation.simulator.size, navigation.task.max_steps
         self._vehicles = np.arange(n)
         self._next_episode = 0
         self._episode = np.full(n, _NONE)
@@ -90,7 +90,7 @@ class Training:
             self._squared_errors[:], self._updates[:] = arrays["squared_errors"], arrays["updates"]
             self._actions[:, : arrays["actions"].shape[1]] = arrays["actions"]
         except (KeyError, ValueError, IndexError, TypeError):
-            raise UserError(f"this is not the state of a training with --vehicles {len(self._vehicles)}") from None
+            raise UserError(f"this is not the state of a training with {len(self._vehicles)} vehicles") from None
         for vehicle in np.flatnonzero(self._episode != _NONE).tolist():
             self._begin(vehicle)
         self._put_into_worlds()
@@ -119,7 +119,7 @@ class Training:
         """One decision of every vehicle, and one update."""
         self._put_into_worlds()
         now = self._vehicles, self._tally.steps
-        actions = self._agent.act_exploring(self._navigation.observations, self._episode, self._uniforms[now])
+        actions = self._agent.act_exploring(self._navigation.observation, self._episode, self._uniforms[now])
         transitions = self._navigation.step(actions)
         td_errors = self._agent.learn(transitions)
         self._actions[now] = actions

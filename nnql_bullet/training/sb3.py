@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from nnql_bullet.agents.learning.sb3_dqn import INPUTS, Sb3Dqn, inputs
-from nnql_bullet.env import ACTIONS, FleetNavigation
+from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary, Tally
@@ -29,9 +29,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 class DqnTraining:
     """A `Trainer`. Each update draws from a generator of its own, a function of the seed and its number."""
 
-    def __init__(
-        self, agent: Sb3Dqn, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec], seed: int
-    ) -> None:
+    def __init__(self, agent: Sb3Dqn, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> None:
         self._agent = agent
         self._navigation = navigation
         self._world_of = world_of
@@ -60,7 +58,7 @@ class DqnTraining:
     def _train(self) -> Iterator[tuple[TrainingEpisode, dict[str, Array]]]:
         """Trains from the beginning; yields each episode as it finishes, with the weights of then."""
         o = self._agent.options
-        vehicles = FleetVecEnv(self._navigation, self._world_of)
+        vehicles = VehiclesVecEnv(self._navigation, self._world_of)
         n = vehicles.num_envs
         together = max(o.steps_per_update // n, 1)
         with fenced(rng(self._seed, Stream.WEIGHTS)):
@@ -91,16 +89,16 @@ class DqnTraining:
             vehicles.finished.clear()
 
 
-class FleetVecEnv(VecEnv):
+class VehiclesVecEnv(VecEnv):
     """Many vehicles, as stable-baselines3 wants them: one whose episode is over is in its next world at once.
 
     As in `Training`, it takes the next episode that nobody has begun.
     """
 
-    def __init__(self, navigation: FleetNavigation, world_of: Callable[[int], WorldSpec]) -> None:
+    def __init__(self, navigation: Navigation, world_of: Callable[[int], WorldSpec]) -> None:
         self._navigation = navigation
         self._world_of = world_of
-        n = navigation.fleet.size
+        n = navigation.simulator.size
         self._tally = Tally(n)
         self._episode = np.zeros(n, np.int64)
         self._next_episode = 0
@@ -139,10 +137,10 @@ class FleetVecEnv(VecEnv):
             self._tally.reset(vehicle, worlds[vehicle].seed)
             self._next_episode += 1
         self._navigation.reset(worlds)
-        return inputs(self._navigation.observations)
+        return inputs(self._navigation.observation)
 
     def close(self) -> None:
-        """Nothing: the fleet is not its own."""
+        """Does nothing: the simulator belongs to the caller."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """None of each vehicle: they are no environments that have attributes."""

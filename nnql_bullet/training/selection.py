@@ -16,7 +16,7 @@ from pydantic import Field
 
 from nnql_bullet.agents import Trainable
 from nnql_bullet.config import options
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
@@ -62,7 +62,7 @@ def finalists(candidates: Candidates, episodes: int, agent: Trainable, options: 
 
 
 def count_goals(
-    agent: Trainable, candidates: Candidates, navigation: FleetNavigation, worlds: Sequence[WorldSpec]
+    agent: Trainable, candidates: Candidates, navigation: Navigation, worlds: Sequence[WorldSpec]
 ) -> dict[int, int]:
     """In how many of the worlds each candidate comes to its target, driven greedily.
 

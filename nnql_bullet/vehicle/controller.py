@@ -1,9 +1,21 @@
-"""The vehicle's controller: how the decisions of an agent become wheel-speed commands."""
+"""The vehicle's controller: it turns the decisions of an agent into wheel-speed commands.
+
+A decision asks for a heading change and a speed. The controller plans profiles of heading, yaw rate and speed within
+the vehicle's limits, and commands the wheel speeds that follow them. It feeds the heading back, in proportion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
 from nnql_bullet.types import NonNegative, Positive
+from nnql_bullet.vehicle.profiles import plan_turn, sample_ramp, sample_turn, wheel_speeds
+from nnql_bullet.vehicle.spec import Limits
 
 COMMAND_RATE = 120.0
 """Wheel-speed commands per second [Hz], in every simulator."""
@@ -14,16 +26,79 @@ class DriveOptions:
     """How the agent's decisions reach the wheels."""
 
     decision_period: Positive = 0.5
-    """From one decision to the next [s]. The paper's "one step" has no length; a kinematic study before this program
-    got 97 % with 0.5 s and 55 % with 1.0 s at 10 % cover. A turn goes on over several decisions."""
+    """Time from one decision to the next [s]. The paper's "one step" has no length. A turn may last for several
+    decisions."""
     speed: Positive = paper.SPEED
-    """Of the rear-axle centre, but where it is told to go slower [m/s]."""
+    """Speed of the rear-axle centre, unless a decision asks for less [m/s]."""
     heading_gain: NonNegative = 4.0
     """Yaw rate per heading error [1/s]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Profiles of one control period with m wheel commands."""
+
+    headings: Array
+    """Heading since the start, at each command and at the end (m + 1,) [rad]."""
+    yaw_rates: Array
+    """Yaw rate at each command and at the end (m + 1,) [rad/s]."""
+    speeds: Array
+    """Speed at each command and at the end (m + 1,) [m/s]."""
+    feed_forward: Array
+    """Mean speed [m/s] and mean yaw rate [rad/s] from each command to the next (m, 2)."""
+
+
+def command_times(drive: DriveOptions) -> Array:
+    """Times of the m wheel commands of a control period, and of its end (m + 1,) [s].
+
+    Raises:
+        UserError: If the period is not a whole number of commands.
+    """
+    return np.arange(whole_steps(drive.decision_period, 1 / COMMAND_RATE) + 1) / COMMAND_RATE
+
+
+def plan_period(
+    yaw_rate: float, speed: float, heading_change: float, wanted_speed: float, limits: Limits, times: Array
+) -> Plan:
+    """Plans one control period.
+
+    Args:
+        yaw_rate: Yaw rate at the start [rad/s].
+        speed: Speed at the start [m/s].
+        heading_change: Wanted change of heading [rad].
+        wanted_speed: Wanted speed [m/s].
+        limits: Limits of the vehicle.
+        times: See `command_times`.
+    """
+    yaw_rates, headings = sample_turn(plan_turn(yaw_rate, heading_change, limits), times)
+    speeds = np.empty(len(times))
+    sample_ramp(speed, wanted_speed, limits.acceleration, times, speeds)
+    feed_forward = np.stack([(speeds[:-1] + speeds[1:]) / 2, (headings[1:] - headings[:-1]) * COMMAND_RATE], axis=1)
+    return Plan(headings, yaw_rates, speeds, feed_forward)
+
+
+@njit()
+def command_wheels(
+    feed_forward: Array, heading_error: float, heading_gain: float, track: float, wheel_radius: float, speeds: Array
+) -> None:
+    """Computes the wheel speeds of k commands in a row, with the heading fed back once.
+
+    Args:
+        feed_forward: Rows of `Plan.feed_forward` (k, 2).
+        heading_error: Wanted heading minus the present one [rad].
+        heading_gain: Yaw rate per heading error [1/s].
+        track: Distance between the drive wheels [m].
+        wheel_radius: Radius of the drive wheels [m].
+        speeds: Filled with left and right wheel speeds (k, 2) [rad/s].
+    """
+    correction = heading_gain * heading_error
+    for k in range(len(speeds)):
+        speed, yaw_rate = feed_forward[k]
+        speeds[k, 0], speeds[k, 1] = wheel_speeds(speed, yaw_rate + correction, track, wheel_radius)
+
+
 def whole_steps(period: float, time_step: float) -> int:
-    """How many physics steps make a control period.
+    """Number of physics steps in a control period.
 
     Raises:
         UserError: If it is not a whole number of at least one.

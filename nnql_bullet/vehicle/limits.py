@@ -1,9 +1,8 @@
-"""What a manoeuvre asks of a vehicle, on paper: friction, wheel torque and wheel loads from Newton and Euler.
+"""Friction, wheel torque and wheel loads that a manoeuvre needs, and the limits that follow, from Newton and Euler.
 
-The vehicle is a rigid body on two driven rear wheels and a free front caster. The caster rolls where it is pulled, so
-it carries load and takes no side force. Everything follows from a `VehicleSpec`, and so from its payload.
-
-Left out, for what they are worth: rolling resistance (1 N m a wheel), and the force that swings the caster's own mass.
+The vehicle is a rigid body on two driven rear wheels and a free front caster. The caster rolls where it is pulled: it
+carries load and takes no side force. All results include the payload of the `VehicleSpec`. They leave out rolling
+resistance and the force that swings the caster's own mass.
 
 Sources: Gillespie, Fundamentals of Vehicle Dynamics, chapters 1 (axle loads), 3 (braking) and 9 (roll-over); Wong,
 Theory of Ground Vehicles, 3.8 (braking) and 5.1 (centripetal force); Siegwart and Nourbakhsh, Introduction to
@@ -15,37 +14,36 @@ from math import atan, sqrt
 
 import numpy as np
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.geometry import Array
 from nnql_bullet.vehicle.profiles import Turn
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
-GRAVITY = 9.81
-"""[m/s2]"""
 INSTANTS = 60
-"""Looked at in each phase of a turn; both ends are among them, and with them the peaks."""
+"""Number of instants evaluated in each phase of a turn, with both ends, where the peaks are."""
 
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What the ground and the drives have to give at n instants."""
+    """Forces, torques and loads that a manoeuvre needs at n instants."""
 
     lateral: Array
-    """Acceleration of the centre of mass, to the left (n,) [m/s2]."""
+    """Lateral acceleration of the centre of mass, positive to the left (n,) [m/s2]."""
     side_force: Array
-    """On both drive wheels together, to the left (n,) [N]."""
+    """Force of the ground on both drive wheels together, positive to the left (n,) [N]."""
     drive_forces: Array
-    """On the left and right drive wheel, ahead (n, 2) [N]."""
+    """Forces of the ground on the left and right drive wheel, positive ahead (n, 2) [N]."""
     torques: Array
-    """Of the left and right drive (n, 2) [N m]."""
+    """Torques of the left and right drive (n, 2) [N m]."""
     loads: Array
-    """On the left, right and caster wheel (n, 3) [N]; one below zero says that the wheel lifts."""
+    """Loads on the left, right and caster wheel (n, 3) [N]; a wheel lifts where its load is negative."""
 
     @property
     def friction(self) -> Array:
-        """Coefficient of friction that the drive wheels need, taken together (n,).
+        """Coefficient of friction that both drive wheels together need (n,).
 
-        A rigid axle shares its side force as grip allows, so it slides once the sum of what both wheels can hold is
-        used up: |sum of forces| <= mu (N_left + N_right), with the longitudinal forces counted by their size.
+        A rigid axle distributes its side force as grip allows. It slides when both wheels together reach their limit:
+        |sum of forces| <= mu (N_left + N_right), where the longitudinal forces count by their magnitude.
         """
         along = np.abs(self.drive_forces).sum(axis=1)
         return np.asarray(np.hypot(self.side_force, along) / (self.loads[:, 0] + self.loads[:, 1]))
@@ -53,31 +51,32 @@ class Demand:
 
 @dataclass(frozen=True, slots=True)
 class TurnDemand:
-    """The most that a turn asks for, each at its own instant."""
+    """Extreme values of a turn's demand over its instants."""
 
     friction: float
-    """Coefficient that the drive wheels need, see `Demand.friction`."""
+    """Largest coefficient of friction that the drive wheels need; see `Demand.friction`."""
     torque: float
-    """Of either drive [N m]."""
+    """Largest torque of a drive [N m]."""
     least_load: float
-    """On either drive wheel, over its load at rest; below zero it lifts."""
+    """Smallest load on a drive wheel over its load at rest; below zero the wheel lifts."""
     lateral: float
-    """Acceleration of the centre of mass [m/s2]."""
+    """Largest lateral acceleration of the centre of mass [m/s2]."""
 
 
 def quasi_steady(vehicle: VehicleSpec, speed: float, yaw_rate: Array, yaw_acceleration: Array) -> Demand:
-    """The demand of turning with the rear-axle centre at constant speed.
+    """Computes the demand of a turn with the rear-axle centre at constant speed.
 
     The centre of mass, `a` ahead of the axle, accelerates by v w + a alpha to the left and by -a w^2 ahead. The side
-    force acts at the axle, so the drives turn the vehicle against it: M = Izz alpha + a m (v w + a alpha), which forces
-    of +-M/T at the wheels give. Moments about the roll and pitch axes give the loads: the spin of the wheels adds to
-    the first, a payload's product of inertia to both, and the swivelled caster shifts the point that holds the front.
+    force acts at the axle, so the drives turn the vehicle against it with the moment M = Izz alpha + a m (v w + a
+    alpha), which is the moment of forces of +-M/T at the wheels. Moments about the roll and pitch axes give the loads:
+    the spin of the wheels adds to the first, a payload's product of inertia to both, and the swivelled caster shifts
+    the point of contact in front.
 
     Args:
-        vehicle: What turns.
-        speed: Of the rear-axle centre, above zero [m/s].
-        yaw_rate: At each instant, positive to the left (n,) [rad/s].
-        yaw_acceleration: At each instant (n,) [rad/s2].
+        vehicle: The vehicle that turns.
+        speed: Speed of the rear-axle centre, above zero [m/s].
+        yaw_rate: Yaw rates, positive to the left (n,) [rad/s].
+        yaw_acceleration: Yaw accelerations (n,) [rad/s2].
     """
     v, w, alpha = speed, np.asarray(yaw_rate, dtype=float), np.asarray(yaw_acceleration, dtype=float)
     m, a, h = vehicle.mass, vehicle.com_ahead, vehicle.com_height
@@ -99,12 +98,12 @@ def quasi_steady(vehicle: VehicleSpec, speed: float, yaw_rate: Array, yaw_accele
 
 
 def turn_demand(vehicle: VehicleSpec, speed: float, turn: Turn) -> TurnDemand:
-    """The most that a turn asks for at constant speed.
+    """Computes the extreme demand of a turn at constant speed.
 
     Args:
-        vehicle: What turns.
-        speed: Of the rear-axle centre, above zero [m/s].
-        turn: Its yaw-rate profile.
+        vehicle: The vehicle that turns.
+        speed: Speed of the rear-axle centre, above zero [m/s].
+        turn: Yaw-rate profile of the turn.
     """
     rates, accelerations = [], []
     for seconds, begin, end in (
@@ -121,7 +120,7 @@ def turn_demand(vehicle: VehicleSpec, speed: float, turn: Turn) -> TurnDemand:
 
 
 def worst(vehicle: VehicleSpec, demand: Demand) -> TurnDemand:
-    """The most that is asked for at any of the instants."""
+    """Extreme values of a demand over its instants."""
     return TurnDemand(
         friction=float(demand.friction.max()),
         torque=float(np.abs(demand.torques).max()),
@@ -131,7 +130,7 @@ def worst(vehicle: VehicleSpec, demand: Demand) -> TurnDemand:
 
 
 def static_rear_load(vehicle: VehicleSpec) -> float:
-    """On each drive wheel at rest [N]."""
+    """Load on each drive wheel at rest [N]."""
     return vehicle.mass * GRAVITY * vehicle.rear_share / 2
 
 
@@ -141,15 +140,15 @@ def tip_acceleration(vehicle: VehicleSpec) -> float:
 
 
 def tip_angle(vehicle: VehicleSpec) -> float:
-    """Sideways slope on which a wheel lifts, and roll from which the vehicle does not come back [rad]."""
+    """Sideways slope on which a wheel lifts, which is also the roll angle at which the vehicle tips over [rad]."""
     return atan(tip_acceleration(vehicle) / GRAVITY)
 
 
 def grip_acceleration(vehicle: VehicleSpec) -> float:
     """Lateral acceleration of a steady turn that uses all grip: mu g (1 - a/L)/sqrt(1 + (2a/T)^2) [m/s2].
 
-    The root is the longitudinal force with which the drives hold the turn, since the side force acts behind the centre
-    of mass.
+    The root accounts for the longitudinal forces that hold the turn, because the side force acts behind the centre of
+    mass.
     """
     straight = vehicle.contact.wheel_friction * GRAVITY * vehicle.rear_share
     return straight / sqrt(1 + (2 * vehicle.com_ahead / vehicle.track) ** 2)
@@ -157,40 +156,40 @@ def grip_acceleration(vehicle: VehicleSpec) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """How hard a vehicle can brake on its drive wheels, straight ahead."""
+    """Decelerations of a vehicle that brakes on its drive wheels, straight ahead."""
 
     by_grip: float
-    """Deceleration on locked wheels: mu g (1 - a/L)/(1 + mu h/L), since braking unloads them [m/s2]."""
+    """Deceleration with locked wheels: mu g (1 - a/L)/(1 + mu h/L), because braking unloads them [m/s2]."""
     by_torque: float
-    """Deceleration at the drives' torque limit, wheels rolling: 2 tau/(r m), m with the wheels' inertia [m/s2]."""
+    """Deceleration with rolling wheels at the torque limit: 2 tau/(r m), m with the wheels' inertia [m/s2]."""
 
     @property
     def deceleration(self) -> float:
-        """What is reached: the smaller [m/s2]."""
+        """The deceleration that the vehicle reaches: the smaller of both [m/s2]."""
         return min(self.by_grip, self.by_torque)
 
     def stopping_distance(self, speed: float, reaction: float = 0.0) -> float:
-        """What is driven until the vehicle stands: v t + v^2/(2d) [m].
+        """Distance driven until the vehicle stands: v t + v^2/(2d) [m].
 
         Args:
-            speed: When the reason to stop appears [m/s].
-            reaction: Until the brakes act [s].
+            speed: Speed when the obstacle is seen [m/s].
+            reaction: Time until the brakes act [s].
         """
         return speed * reaction + speed * speed / (2 * self.deceleration)
 
     def largest_speed(self, distance: float, reaction: float = 0.0) -> float:
-        """The speed from which the vehicle stops within a distance: the positive root of its stopping distance [m/s].
+        """Largest speed from which the vehicle stops within a distance: root of the stopping distance [m/s].
 
         Args:
-            distance: Free way ahead [m].
-            reaction: Until the brakes act [s].
+            distance: Free distance ahead [m].
+            reaction: Time until the brakes act [s].
         """
         lost = self.deceleration * reaction
         return sqrt(lost * lost + 2 * self.deceleration * distance) - lost
 
 
 def braking(vehicle: VehicleSpec) -> Braking:
-    """How hard a vehicle can brake."""
+    """Computes the decelerations of a vehicle that brakes straight ahead."""
     mu = vehicle.contact.wheel_friction
     unloading = mu * vehicle.com_height / vehicle.wheelbase
     return Braking(
@@ -199,60 +198,60 @@ def braking(vehicle: VehicleSpec) -> Braking:
     )
 
 
-LEAST_BRAKING = 0.4
-"""Of what it brakes straight ahead, what a vehicle is taken to brake in any turn: it ends the turn, too."""
-LEAST_SHARE = 0.1
-"""Of its limit on yaw acceleration, what a vehicle is taken to follow whatever it carries."""
+MIN_TURNING_BRAKES = 0.4
+"""Lower bound on the deceleration in a turn, over that straight ahead; braking ends the turn, too."""
+MIN_YAW_ACCELERATION = 0.1
+"""Lower bound on the yaw acceleration that the vehicle follows, over the commanded limit."""
 
 
 def followed_limits(vehicle: VehicleSpec, speed: float, acceleration: float = 0.0) -> Limits:
-    """What the vehicle follows at the least of the limits that its drive goes by.
+    """Computes the limits within which the vehicle follows its commands, at most the commanded limits.
 
-    Its yaw rate is what grip holds in a steady turn. A drive wheel pushes with F, the smaller of tau/r and mu N, less
-    what speeds the vehicle up or slows it down; that turns it by F T >= Izz alpha + a m (v w + a alpha).
+    Grip limits the yaw rate of a steady turn. The force F of a drive wheel, the smaller of tau/r and mu N less its part
+    in the acceleration along the vehicle, limits the yaw acceleration: F T >= Izz alpha + a m (v w + a alpha).
 
     Args:
-        vehicle: What turns.
-        speed: Of the rear-axle centre [m/s].
-        acceleration: Along the vehicle, by its size [m/s2].
+        vehicle: The vehicle that turns.
+        speed: Speed of the rear-axle centre [m/s].
+        acceleration: Magnitude of the acceleration along the vehicle [m/s2].
     """
     limits, a = vehicle.limits, vehicle.com_ahead
     rate = min(limits.yaw_rate, grip_acceleration(vehicle) / speed)
     push = min(vehicle.wheel_torque / vehicle.wheel_radius, vehicle.contact.wheel_friction * static_rear_load(vehicle))
     push -= vehicle.rolling_mass * acceleration / 2
     turning = (push * vehicle.track - a * vehicle.mass * speed * rate) / (vehicle.yaw_inertia + vehicle.mass * a * a)
-    least = LEAST_SHARE * limits.yaw_acceleration
+    least = MIN_YAW_ACCELERATION * limits.yaw_acceleration
     return replace(limits, yaw_rate=rate, yaw_acceleration=min(max(turning, least), limits.yaw_acceleration))
 
 
 def turning_deceleration(vehicle: VehicleSpec, speed: float) -> float:
-    """How hard a vehicle still brakes while it turns as `followed_limits` says [m/s2].
+    """Deceleration that is left while the vehicle turns at the yaw rate of `followed_limits` [m/s2].
 
-    Each drive wheel holds half the side force, within its circle of friction, and one of them its part of what holds
-    the turn: what is left brakes.
+    Each drive wheel takes half the side force, within its circle of friction, and the longitudinal force that holds the
+    turn. The remaining longitudinal force brakes.
 
     Args:
-        vehicle: What turns.
-        speed: Of the rear-axle centre [m/s].
+        vehicle: The vehicle that turns.
+        speed: Speed of the rear-axle centre [m/s].
     """
     side = vehicle.mass * speed * followed_limits(vehicle, speed).yaw_rate
     grip = vehicle.contact.wheel_friction * static_rear_load(vehicle)
     along = sqrt(max(grip * grip - side * side / 4, 0.0))
     push = min(vehicle.wheel_torque / vehicle.wheel_radius, along) - vehicle.com_ahead * side / vehicle.track
     straight = braking(vehicle).deceleration
-    return min(max(2 * push / vehicle.rolling_mass, LEAST_BRAKING * straight), straight)
+    return min(max(2 * push / vehicle.rolling_mass, MIN_TURNING_BRAKES * straight), straight)
 
 
 def braking_rear_load(vehicle: VehicleSpec, deceleration: float) -> float:
-    """On each drive wheel while braking, over its load at rest."""
+    """Load on each drive wheel while braking, over its load at rest."""
     moved = vehicle.mass * deceleration * vehicle.com_height / vehicle.wheelbase / 2
     return 1 - moved / static_rear_load(vehicle)
 
 
 def _product_of_inertia(vehicle: VehicleSpec) -> float:
-    """Sum of m x z about the centre of mass [kg m2]: of the payload, which sits high and ahead.
+    """Sum of m x z about the centre of mass [kg m2], of the payload alone.
 
-    The vehicle's own is taken for nothing; the shipped one's is -0.2 kg m2.
+    The product of inertia of the empty vehicle is small and counts as zero.
     """
     load = vehicle.payload
     if load is None:
@@ -262,7 +261,7 @@ def _product_of_inertia(vehicle: VehicleSpec) -> float:
 
 
 def _caster_contact(vehicle: VehicleSpec, speed: float, yaw_rate: Array) -> tuple[Array, Array]:
-    """Where the caster touches the ground, ahead and to the left of the rear-axle centre (n,) [m].
+    """Contact point of the caster, ahead and to the left of the rear-axle centre (n,) [m].
 
     Its contact point moves in the wheel's plane: w L' cos(delta) - v sin(delta) = t w, for the swivel axis L' = L + t
     ahead of the axle and the trail t.

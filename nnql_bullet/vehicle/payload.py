@@ -1,4 +1,4 @@
-"""A vehicle with a load on its deck: the same vehicle, heavier, its centre of mass elsewhere."""
+"""A load on the vehicle's deck, which changes its mass, centre of mass and inertia."""
 
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -7,23 +7,21 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 LINK = "payload"
-"""Of the URDF, fixed to the base."""
-
-
+"""Name of the load's link in the URDF, fixed to the base."""
 LOAD_HEIGHT = 0.55
-"""Of the centre of a load above the ground, where nothing else is said [m]."""
+"""Default height of the centre of a load above the ground [m]."""
 
 
 def deck_load(vehicle: VehicleSpec, mass: float, height: float = LOAD_HEIGHT) -> Payload:
-    """A load of this mass [kg] on the middle of the deck."""
+    """A load of some mass [kg] on the middle of the deck, its centre at some height above the ground [m]."""
     return Payload(mass, vehicle.footprint.x, height)
 
 
 def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
-    """The vehicle with a load fixed to it; mass, centre of mass and inertia are those of both (parallel-axis theorem).
+    """The vehicle with a load: mass, centre of mass and inertia of both together (parallel-axis theorem).
 
     Raises:
-        UserError: If it carries one already.
+        UserError: If the vehicle already carries a load.
     """
     if vehicle.payload:
         raise UserError(f"vehicle '{vehicle.name}' carries a payload already")
@@ -43,7 +41,7 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """The vehicle's URDF, with its load as one more link.
+    """The text of the vehicle's URDF, in which its load is one more link.
 
     Raises:
         OSError: If the URDF cannot be read.

@@ -1,4 +1,4 @@
-"""What a vehicle looks like: the boxes, cylinders and spheres of its URDF, and where they are when its joints turn."""
+"""The visible shapes of a vehicle's URDF (boxes, cylinders, spheres) and their frames at given joint angles."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,28 +20,28 @@ UNPAINTED: Colour = (0.8, 0.8, 0.8)
 
 @dataclass(frozen=True)
 class Shape:
-    """A solid of one colour, about its middle; a cylinder stands along z."""
+    """A solid of one colour, centred in its own frame; the axis of a cylinder is z."""
 
     link: str
     kind: Kind
     half_sizes: tuple[float, float, float]
-    """Along x, y and z [m]."""
+    """Half extents along x, y and z [m]."""
     origin: Array
-    """From its own frame to that of its link (4, 4)."""
+    """Transform from its own frame to its link's frame (4, 4)."""
     colour: Colour
 
 
-class Looks:
-    """A vehicle's shapes, link by link."""
+class Visuals:
+    """The visible shapes of a vehicle, link by link."""
 
     def __init__(self, vehicle: Mapping[str, Any]) -> None:
-        """Reads them.
+        """Reads the shapes from the URDF in a recording.
 
         Args:
-            vehicle: What a recording says about it.
+            vehicle: The recording's entry `vehicle`.
 
         Raises:
-            UserError: If it does not say what the vehicle looks like, or some of it is a mesh.
+            UserError: If the entry has no URDF, or the URDF shows a mesh.
         """
         if "urdf" not in vehicle:
             raise UserError(
@@ -60,23 +60,23 @@ class Looks:
         self._axle_height = vehicle["wheel_radius"]
 
     def link_frames(self, joint_angles: Sequence[float]) -> dict[str, Array]:
-        """From each link's frame to that of the chassis (4, 4).
+        """Transforms from each link's frame to the chassis frame (4, 4), by link.
 
         Args:
-            joint_angles: Left drive, right drive, swivel, caster roll [rad].
+            joint_angles: Angles of left drive, right drive, swivel and caster roll [rad].
         """
         self._urdf.update_cfg(dict(zip(self._joints, joint_angles, strict=True)))
         return {link: self._urdf.get_transform(link) for link in self._urdf.link_map}
 
     def frames(self, pose: Pose, joint_angles: Sequence[float]) -> list[Array]:
-        """From the frame of each of the shapes to the world (4, 4), on level ground."""
+        """Transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
         links = self.link_frames(joint_angles)
         chassis = upright(pose.x, pose.y, self._axle_height, pose.yaw)
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
 
 
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
-    """From a frame at a place [m], turned [rad] but not tilted, to the world (4, 4)."""
+    """Transform from a frame at a place [m], rotated about z by a yaw [rad], to the world (4, 4)."""
     frame = np.eye(4)
     frame[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     frame[:3, 3] = x, y, z

@@ -1,1 +1,1 @@
-"""Worlds: what stands where, how it is drawn from a seed, and whether it can be crossed."""
+"""Worlds: their obstacles, how they are drawn from a seed, and whether a vehicle can cross them."""

@@ -1,4 +1,4 @@
-"""The world on a grid: where the vehicle's centre may be, and whether that reaches from start to target."""
+"""The world as a grid of free and occupied cells, and whether free cells lead from the start to the target."""
 
 from heapq import heappop, heappush
 from math import floor, hypot
@@ -11,42 +11,62 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 GRID_CELL = 0.2
 """Side of a cell [m]."""
-
 GRID_DIAGONAL = hypot(GRID_CELL, GRID_CELL)
-"""Of a cell [m]."""
-GROWTH = np.array([0.0, 0.0, GRID_DIAGONAL / 2, GRID_DIAGONAL / 2, 0.0, 0.0])
-"""What the rows of boxes grow by, so that none is too thin to take a cell."""
+"""Diagonal of a cell [m]."""
+_GROWTH = np.array([0.0, 0.0, GRID_DIAGONAL / 2, GRID_DIAGONAL / 2, 0.0, 0.0])
+"""Growth of the rows of boxes, so that none is too thin to occupy a cell [m]."""
 
 Cell = tuple[int, int]
 """Row along y, column along x."""
 
 
 def is_solvable(world: WorldSpec, clearance: float) -> bool:
-    """Whether a disc of radius `clearance` [m] can go from the start to the target, from free cell to free cell.
+    """Whether a disc of radius `clearance` [m] can go from the start to the target over free cells.
 
-    A box takes the cells whose centres it holds when it is grown by half a cell's diagonal, so that one too thin to
-    hold any is not overlooked; a cell that reaches out of the arena is wall. A cell is free if every obstacle and wall
-    is at least `clearance` away from anywhere in it.
+    A box, grown by half a cell's diagonal, occupies the cells whose centres it contains. Cells that extend beyond the
+    arena are wall. A cell is free if every point in it is at least `clearance` away from every occupied cell and wall.
     """
-    shape = floor(world.depth / GRID_CELL + 1e-9), floor(world.width / GRID_CELL + 1e-9)
-    start, target = cell_of(world.start.x, world.start.y), cell_of(*world.target)
-    if not all(0 <= cell[axis] < shape[axis] for cell in (start, target) for axis in (0, 1)):
+    shape = shape_of(world)
+    start, target = ends_of(world)
+    if not (is_inside(start, shape) and is_inside(target, shape)):
         return False
-    boxes = world.solids[: len(world.obstacles)] + GROWTH
-    # Between cell centres; points of the two cells may each be half a diagonal nearer.
-    reach = clearance + GRID_DIAGONAL
-    # From the target, which most worlds have nearer to a corner: what is more often shut in is sooner searched.
-    return bool(_are_joined(target, start, shape, boxes, reach))
+    # The search begins at the target, which is nearer to a corner in most worlds and so is more often shut in.
+    return bool(_are_joined(target, start, shape, grown_boxes(world), centre_distance(clearance)))
+
+
+def shape_of(world: WorldSpec) -> Cell:
+    """Numbers of rows and columns of the grid."""
+    return floor(world.depth / GRID_CELL + 1e-9), floor(world.width / GRID_CELL + 1e-9)
+
+
+def ends_of(world: WorldSpec) -> tuple[Cell, Cell]:
+    """The cells of the start and of the target."""
+    return cell_of(world.start.x, world.start.y), cell_of(*world.target)
+
+
+def is_inside(cell: Cell, shape: Cell) -> bool:
+    """Whether a cell is in the grid."""
+    return 0 <= cell[0] < shape[0] and 0 <= cell[1] < shape[1]
+
+
+def grown_boxes(world: WorldSpec) -> Array:
+    """The obstacles as rows (n, 6) of `as_rows`, grown by half a cell's diagonal on each side."""
+    return np.asarray(world.solids[: len(world.obstacles)] + _GROWTH)
+
+
+def centre_distance(clearance: float) -> float:
+    """Distance between the centres of two cells whose points are all at least `clearance` apart [m]."""
+    return clearance + GRID_DIAGONAL
 
 
 def cell_of(x: float, y: float) -> Cell:
-    """The cell that a point [m] lies in."""
+    """The cell that contains a point [m]."""
     return floor(y / GRID_CELL), floor(x / GRID_CELL)
 
 
 @njit(nogil=True)
 def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
-    """Whether a box takes a cell whose centre is nearer than `reach` [m] to that of `cell`."""
+    """Whether a box occupies a cell whose centre is less than `reach` [m] from the centre of `cell`."""
     far = int(reach / GRID_CELL)
     for row in range(-far, far + 1):
         for column in range(-far, far + 1):
@@ -58,9 +78,9 @@ def _takes_a_cell_around(cell: Cell, box: Array, reach: float) -> bool:
 
 @njit(nogil=True)
 def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
-    """A lower bound [m] on how far the centre of a cell is from those of cells that are taken or wall.
+    """Lower bound on the distance from a cell's centre to the centres of occupied and wall cells [m].
 
-    It is `reach` or more exactly where that distance is, and 0 elsewhere.
+    The bound is at least `reach` if that distance is, and 0 otherwise.
     """
     row, column = cell
     walls = (min(row, column, shape[0] - 1 - row, shape[1] - 1 - column) + 1) * GRID_CELL
@@ -77,10 +97,10 @@ def _room_around(cell: Cell, shape: Cell, boxes: Array, reach: float) -> float:
 
 @njit(nogil=True)
 def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float) -> bool:
-    """Whether free cells, each one of the eight around the last, lead from `begin` to `end`.
+    """Whether a chain of free cells, each a neighbour of the last (eight directions), leads from `begin` to `end`.
 
-    Greedy best-first search (Russell and Norvig, Artificial Intelligence, 3.5.1): the cell nearest to the end is next.
-    The room around a cell is measured only where it does not follow from that around the cell it is entered from.
+    Greedy best-first search (Russell and Norvig, Artificial Intelligence, 3.5.1): it expands the cell nearest to the
+    end. It measures the room around a cell only if the room around the previous cell does not imply enough.
     """
     seen = np.zeros(shape, dtype=np.bool_)
     seen[begin] = True
@@ -93,7 +113,7 @@ def _are_joined(begin: Cell, end: Cell, shape: Cell, boxes: Array, reach: float)
                 continue
         if cell == end:
             return True
-        # A free cell is not at the edge: `reach` is more than a cell.
+        # A free cell is not at the edge, because `reach` is more than a cell.
         for row in range(cell[0] - 1, cell[0] + 2):
             for column in range(cell[1] - 1, cell[1] + 2):
                 if not seen[row, column]:

@@ -1,8 +1,8 @@
-"""The shortest way through a world for a disc, and what it is like: what a drive is measured by."""
+"""The shortest path of a disc through a world, and measures of the world's difficulty along it."""
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from math import floor, pi
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,42 +11,42 @@ from scipy.ndimage import distance_transform_edt
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, clearance_at, ray_distances, squared_distance
 from nnql_bullet.jit import njit
-from nnql_bullet.worlds.grid import GRID_CELL, GRID_DIAGONAL, GROWTH, Cell, cell_of
+from nnql_bullet.worlds.grid import GRID_CELL, Cell, centre_distance, ends_of, grown_boxes, is_inside, shape_of
 from nnql_bullet.worlds.spec import WorldSpec
 
 CHECK_SPACING = GRID_CELL / 4
-"""Distance from one look to the next, whether a straight line keeps to free cells [m]."""
+"""Distance between points of a straight line whose cells have to be free [m]."""
 SURVEY_SPACING = 2.0
-"""Distance along the path from one measurement of its surroundings to the next [m]."""
+"""Distance along the path between measurements of its surroundings [m]."""
 VISIBILITY_RANGE = 100.0
-"""A ray that meets nothing counts as so long [m]; in the paper's arena every ray meets a wall."""
+"""Length of a ray that meets nothing [m]; in the paper's arena every ray meets a wall."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difficulty:
-    """How hard a world is for a vehicle, whatever drives it.
+    """Measures of how difficult a world is for a vehicle, whatever its policy.
 
     The last three are means along the shortest path, after Perille, Truong, Xiao and Stone, Benchmarking Metric Ground
     Navigation (SSRR 2020).
     """
 
     cover: float
-    """Share of the arena under boxes."""
+    """Share of the arena's area under boxes."""
     shortest_path: float
-    """From the start to the edge of the target, for a disc [m]."""
+    """Length of a disc's shortest path from the start to the edge of the target [m]."""
     tortuosity: float
-    """Length of that path over the straight distance."""
+    """Length of the shortest path over the straight distance."""
     closest_obstacle: float
     """Distance to the closest obstacle or wall [m]."""
     visibility: float
-    """Distance to what is seen, over all directions [m]."""
+    """Length of rays in all directions [m]."""
 
 
 def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
-    """Of a world, for a disc of radius `clearance` [m].
+    """Measures the difficulty of a world for a disc of radius `clearance` [m].
 
     Raises:
-        UserError: If there is no way through it.
+        UserError: If there is no path to the target.
     """
     path = shortest_path(world, clearance)
     length = path_length(path)
@@ -67,18 +67,19 @@ def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
 
 
 def shortest_path(world: WorldSpec, clearance: float) -> Array:
-    """The way from start to target over free cells (see `grid.is_solvable`), as corners of straight lines (k, 2) [m].
+    """Finds the shortest path from start to target over free cells (see `grid.is_solvable`).
 
-    Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A* whose ways may run at any angle: a few per mille longer than
-    the true shortest one, where one confined to a grid's eight directions is up to 8 % longer.
+    Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A* whose paths may run at any angle.
+
+    Returns:
+        Corners of the straight pieces of the path (k, 2) [m].
 
     Raises:
-        UserError: If there is none.
+        UserError: If there is no path.
     """
-    shape = floor(world.depth / GRID_CELL + 1e-9), floor(world.width / GRID_CELL + 1e-9)
-    begin, end = cell_of(world.start.x, world.start.y), cell_of(*world.target)
+    shape, (begin, end) = shape_of(world), ends_of(world)
     free = _free_cells(world, shape, clearance)
-    inside = all(0 <= cell[axis] < shape[axis] for cell in (begin, end) for axis in (0, 1))
+    inside = is_inside(begin, shape) and is_inside(end, shape)
     cells = _theta_star(begin, end, free) if inside and free[begin] and free[end] else np.zeros((0, 2), np.int64)
     if len(cells) == 0:
         raise UserError(f"world '{world.name}', seed {world.seed}: there is no way to the target; move its boxes apart")
@@ -88,28 +89,28 @@ def shortest_path(world: WorldSpec, clearance: float) -> Array:
 
 
 def path_length(path: Array) -> float:
-    """Of straight lines from corner to corner (k, 2) [m]."""
+    """Length of a path with corners (k, 2) [m]."""
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def _along(path: Array, every: float) -> Array:
-    """Points (m, 2) on a path, so far apart [m]."""
+    """Points (m, 2) on a path, `every` [m] apart."""
     ends = np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
     at = np.arange(0.0, ends[-1], every)
     return np.stack([np.interp(at, ends, path[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.bool_]:
-    """Which cells are free, by the exact distance transform of those that are taken or wall."""
+    """Which cells are free, by the exact distance transform of the occupied and wall cells."""
     taken = np.ones((shape[0] + 2, shape[1] + 2), np.bool_)
-    taken[1:-1, 1:-1] = _taken_cells(shape, world.solids[: len(world.obstacles)] + GROWTH)
+    taken[1:-1, 1:-1] = _taken_cells(shape, grown_boxes(world))
     distance = np.asarray(distance_transform_edt(~taken, sampling=GRID_CELL))
-    return np.asarray(distance[1:-1, 1:-1] >= clearance + GRID_DIAGONAL)
+    return np.asarray(distance[1:-1, 1:-1] >= centre_distance(clearance))
 
 
 @njit(nogil=True)
 def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
-    """Which cells have their centre in a box."""
+    """Which cells have their centres in a box."""
     taken = np.zeros(shape, np.bool_)
     for i in range(len(boxes)):
         box = boxes[i]
@@ -125,12 +126,12 @@ def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
 
 @njit(nogil=True)
 def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
-    """Whether the straight line between the centres of two cells keeps to free cells."""
+    """Whether the straight line between the centres of two cells crosses free cells only."""
     rows, columns = end[0] - begin[0], end[1] - begin[1]
-    looks = int(np.hypot(rows, columns) * GRID_CELL / CHECK_SPACING) + 1
-    for k in range(1, looks):
-        row = int(np.floor(begin[0] + 0.5 + rows * k / looks))
-        column = int(np.floor(begin[1] + 0.5 + columns * k / looks))
+    pieces = int(np.hypot(rows, columns) * GRID_CELL / CHECK_SPACING) + 1
+    for k in range(1, pieces):
+        row = int(np.floor(begin[0] + 0.5 + rows * k / pieces))
+        column = int(np.floor(begin[1] + 0.5 + columns * k / pieces))
         if not free[row, column]:
             return False
     return True
@@ -143,11 +144,11 @@ def _apart(one: Cell, other: Cell) -> float:
 
 @njit(nogil=True)
 def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Cells (k, 2) at the corners of the way from `begin` to `end`; none if there is no way."""
-    far = np.full(free.shape, np.inf)  # from the beginning, in cells
+    """Finds the cells (k, 2) at the corners of the path from `begin` to `end`; none if there is no path."""
+    length = np.full(free.shape, np.inf)  # of the path from `begin`, in cells
     parents = np.zeros((free.shape[0], free.shape[1], 2), np.int64)
     closed = np.zeros(free.shape, np.bool_)
-    far[begin] = 0.0
+    length[begin] = 0.0
     parents[begin] = begin
     heap = [(_apart(begin, end), begin)]
     while heap:
@@ -155,28 +156,28 @@ def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.i
         if closed[cell]:
             continue
         parent = parents[cell][0], parents[cell][1]
-        if not _is_clear(parent, cell, free):  # it was taken for granted so far
-            far[cell] = np.inf
+        if not _is_clear(parent, cell, free):  # lazy: the line is checked only now
+            length[cell] = np.inf
             for row in range(cell[0] - 1, cell[0] + 2):
                 for column in range(cell[1] - 1, cell[1] + 2):
                     if closed[row, column]:
-                        way = far[row, column] + _apart((row, column), cell)
-                        if way < far[cell]:
-                            far[cell] = way
+                        candidate = length[row, column] + _apart((row, column), cell)
+                        if candidate < length[cell]:
+                            length[cell] = candidate
                             parents[cell] = (row, column)
             parent = parents[cell][0], parents[cell][1]
         closed[cell] = True
         if cell == end:
             break
-        # A free cell is not at the edge: the clearance is more than a cell.
+        # A free cell is not at the edge, because the clearance is more than a cell.
         for row in range(cell[0] - 1, cell[0] + 2):
             for column in range(cell[1] - 1, cell[1] + 2):
                 if free[row, column] and not closed[row, column]:
-                    way = far[parent] + _apart(parent, (row, column))
-                    if way < far[row, column]:
-                        far[row, column] = way
+                    candidate = length[parent] + _apart(parent, (row, column))
+                    if candidate < length[row, column]:
+                        length[row, column] = candidate
                         parents[row, column] = parent
-                        heappush(heap, (way + _apart((row, column), end), (row, column)))
+                        heappush(heap, (candidate + _apart((row, column), end), (row, column)))
     corners = [end]
     if not closed[end]:
         return np.zeros((0, 2), np.int64)

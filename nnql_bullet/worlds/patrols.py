@@ -1,4 +1,4 @@
-"""Boxes that move: how patrols are drawn into a world, whatever its layout is."""
+"""Patrols: moving boxes that are drawn into a world of any layout."""
 
 from math import atan2, cos, hypot, pi, sin
 from typing import Annotated
@@ -15,44 +15,45 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 Speed = Annotated[float, Field(gt=0, le=1)]
 MOST_TRIES = 20_000
 SWEEP_MARGIN = 0.1
-"""Between what a patrol sweeps and what stands still [m]."""
+"""Smallest distance between the area that a patrol sweeps and obstacles that stand still [m]."""
 
 
 @options
 class Patrols:
-    """Options of patrols: boxes that point along their track, as carts do.
+    """Options of patrols: boxes that go back and forth on straight tracks, as carts do.
 
-    They go their way whatever is there. Their tracks keep off everything that stands still, but not off one another:
-    where tracks cross, patrols pass through one another.
+    Patrols stop for nothing. Their tracks are clear of all obstacles that stand still, but may cross one another; where
+    they cross, patrols pass through one another.
     """
 
     count: Annotated[int, Field(ge=0)]
+    """Number of patrols."""
     min_side: Positive = 1.0
-    """[m]"""
+    """Length of a side [m]."""
     max_side: Positive = 3.0
     """[m]"""
     min_track: Annotated[float, Field(ge=0.1)] = 10.0
-    """Way of a box's centre from one end of its track to the other [m]."""
+    """Length of a track [m]."""
     max_track: Positive = 30.0
     """[m]"""
     min_speed: Speed = 0.3
     """[m/s]"""
     max_speed: Speed = 1.0
-    """[m/s]; half the speed of the paper's vehicle, so that it can outrun them."""
+    """[m/s]; the default is half the speed of the paper's vehicle."""
     clear_radius: NonNegative = 4.0
-    """No patrol ever comes nearer than this to the start or the target [m]."""
+    """Smallest distance of patrols from the start and the target [m]."""
 
     def __post_init__(self) -> None:
         """Refuses ranges in the wrong order."""
         refuse_crossed_ranges(self, "side", "track", "speed")
 
     def draw(self, world: WorldSpec, rng: np.random.Generator) -> tuple[Patrol, ...]:
-        """Draws patrols one by one, each rejected where it would touch what stands still or crowd start or target.
+        """Draws patrols one by one, and rejects those that would touch an obstacle or come near the start or target.
 
-        Numbers are rounded to a millimetre (per second) and 1e-4 (rad), so that no machine's last bit matters.
+        Numbers are rounded, so that all machines draw the same patrols.
 
         Raises:
-            UserError: If no room is found for them.
+            UserError: If the world has no room for them.
         """
         keep_free = as_rows(
             tuple(OrientedBox(x, y, 0.0, 0.0) for x, y in ((world.start.x, world.start.y), world.target))
@@ -85,7 +86,7 @@ class Patrols:
 
 
 def _swept(patrol: Patrol) -> OrientedBox:
-    """All that a box which points along its track ever covers, but for what rounding does to its yaw."""
+    """The area that a patrol covers on its track, as a box along the track."""
     box, (end_x, end_y) = patrol.box, patrol.end
     along, across = end_x - box.x, end_y - box.y
     return OrientedBox(

@@ -1,9 +1,12 @@
-"""World files: TOML that says how worlds are drawn, and the drawing."""
+"""Kinds of worlds: their description, in TOML or in code, and the drawing of worlds."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from math import radians
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Tag
 
 from nnql_bullet import assets, paper
 from nnql_bullet.config import merged, options, parse, read_toml
@@ -19,37 +22,78 @@ from nnql_bullet.worlds.spec import WorldSpec
 MOST_ATTEMPTS = 200
 
 
+ROOM = 0.7888466169590319
+"""Default half width of the path that every world has [m]: that of the shipped vehicle."""
+
+
 @options
-class WorldFile:
-    """A world's TOML."""
+class World:
+    """Description of a kind of world, from which worlds are drawn: the same seed gives the same world.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> world = nb.World.from_boxes([(50, 50, 20, 4)], name="wall")
+        >>> world.draw(seed=0).cover
+        0.008
+        >>> nb.World.load("cover_10").draw(seed=3).digest == nb.World.load("cover_10").draw(seed=3).digest
+        True
+    """
 
     layout: AnyLayout
+    """How obstacles are placed."""
+    name: str = "world"
+    """The stem of the file's name if the world comes from a file."""
     patrols: Patrols | None = None
-    """Boxes that move, beside what the layout places."""
+    """Moving boxes, in addition to those of the layout."""
     width: Positive = paper.ARENA_SIDE
     """[m]"""
     depth: Positive = paper.ARENA_SIDE
     """[m]"""
     start: tuple[float, float] = paper.START
-    """Of the rear-axle centre [m]."""
+    """Start of the rear-axle centre [m]."""
     start_yaw_degrees: float | None = None
-    """Towards the target where it is not given."""
+    """Heading at the start; by default towards the target."""
     target: tuple[float, float] = paper.TARGET
     """[m]"""
     target_radius: Positive = 2.0
-    """The target is reached when the rear-axle centre comes this near [m]."""
+    """Distance from the rear-axle centre at which the target is reached [m]."""
     obstacle_height: Positive = 1.5
-    """Of boxes and walls [m]."""
+    """Height of boxes and walls [m]."""
 
+    @staticmethod
+    def load(name: "str | Path | World") -> "World":
+        """Reads a shipped world or a TOML file; a `World` is returned as it is.
 
-class WorldSource:
-    """Draws worlds from a world file: the same seed, the same world."""
+        Raises:
+            UserError: If a file is missing or malformed.
+        """
+        return name if isinstance(name, World) else load_world(str(name))
 
-    def __init__(self, name: str, file: WorldFile) -> None:
-        self.name = name
-        self.file = file
+    @staticmethod
+    def from_toml(path: str | Path) -> "World":
+        """Reads a TOML file, and the files that its `base` names under it.
 
-    def draw(self, seed: int, room: float) -> WorldSpec:
+        Raises:
+            UserError: If a file is missing or malformed.
+        """
+        return load_world(str(path))
+
+    @staticmethod
+    def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
+        """Makes a world of boxes that stand where you say.
+
+        Args:
+            boxes: Centre x and y, length and width [m] and, if it is turned, yaw [degrees] of each box.
+            **values: Other fields of `World`.
+
+        Raises:
+            UserError: If a value is wrong.
+        """
+        names = ("x", "y", "length", "width", "yaw_degrees")
+        layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
+        return parse(World, {**values, "layout": layout}, "world")
+
+    def draw(self, seed: int, room: float = ROOM) -> WorldSpec:
         """The world of a seed, with a path of half width `room` [m] from start to target.
 
         A random layout is drawn again until there is one; the attempt is part of the stream, so the result depends on
@@ -60,39 +104,38 @@ class WorldSource:
             UserError: If there is no path, or the start or the target stands too close to an obstacle, or there is no
                 room for the patrols.
         """
-        for attempt in range(MOST_ATTEMPTS if self.file.layout.is_random else 1):
+        for attempt in range(MOST_ATTEMPTS if self.layout.is_random else 1):
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
                 return self._with_patrols(world)
         self._explain(world, room)
-        random = self.file.layout.is_random
+        random = self.layout.is_random
         again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
         raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
 
     def _attempt(self, seed: int, attempt: int) -> WorldSpec:
-        file = self.file
-        arena = Arena(file.width, file.depth, (file.start, file.target))
-        yaw = bearing(Pose(*file.start, 0.0), *file.target)
-        if file.start_yaw_degrees is not None:
-            yaw = radians(file.start_yaw_degrees)
+        arena = Arena(self.width, self.depth, (self.start, self.target))
+        yaw = bearing(Pose(*self.start, 0.0), *self.target)
+        if self.start_yaw_degrees is not None:
+            yaw = radians(self.start_yaw_degrees)
         return WorldSpec(
             name=self.name,
             seed=seed,
-            width=file.width,
-            depth=file.depth,
-            obstacles=self.file.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
-            start=Pose(*file.start, round(yaw, 6)),
-            target=file.target,
-            target_radius=file.target_radius,
-            obstacle_height=file.obstacle_height,
+            width=self.width,
+            depth=self.depth,
+            obstacles=self.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
+            start=Pose(*self.start, round(yaw, 6)),
+            target=self.target,
+            target_radius=self.target_radius,
+            obstacle_height=self.obstacle_height,
         )
 
     def _with_patrols(self, world: WorldSpec) -> WorldSpec:
-        patrols = self.file.patrols
+        patrols = self.patrols
         return replace(world, patrols=patrols.draw(world, rng(world.seed, Stream.PATROLS))) if patrols else world
 
     def _explain(self, world: WorldSpec, room: float) -> None:
-        for key, (x, y) in (("start", self.file.start), ("target", self.file.target)):
+        for key, (x, y) in (("start", self.start), ("target", self.target)):
             if not (0 < x < world.width and 0 < y < world.depth):
                 raise UserError(f"world '{self.name}': its {key} ({x:g}, {y:g}) is outside the arena; move it inside")
             free = clearance(as_rows((OrientedBox(x, y, 0.0, 0.0),))[0], world.solids)
@@ -101,7 +144,14 @@ class WorldSource:
                 raise UserError(f"world '{self.name}', seed {world.seed}: its {key} ({x:g}, {y:g}) is {what}; move one")
 
 
-def load_world(name: str) -> WorldSource:
+WorldLike = Annotated[
+    Annotated[str, Tag("a name")] | Annotated[World, Tag("a table")],
+    Discriminator(lambda value: "a table" if isinstance(value, Mapping | World) else "a name"),
+]
+"""A shipped world or a TOML file, or a world in full."""
+
+
+def load_world(name: str) -> World:
     """Reads a world file, and the files that its `base` names under it.
 
     Args:
@@ -111,7 +161,7 @@ def load_world(name: str) -> WorldSource:
         UserError: If a file is missing or malformed.
     """
     path = assets.find("worlds", name)
-    return WorldSource(path.stem, parse(WorldFile, _with_base(path, ()), str(path)))
+    return parse(World, {"name": path.stem, **_with_base(path, ())}, str(path))
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:

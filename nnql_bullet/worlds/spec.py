@@ -1,4 +1,4 @@
-"""A world as it stands: one arena with its obstacles, start and target, and what moves in it."""
+"""A drawn world: the arena with its obstacles, start, target and patrols."""
 
 import hashlib
 from dataclasses import dataclass, replace
@@ -11,32 +11,33 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows
 from nnql_bullet.jit import njit
 
 WALL_THICKNESS = 1.0
+"""[m]"""
 
 
 @dataclass(frozen=True, slots=True)
 class Patrol:
-    """A box that goes back and forth on a straight track at constant speed, and turns round at once at its ends.
+    """A box that goes back and forth on a straight track at constant speed and reverses at once at its ends.
 
-    It goes its way whatever is there: it gives way to nobody, and patrols pass through one another.
+    It stops for nothing and passes through other patrols.
     """
 
     box: OrientedBox
-    """At one end of the track. It keeps its yaw, whichever way it goes."""
+    """The box at one end of the track. Its yaw is constant."""
     end: tuple[float, float]
-    """Its centre at the other end [m]."""
+    """Centre of the box at the other end [m]."""
     speed: float
     """[m/s]"""
     phase: float
-    """Share of a round trip that it is ahead of one which leaves `box` at time 0."""
+    """Share of a round trip that lies behind it at time 0; 0 is at `box`."""
 
     @property
     def track(self) -> tuple[float, float, float, float, float, float]:
-        """What `follow_tracks` takes: x, y of one end, from there to the other [m], round trips per second, phase."""
+        """Row of `follow_tracks`: x, y of one end, offset of the other end [m], round trips per second, phase."""
         along, across = self.end[0] - self.box.x, self.end[1] - self.box.y
         return self.box.x, self.box.y, along, across, self.speed / (2 * hypot(along, across)), self.phase
 
     def at(self, time: float) -> OrientedBox:
-        """Where it is so long [s] after the reset of its world."""
+        """The box at a time after the world's reset [s]."""
         x, y, along, across, rate, phase = self.track
         share = there_and_back(phase + rate * time)
         return replace(self.box, x=x + share * along, y=y + share * across)
@@ -44,18 +45,18 @@ class Patrol:
 
 @njit()
 def there_and_back(round_trips: float) -> float:
-    """How far along its track something is after so many round trips, as a share of it: a triangle wave."""
+    """Position along a track after some round trips, from 0 at one end to 1 at the other: a triangle wave."""
     return float(1.0 - abs(1.0 - 2.0 * (round_trips % 1.0)))
 
 
 @njit()
 def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
-    """Moves boxes to where they are at a time.
+    """Moves boxes to their places at a time.
 
     Args:
         tracks: Rows (m, 6) of `WorldSpec.tracks`.
-        time: Since the reset [s].
-        boxes: Rows (m, 6) of `as_rows`; their places are brought up to date.
+        time: Time since the reset [s].
+        boxes: Rows (m, 6) of `as_rows`, whose centres are overwritten.
     """
     for i in range(len(tracks)):
         share = there_and_back(tracks[i, 5] + tracks[i, 4] * time)
@@ -65,7 +66,7 @@ def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
 
 @njit()
 def track_velocities(tracks: Array, time: float) -> Array:
-    """Velocities (m, 2) [m/s] of what follows these tracks, from a time [s] on."""
+    """Velocities (m, 2) [m/s] of boxes on tracks (m, 6) at a time after the reset [s]."""
     velocities = np.empty((len(tracks), 2))
     for i in range(len(tracks)):
         there = (tracks[i, 5] + tracks[i, 4] * time) % 1.0 < 0.5
@@ -76,7 +77,7 @@ def track_velocities(tracks: Array, time: float) -> Array:
 
 @dataclass(frozen=True)
 class WorldSpec:
-    """A rectangular arena from (0, 0) to (`width`, `depth`) [m], walled in."""
+    """A rectangular arena from (0, 0) to (`width`, `depth`) [m] with walls around it."""
 
     name: str
     seed: int
@@ -102,26 +103,26 @@ class WorldSpec:
 
     @cached_property
     def solids(self) -> Array:
-        """Obstacles and walls, which stand still, as the rows (n, 6) of `geometry.as_rows`."""
+        """Obstacles and walls as the rows (n, 6) of `geometry.as_rows`."""
         return as_rows(self.obstacles + self.walls)
 
     @cached_property
     def tracks(self) -> Array:
-        """`Patrol.track` of each patrol (m, 6)."""
+        """Rows `Patrol.track` of all patrols (m, 6)."""
         return np.array([patrol.track for patrol in self.patrols], dtype=np.float64).reshape(len(self.patrols), 6)
 
     def solids_at(self, time: float) -> Array:
-        """The `solids`, and then the patrols so long [s] after the reset, as rows (n + m, 6) of an array of its own."""
+        """The `solids` and the patrols at a time after the reset [s], as rows (n + m, 6) of a new array."""
         return np.concatenate([self.solids, as_rows(tuple(patrol.at(time) for patrol in self.patrols))])
 
     @property
     def cover(self) -> float:
-        """The obstacles' share of the arena's area; they do not overlap in generated worlds."""
+        """Share of the arena's area under obstacles, if they do not overlap."""
         return sum(box.area for box in self.obstacles) / (self.width * self.depth)
 
     @cached_property
     def digest(self) -> str:
-        """A hash of everything a vehicle could tell apart, the same on every machine."""
+        """A hash of everything in the world but its name and seed, the same on every machine."""
         numbers = [self.width, self.depth, self.start.x, self.start.y, self.start.yaw, *self.target, self.target_radius]
         for box in self.obstacles:
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw]

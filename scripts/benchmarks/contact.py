@@ -13,8 +13,9 @@ import gymnasium
 
 from nnql_bullet.geometry import Array
 from nnql_bullet.gym_env import TricycleEnv
-from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletSimulator
+from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletEngine
 from nnql_bullet.sim.bullet import bullet as pybullet
+from nnql_bullet.sim.engines import ContactSimulator
 from nnql_bullet.vehicle.controller import COMMAND_RATE
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -40,20 +41,21 @@ def contact_over_bare(seeds: range, rounds: int, steps: int) -> dict[str, float]
 def _ratio(physics: str, seeds: range, rounds: int, steps: int) -> float:
     environment = gymnasium.make("nnql_bullet/Tricycle-v0", physics=physics)
     inner = environment.unwrapped
-    assert isinstance(inner, TricycleEnv) and isinstance(inner.simulator, BulletSimulator)
-    simulator = inner.simulator
+    assert isinstance(inner, TricycleEnv) and isinstance(inner.simulator, ContactSimulator)
+    (engine,) = inner.simulator.engines
+    assert isinstance(engine, BulletEngine)
     spent = {"environment": 0.0, "bare": 0.0}
     for seed in seeds:
         record, world = _recorded(environment, seed, steps), inner.world(seed)
-        end = simulator.pose()
+        end = engine.pose()
         sides = {
             "environment": lambda seed=seed, record=record: _drive(environment, seed, record),
-            "bare": lambda world=world, record=record: _replay(simulator, world, record),
+            "bare": lambda world=world, record=record: _replay(engine, world, record),
         }
         for name, seconds in quickest(sides, rounds).items():
             spent[name] += seconds
-            if simulator.pose() != end:
-                raise RuntimeError(f"the drive ended in {end}, doing it again in {simulator.pose()}")
+            if engine.pose() != end:
+                raise RuntimeError(f"the drive ended in {end}, doing it again in {engine.pose()}")
     environment.close()
     return spent["bare"] / spent["environment"]
 
@@ -91,15 +93,15 @@ def _drive(environment: gymnasium.Env, seed: int, record: Record) -> float:
     return time.perf_counter() - begin
 
 
-def _replay(simulator: BulletSimulator, world: WorldSpec, record: Record) -> float:
+def _replay(engine: BulletEngine, world: WorldSpec, record: Record) -> float:
     """The same as a bare loop; how long it took [s]."""
-    simulator.reset(world)
-    simulator.command_wheels(*record.commands[0])  # from here on the wheels are driven ones
+    engine.reset(world)
+    engine.command_wheels(*record.commands[0])  # from here on the wheels are driven ones
     step, motors, rays = pybullet.stepSimulation, pybullet.setJointMotorControlArray, pybullet.rayTestBatch
-    client, body, wheels = simulator.client, simulator.body, (simulator.left, simulator.right)
-    mode, torques = pybullet.VELOCITY_CONTROL, (simulator.vehicle.wheel_torque,) * 2
-    per_command = round(1 / COMMAND_RATE / simulator.physics.time_step)
-    per_control = round(simulator.control_period * COMMAND_RATE)
+    client, body, wheels = engine.client, engine.body, (engine.left, engine.right)
+    mode, torques = pybullet.VELOCITY_CONTROL, (engine.vehicle.wheel_torque,) * 2
+    per_command = round(1 / COMMAND_RATE / engine.physics.time_step)
+    per_control = round(engine.drive.decision_period * COMMAND_RATE)
     scans = iter(record.rays[1:])
     begin = time.perf_counter()
     for number, speeds in enumerate(record.commands, 1):

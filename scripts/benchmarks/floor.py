@@ -14,14 +14,16 @@ from tempfile import TemporaryDirectory
 from unittest.mock import patch
 from xml.etree import ElementTree
 
+from nnql_bullet.constants import GRAVITY
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose, wrap_angle
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.bullet import OBSTACLE, BulletSimulator
+from nnql_bullet.sim.bullet import OBSTACLE, BulletEngine
 from nnql_bullet.sim.bullet import bullet as pybullet
+from nnql_bullet.sim.engines import ContactSimulator
+from nnql_bullet.task import NO_ENDING
 from nnql_bullet.vehicle.controller import COMMAND_RATE
-from nnql_bullet.vehicle.limits import GRAVITY
 from nnql_bullet.vehicle.profiles import wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -50,14 +52,16 @@ def fast_over_floor(seeds: range, rounds: int, steps: int) -> float:
     """Simulated seconds a wall second of `fast`, as a bare loop, over those of the floor."""
     experiment = Experiment(RunConfig(world=WORLD, physics="fast"))
     simulator, floor = experiment.simulator, Floor(experiment.vehicle, experiment.config.drive.speed)
-    assert isinstance(simulator, BulletSimulator)
+    assert isinstance(simulator, ContactSimulator)
+    (engine,) = simulator.engines
+    assert isinstance(engine, BulletEngine)
     spent = {"floor": 0.0, "fast": 0.0}
     simulated = {"floor": 0.0, "fast": 0.0}
     for seed in seeds:
         drive = _recorded(experiment, seed, steps)
         sides = {
             "floor": lambda drive=drive: floor.follow(drive),
-            "fast": lambda drive=drive: _replay(simulator, drive),
+            "fast": lambda drive=drive: _replay(engine, drive),
         }
         for name, seconds in quickest(sides, rounds).items():
             spent[name] += seconds
@@ -69,7 +73,7 @@ def fast_over_floor(seeds: range, rounds: int, steps: int) -> float:
 
 def _recorded(experiment: Experiment, seed: int, most: int) -> Drive:
     world, navigation = experiment.world(seed), experiment.navigation
-    observation = navigation.reset(world)
+    navigation.reset({0: world})
     trace: list[Sample] = []
     commands: list[list[float]] = []
     motors = pybullet.setJointMotorControlArray
@@ -80,22 +84,21 @@ def _recorded(experiment: Experiment, seed: int, most: int) -> Drive:
 
     with patch.object(pybullet, "setJointMotorControlArray", command):
         for _ in range(most):
-            transition = navigation.step(int(hand_rule(observation.readings)), trace)
-            observation = transition.s_t
-            if transition.ending:
+            transition = navigation.step(hand_rule(navigation.observation.readings), traces={0: trace})
+            if transition.ending[0] != NO_ENDING:
                 break
     per_period = round(30 * PERIOD)
     return Drive(world, commands, [sample.pose.yaw for sample in trace][per_period - 1 :: per_period])
 
 
-def _replay(simulator: BulletSimulator, drive: Drive) -> float:
+def _replay(engine: BulletEngine, drive: Drive) -> float:
     """`fast` as a bare loop; how long it took [s]."""
-    simulator.reset(drive.world)
-    simulator.command_wheels(*drive.commands[0])  # from here on the wheels are driven ones
+    engine.reset(drive.world)
+    engine.command_wheels(*drive.commands[0])  # from here on the wheels are driven ones
     step, motors, rays = pybullet.stepSimulation, pybullet.setJointMotorControlArray, pybullet.rayTestBatch
-    client, body, wheels = simulator.client, simulator.body, (simulator.left, simulator.right)
-    mode, torques = pybullet.VELOCITY_CONTROL, (simulator.vehicle.wheel_torque,) * 2
-    per_command = range(round(1 / COMMAND_RATE / simulator.physics.time_step))
+    client, body, wheels = engine.client, engine.body, (engine.left, engine.right)
+    mode, torques = pybullet.VELOCITY_CONTROL, (engine.vehicle.wheel_torque,) * 2
+    per_command = range(round(1 / COMMAND_RATE / engine.physics.time_step))
     per_period = round(PERIOD * COMMAND_RATE)
     begins, ends = _rays(drive.world.start)
     begin = time.perf_counter()

@@ -1,10 +1,10 @@
-"""How many control steps a second the kinematic model takes: the whole task, in worlds that are drawn before."""
+"""Control steps a second of the whole task in the kinematic model; the worlds are drawn before."""
 
 import time
 
 import numpy as np
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import NO_ENDING
@@ -16,18 +16,18 @@ VEHICLES, WORLDS, WORLD = 1024, 64, "cover_10"
 
 
 def kinematic_steps_per_second(cores: int, seconds: float) -> float:
-    """Steps of many vehicles under the hand rule, whose own time does not count; each goes on in a new world."""
+    """Drives many vehicles by the hand rule, whose time does not count; each goes on in world after world."""
     experiment = Experiment(RunConfig(simulator="kinematic", world=WORLD, vehicles=VEHICLES))
     worlds = [experiment.world(seed) for seed in range(WORLDS)]
-    navigation = FleetNavigation(experiment.fleet(cores), experiment.config.task)
+    navigation = Navigation(experiment.new_simulator(cores), experiment.config.task)
     navigation.reset({i: worlds[i % WORLDS] for i in range(VEHICLES)})
     taken, spent = 0, 0.0
     while spent < seconds:
-        actions = hand_rule(navigation.observations.readings)
+        actions = hand_rule(navigation.observation.readings)
         begin = time.perf_counter()
         over = np.flatnonzero(navigation.step(actions).ending != NO_ENDING)
         navigation.reset({i: worlds[(i + taken) % WORLDS] for i in over.tolist()})
         spent += time.perf_counter() - begin
         taken += VEHICLES
-    navigation.fleet.close()
+    navigation.simulator.close()
     return taken / spent

@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nnql_bullet.cli.filming import shoot
+
 from nnql_bullet.executors import ProcessExecutor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, load_recording

@@ -9,7 +9,7 @@ from typing import Literal
 
 import gymnasium
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 
@@ -23,8 +23,8 @@ def paper_training_s(simulator: Literal["kinematic", "bullet"], cores: int) -> f
     config = RunConfig(simulator=simulator, vehicles=VEHICLES)
     begin = time.perf_counter()
     experiment = Experiment(config)
-    with closing(experiment.fleet(cores)) as fleet:
-        navigation = FleetNavigation(fleet, config.task)
+    with closing(experiment.new_simulator(cores)) as simulator:
+        navigation = Navigation(simulator, config.task)
         training = experiment.trainer(navigation)
         for _ in islice(training.episodes(), config.episodes):
             pass
@@ -68,7 +68,7 @@ def nnql_steps() -> Iterator[int]:
     """Trains NNQL for ever, and yields the number of steps so far after each episode."""
     experiment = Experiment(RunConfig())
     config = experiment.config
-    navigation = FleetNavigation(experiment.fleet(1), config.task)
+    navigation = Navigation(experiment.new_simulator(1), config.task)
     taken = 0
     for episode in experiment.trainer(navigation).episodes():
         taken += episode.summary.steps

@@ -7,12 +7,11 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.local import local_fleet
-from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.task import NO_ENDING
 
 from .drives import hand_rule
@@ -27,10 +26,10 @@ def two_workers_over_one(slices: int, steps: int) -> float:
     """
     experiment = Experiment(RunConfig(world=WORLD))
     config = experiment.config
-    make = partial(local_fleet, partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive))
+    make = partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive)
     with ExitStack() as stack:
-        fleets = [stack.enter_context(closing(WorkerFleet(make, VEHICLES, workers))) for workers in (1, 2)]
-        navigations = [FleetNavigation(fleet, config.task) for fleet in fleets]
+        simulators = [stack.enter_context(closing(WorkerSimulator(make, VEHICLES, workers))) for workers in (1, 2)]
+        navigations = [Navigation(simulator, config.task) for simulator in simulators]
         seeds = [0, 0]
         ratios = []
 
@@ -46,11 +45,11 @@ def two_workers_over_one(slices: int, steps: int) -> float:
             for side, navigation in enumerate(navigations):
                 begin = time.perf_counter()
                 for _ in range(steps):
-                    ending = navigation.step(hand_rule(navigation.observations.readings)).ending
+                    ending = navigation.step(hand_rule(navigation.observation.readings)).ending
                     navigation.reset(worlds(side, (ending != NO_ENDING).nonzero()[0].tolist()))
                 spent.append(time.perf_counter() - begin)
             ratios.append(spent[0] / spent[1])
-        if (navigations[0].observations.readings != navigations[1].observations.readings).any():
+        if (navigations[0].observation.readings != navigations[1].observation.readings).any():
             raise RuntimeError("one worker and two did not do the same")
     return median(ratios)
 
@@ -59,13 +58,13 @@ def simulator_mb() -> float:
     """Resident memory of a worker process with one vehicle in a world [MB = 10^6 bytes]."""
     experiment = Experiment(RunConfig(world="cover_10"))
     config = experiment.config
-    make = partial(local_fleet, partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive))
+    make = partial(contact_simulator, "bullet", config.physics, experiment.vehicle, config.drive)
     before = set(multiprocessing.active_children())
-    with closing(WorkerFleet(make, 1, 1)) as fleet:
-        navigation = FleetNavigation(fleet, config.task)
+    with closing(WorkerSimulator(make, 1, 1)) as simulator:
+        navigation = Navigation(simulator, config.task)
         navigation.reset({0: experiment.world(0)})
         for _ in range(20):
-            navigation.step(hand_rule(navigation.observations.readings))
+            navigation.step(hand_rule(navigation.observation.readings))
         (worker,) = set(multiprocessing.active_children()) - before
         status = Path(f"/proc/{worker.pid}/status").read_text(encoding="ascii")
     return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6

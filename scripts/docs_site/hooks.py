@@ -1,7 +1,7 @@
 """What MkDocs calls while it builds the site: generated pages, generated figures, and the check of the README.
 
-In a page, `{{ name argument ... }}` becomes what the function of that name returns (%20 is a space in an argument);
-a name or an argument that does not exist fails the build.
+In a page, `{{ name argument ... }}` is replaced by what the function of that name gives; %20 is a space in an argument.
+A name or an argument that does not exist fails the build.
 
     python scripts/docs_site/hooks.py    # writes the generated table into README.md
 """
@@ -26,7 +26,7 @@ FUNCTIONS = {
             "success outcome share number success_table shield_table conditions_table difference ablation_success "
             "section results_list",
         ),
-        (site_package, "configuration world_keys robot_keys presets command_line api_index policy_cards"),
+        (site_package, "configuration world_keys robot_keys presets command_line layers api_index policy_cards"),
     )
     for name in names.split()
 }

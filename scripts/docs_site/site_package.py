@@ -314,12 +314,11 @@ def api_pages() -> dict[str, tuple[str, str, str]]:
         if not is_module or name in HIDDEN or name.startswith("_"):
             continue
         modules = [path] if path.suffix == ".py" else sorted(path.rglob("*.py"))
-        source = path if path.suffix == ".py" else path / "__init__.py"
-        about = (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n\n")[0]
+        about = _about(name)
         parts = [f"# `nnql_bullet.{name}`", *(f"::: {place}" for module in modules for place in _places(module))]
         if path.suffix != ".py":
-            parts.insert(1, _sentence(about))
-        pages[name] = (name, _sentence(about), "\n\n".join(parts) + "\n")
+            parts.insert(1, about)
+        pages[name] = (name, about, "\n\n".join(parts) + "\n")
     return pages
 
 
@@ -330,6 +329,29 @@ def _places(path: Path) -> list[str]:
     body = ast.parse(path.read_text(encoding="utf-8")).body
     defined = [part.name for part in body if isinstance(part, (ast.FunctionDef, ast.ClassDef))]
     return [f"{module_name(path)}.{name}" for name in defined if not name.startswith("_")]
+
+
+def layers() -> str:
+    """A table of the layers that import-linter checks, from the top down."""
+    import tomlkit
+
+    contracts = tomlkit.parse((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    (layered,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
+    pages, rows = api_pages(), []
+    for number, layer in enumerate(layered, 1):
+        for name in (part.strip() for part in layer.split("|")):
+            module = f"[`{name}`](../reference/api/{name}.md)" if name in pages else f"`{name}`"
+            rows.append((str(number), module, _about(name)))
+    return _table(("layer", "module", "what it is"), rows)
+
+
+def _about(name: str) -> str:
+    """The first sentence of a module's or folder's docstring."""
+    path = PACKAGE / f"{name}.py"
+    source = path if path.is_file() else PACKAGE / name / "__init__.py"
+    return _sentence((ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n\n")[0])
 
 
 def api_index() -> str:

@@ -14,7 +14,7 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import load_vehicle
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 TURNS = (0.0, 0.5, -1.0, 0.3, 0.9, -0.2, 0.0, -0.7, 1.0, 0.1)

@@ -18,7 +18,8 @@ from nnql_bullet.fidelity.probes import PROBES, run_probes
 from nnql_bullet.fidelity.probes_vehicles import turning_within_its_means
 from nnql_bullet.sim.bullet import PHYSICS
 from nnql_bullet.sim.engines import EngineName
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 

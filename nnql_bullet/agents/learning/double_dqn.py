@@ -17,7 +17,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.learning.frames import MIRRORED_ACTIONS, FrameMaker, Look, Memory
 from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observations, Transitions, heading_change
+from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
@@ -126,7 +126,7 @@ class DoubleDqn:
         self.network.requires_grad_(False)
         self._memory = self._frames.nothing(0)
         self._learning: Learning | None = None
-        self._decided: tuple[Look, Observations]
+        self._decided: tuple[Look, Observation]
         """What the last actions were chosen by."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
@@ -134,7 +134,7 @@ class DoubleDqn:
         self._remembered(vehicle + 1)
         self._memory.age[vehicle] = 0
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The action with the largest Q-value."""
         look = self._look(observations)
         actions = np.asarray(self._values(self.network, look).argmax(axis=-1))
@@ -147,12 +147,12 @@ class DoubleDqn:
         look, observations = self._decided
         self._keep(self._frames.after(look, observations, actions))
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(self.network, self._look(observations))[:, : len(paper.TURNS)]
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         """A random action now and then, else the one that is held best by now."""
         learning = self._learn_with(len(episodes))
@@ -162,7 +162,7 @@ class DoubleDqn:
         drawn = (uniforms / np.maximum(shares, 1e-9) * ACTIONS).astype(np.int64)
         return np.where(uniforms < shares, np.minimum(drawn, ACTIONS - 1), best)
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """Keeps the steps, and learns from some of those that were kept.
 
         Returns:
@@ -226,7 +226,7 @@ class DoubleDqn:
         except (KeyError, ValueError, TypeError):
             raise UserError("this is not the state of such a double_dqn") from None
 
-    def _look(self, observations: Observations) -> Look:
+    def _look(self, observations: Observation) -> Look:
         return self._frames.look(self._remembered(len(observations.yaw_rate)), observations)
 
     def _remembered(self, size: int) -> Memory:
@@ -255,7 +255,7 @@ class DoubleDqn:
             values: Array = network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
         return values
 
-    def _rewards(self, t: Transitions) -> Array:
+    def _rewards(self, t: Transition) -> Array:
         """Of steps (n,), but for the progress, which shows at the next look."""
         o = self.options
         nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / FRONT_DISTANCE, 0.0)

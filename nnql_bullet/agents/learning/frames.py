@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, STOP, Observations, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
@@ -127,7 +127,7 @@ class FrameMaker:
             frames=np.zeros((size, self.frames, self.width), np.uint8),
         )
 
-    def look(self, memory: Memory, observations: Observations) -> Look:
+    def look(self, memory: Memory, observations: Observation) -> Look:
         """Enters what n vehicles see into their memory, of which the one given stays as it is."""
         o, new = observations, memory.age == 0
         first = grid_map.first_poses(o.target_distance, o.target_bearing)
@@ -148,7 +148,7 @@ class FrameMaker:
         seen = replace(memory, poses=poses, corners=corners, cells=cells, frames=frames)
         return Look(seen, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
 
-    def after(self, look: Look, observations: Observations, actions: NDArray[np.int64]) -> Memory:
+    def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles that saw this and do `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
         speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
@@ -165,7 +165,7 @@ class FrameMaker:
         seen = stacked.reshape(len(stacked), self.frames, self.width)[:, :, self._mirrored]
         return np.where(self._odd, 255 - seen, seen).reshape(stacked.shape)
 
-    def _frame(self, o: Observations, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
+    def _frame(self, o: Observation, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
         """Frames (n, width); an action of -1 is none."""
         nearest = o.ray_distances.reshape(len(actions), self.rays, -1).min(axis=-1)
         reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)

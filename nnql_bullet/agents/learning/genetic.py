@@ -12,7 +12,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.learning.nnql import encode
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations
+from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
@@ -75,7 +75,7 @@ class Genetic(TurnChooser):
         self.options = options
         self._genome = first_generation(options, seed)[0]
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """What its network puts out."""
         readings = observations.readings[asked]
         return network_outputs(np.repeat(self._genome[None], len(readings), axis=0), readings)

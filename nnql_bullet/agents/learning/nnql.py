@@ -10,7 +10,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations, Transitions, heading_change
+from nnql_bullet.env import Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
@@ -71,13 +71,13 @@ class Nnql(QLearning):
             weights[name] = generator.uniform(-limit, limit, weights[name].shape)
         self.load_state_dict(weights)
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """What the network puts out."""
         with torch.no_grad():
             values: Array = self.network(self._encoded(observations.readings[asked])).numpy()
         return values
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """One update of eq. (2): its right-hand side is the target of the selected output (III.B).
 
         The steps of several vehicles are learned from at once: the gradients of their squared errors add up, as those

@@ -9,7 +9,7 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoTrainingState, TurnChooser
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observations
+from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.geometry import Array
 from nnql_bullet.types import Positive, UnitInterval
 
@@ -56,7 +56,7 @@ class QLearning(TurnChooser, NoTrainingState):
         return np.asarray(o.temperature_max + (o.temperature_min - o.temperature_max) * progress)
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: Array
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
         """Toward the target in a safe state (III.C), else by the Boltzmann distribution."""
         actions = np.full(len(uniforms), TOWARD_TARGET)

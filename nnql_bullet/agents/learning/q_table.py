@@ -14,7 +14,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations, Transitions, heading_change
+from nnql_bullet.env import Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
@@ -65,11 +65,11 @@ class QTable(QLearning):
         base = len(self.options.edges) + 1
         return np.asarray(levels @ base ** np.arange(len(self.options.sectors)))
 
-    def values(self, observations: Observations, asked: NDArray[np.bool_]) -> Array:
+    def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """Rows of the table."""
         return np.asarray(self._table[self.state(observations.readings[asked])])
 
-    def learn(self, transitions: Transitions) -> Array:
+    def learn(self, transitions: Transition) -> Array:
         """One update of eq. (2).
 
         Several vehicles learn from the table as it stands; where they meet in one entry, their updates add up.

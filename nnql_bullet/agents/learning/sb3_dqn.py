@@ -12,7 +12,7 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observations, as_numbers
+from nnql_bullet.env import ACTIONS, Observation, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
@@ -71,11 +71,11 @@ class Sb3Dqn(NoMemory):
             hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
             self.network = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], ACTIONS))
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The action with the largest Q-value."""
         return np.asarray(self._values(observations).argmax(axis=-1))
 
-    def action_values(self, observations: Observations) -> Array:
+    def action_values(self, observations: Observation) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(observations)[:, : len(paper.TURNS)]
 
@@ -92,13 +92,13 @@ class Sb3Dqn(NoMemory):
             raise UserError(f"these are not the weights of a network of {widths} units")
         self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
 
-    def _values(self, observations: Observations) -> Array:
+    def _values(self, observations: Observation) -> Array:
         """Q(s, a) of the six actions (n, 6)."""
         with torch.no_grad():
             values: Array = self.network(torch.from_numpy(inputs(observations))).numpy().astype(np.float64)
         return values
 
 
-def inputs(observations: Observations) -> NDArray[np.float32]:
+def inputs(observations: Observation) -> NDArray[np.float32]:
     """What the network sees (n, 11)."""
     return as_numbers(observations) / SCALE

@@ -15,7 +15,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_actions
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations
+from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
@@ -104,7 +104,7 @@ class Fuzzy(Rule):
             for name, centre in TURNS_DEGREES.items()
         }
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """What the rule base says."""
         wanted = np.radians(self.turns_degrees(observations.readings, observations.target_bearing))
         return nearest_actions(wanted, observations.target_bearing)

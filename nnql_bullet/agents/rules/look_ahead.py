@@ -9,7 +9,7 @@ from pydantic import Field
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import offered_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations
+from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
@@ -46,7 +46,7 @@ class LookAhead(Rule):
         self._speed = drive.speed
         self._times = PREDICTION_STEP * np.arange(1.0, options.horizon / PREDICTION_STEP + 1e-9)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """The best of the six as foreseen."""
         o = observations
         turns = offered_turns(o.target_bearing)

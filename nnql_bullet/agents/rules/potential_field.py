@@ -14,7 +14,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_actions
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations
+from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array, OrientedBox, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.sensing import ray_angles
@@ -53,7 +53,7 @@ class PotentialField(Rule):
         self._vehicle = vehicle
         self._in_view = np.abs(wrap_angles(ray_angles())) < radians(options.view_degrees) + 1e-9
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """Where the force points."""
         o, bearing = self.options, observations.target_bearing
         points = point_cloud(observations.ray_distances, self._vehicle.sensor)[:, self._in_view]

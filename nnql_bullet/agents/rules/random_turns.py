@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observations
+from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import StateProperty
 
@@ -34,7 +34,7 @@ class RandomTurns(Rule):
         """The chance of this drive."""
         self._chance[vehicle] = rng(world_seed, Stream.CHANCE)
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """Toward the target, or any turn."""
         actions = np.full(len(observations.state_property), TOWARD_TARGET)
         for vehicle in np.flatnonzero(observations.state_property != StateProperty.SAFE).tolist():

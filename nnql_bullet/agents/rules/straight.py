@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.config import options
-from nnql_bullet.env import TOWARD_TARGET, Observations
+from nnql_bullet.env import TOWARD_TARGET, Observation
 
 
 @options
@@ -23,6 +23,6 @@ class Straight(Rule):
     It sees the target's bearing alone, and remembers nothing.
     """
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """Toward the target."""
         return np.full(len(observations.state_property), TOWARD_TARGET)

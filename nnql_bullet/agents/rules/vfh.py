@@ -16,7 +16,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_actions
 from nnql_bullet.config import options
-from nnql_bullet.env import Observations, heading_change
+from nnql_bullet.env import Observation, heading_change
 from nnql_bullet.geometry import Array, OrientedBox, wrap_angle, wrap_angles
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import seen_distances
@@ -73,7 +73,7 @@ class VfhOptions:
 class _Decided:
     """What n vehicles decided last."""
 
-    seen: Observations
+    seen: Observation
     headings: Array
     """At that time (n,) [rad]."""
     chosen: Array
@@ -111,7 +111,7 @@ class Vfh(Rule):
         self._headings[vehicle] = self._chosen[vehicle] = 0.0
         self._blocked[vehicle] = False
 
-    def act(self, observations: Observations) -> NDArray[np.int64]:
+    def act(self, observations: Observation) -> NDArray[np.int64]:
         """Toward the opening of least cost."""
         o, n, bearing = self.options, len(observations.yaw_rate), observations.target_bearing
         self._make_room(n)

@@ -1,4 +1,4 @@
-"""Layouts: how obstacles are placed. Each is a module with its own options; `AnyLayout` tells them apart by `kind`."""
+"""Layouts place obstacles. Each layout is a module with an options class; the key `kind` selects one."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""What a layout is."""
+"""The interface of layouts, and the test that all random layouts apply to their boxes."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,34 +11,45 @@ from nnql_bullet.jit import njit
 
 @dataclass(frozen=True, slots=True)
 class Arena:
-    """The empty arena that a layout fills: its size [m] and the points that must stay reachable."""
+    """The empty arena that a layout fills."""
 
     width: float
+    """[m]"""
     depth: float
+    """[m]"""
     keep_free: tuple[tuple[float, float], ...]
-    """Start and target."""
+    """Start and target [m]."""
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Size (2,) and points to keep free (n, 2) [m], as `leaves_room` takes them."""
+        return np.array([self.width, self.depth]), np.array(self.keep_free)
 
 
 class Layout(Protocol):
-    """Options that know how to place obstacles."""
+    """Options of a layout, which place its obstacles."""
 
     @property
     def is_random(self) -> bool:
-        """Whether another draw gives another world."""
+        """Whether each draw gives another world."""
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
-        """Obstacles for one world, drawn from `rng` alone."""
+        """Places the obstacles of one world, drawn from `rng` alone.
+
+        Raises:
+            UserError: If the arena has no room for them.
+        """
 
 
 @njit(nogil=True)
 def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
-    """Whether a box, a row (6,) of `as_rows`, lies in the arena and off what is to be kept free.
+    """Whether a box is inside the arena and far enough from some points.
 
     Args:
-        row: The box.
-        size: Of the arena (2,) [m].
-        keep_free: Points (n, 2) [m].
-        clear_radius: That it comes no nearer to them than this [m].
+        row: The box, a row (6,) of `as_rows`.
+        size: Width and depth of the arena (2,) [m].
+        keep_free: The points (n, 2) [m].
+        clear_radius: Smallest distance of the box from the points [m].
     """
     across = abs(row[2] * row[4]) + abs(row[3] * row[5])
     along = abs(row[2] * row[5]) + abs(row[3] * row[4])
@@ -48,3 +59,10 @@ def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) 
     for point in keep_free:
         nearest = min(nearest, squared_distance(point[0], point[1], row))
     return bool(nearest >= clear_radius**2)
+
+
+def rounded(box: OrientedBox) -> OrientedBox:
+    """The box with its numbers rounded to 1 mm and 1e-4 rad, so that all machines draw the same box."""
+    return OrientedBox(
+        round(box.x, 3), round(box.y, 3), round(box.half_length, 3), round(box.half_width, 3), round(box.yaw, 4)
+    )

@@ -1,7 +1,7 @@
-"""Explicit boxes: the world says where each one stands."""
+"""A fixed layout: the world file lists all boxes."""
 
 from math import radians
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from nnql_bullet.worlds.layouts.base import Arena
 
 @options
 class Box:
-    """One box: centre and sides [m], yaw of its length in degrees."""
+    """A box: its centre and sides [m], and the yaw of its length [degrees]."""
 
     x: float
     y: float
@@ -24,17 +24,13 @@ class Box:
 
 @options
 class Boxes:
-    """A fixed layout."""
+    """Options of a fixed layout."""
 
+    is_random: ClassVar[bool] = False
     kind: Literal["boxes"]
     boxes: tuple[Box, ...]
 
-    @property
-    def is_random(self) -> bool:
-        """A fixed layout has one world."""
-        return False
-
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
-        """The boxes as they are given."""
+        """The boxes of the world file."""
         del arena, rng
         return tuple(OrientedBox(b.x, b.y, b.length / 2, b.width / 2, radians(b.yaw_degrees)) for b in self.boxes)

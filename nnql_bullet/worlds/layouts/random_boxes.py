@@ -1,7 +1,7 @@
-"""Boxes of random size and yaw that do not overlap, up to a share of the arena's area."""
+"""A random layout: boxes of random size, place and yaw, without overlap, until they cover a share of the arena."""
 
 from math import pi
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,43 +15,39 @@ from nnql_bullet.types import NonNegative, Positive
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
 MOST_TRIES = 20_000
+"""Largest number of candidates."""
 FIRST_TRIES = 32
+"""Number of candidates in the first batch."""
 
 
 @options
 class RandomBoxes:
-    """Options of the paper's "obstacles randomly scattered in the environment" (IV), whose sizes it leaves open."""
+    """Options of "obstacles randomly scattered in the environment" (IV); the paper does not state their sizes."""
 
+    is_random: ClassVar[bool] = True
     kind: Literal["random_boxes"]
     cover: Annotated[float, Field(ge=0, le=0.4)]
     """Share of the arena's area under boxes."""
     min_side: Positive = 2.0
-    """[m]"""
+    """Length of a side [m]."""
     max_side: Positive = 8.0
     """[m]"""
     clear_radius: NonNegative = 4.0
-    """No box comes nearer than this to the start or the target [m]."""
+    """Smallest distance of boxes from the start and the target [m]."""
 
     def __post_init__(self) -> None:
         """Refuses sides in the wrong order."""
         refuse_crossed_ranges(self, "side")
 
-    @property
-    def is_random(self) -> bool:
-        """Every draw is another world."""
-        return True
-
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
-        """Draws boxes one by one, each rejected where it overlaps another, leaves the arena, or crowds start or target.
-
-        Numbers are rounded to a millimetre and 1e-4 rad, so that no machine's last bit matters.
+        """Draws boxes one by one, and rejects those that overlap another, leave the arena, or are near start or target.
 
         Raises:
-            UserError: If no room is found for the cover asked for.
+            UserError: If the arena has no room for this cover.
         """
         mean_area = ((self.min_side + self.max_side) / 2) ** 2
         wanted = self.cover * arena.width * arena.depth - mean_area / 2
-        size, keep_free = np.array([arena.width, arena.depth]), np.array(arena.keep_free)
+        size, keep_free = arena.limits
         candidates = self._draw(arena, rng, FIRST_TRIES)
         while True:
             chosen, area = _chosen(_rows(candidates), wanted, size, keep_free, self.clear_radius)
@@ -66,11 +62,11 @@ class RandomBoxes:
         )
 
     def _draw(self, arena: Arena, rng: np.random.Generator, count: int) -> Array:
-        """Candidates (count, 5): centre, half length, half width [m] and yaw [rad]."""
+        """Draws candidates (count, 5): centre, half length, half width [m] and yaw [rad], rounded as by `rounded`."""
         low = (0.0, 0.0, self.min_side, self.min_side, -pi / 2)
         high = (arena.width, arena.depth, self.max_side, self.max_side, pi / 2)
         drawn = rng.uniform(low, high, (count, 5)).tolist()
-        # numpy's own rounding differs from the decimal one where a number is all but halfway.
+        # NumPy rounds some numbers near a half otherwise than Python does.
         return np.array(
             [
                 (round(x, 3), round(y, 3), round(length / 2, 3), round(width / 2, 3), round(yaw, 4))
@@ -89,7 +85,11 @@ def _rows(candidates: Array) -> Array:
 def _chosen(
     rows: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float
 ) -> tuple[NDArray[np.int64], float]:
-    """Which boxes (n, 6) are placed, in their order, until their area is the one `wanted` [m2]; and that area."""
+    """Chooses boxes (n, 6) in their order until their area is `wanted` [m2].
+
+    Returns:
+        Indices of the chosen boxes, and their area [m2].
+    """
     placed = np.empty_like(rows)
     chosen = np.empty(len(rows), dtype=np.int64)
     count, area = 0, 0.0

@@ -1,0 +1,1 @@
+"""The functions that `import nnql_bullet` offers: each runs one study and returns its results."""

@@ -1,0 +1,142 @@
+"""`ablate`: the evidence for every factor of a preset."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.ablation import Budget, Counts, Entry, entries, task_of, train_and_test
+from nnql_bullet.evaluation.parts import Parts, run_kept
+from nnql_bullet.evaluation.splits import split_seeds
+from nnql_bullet.evaluation.studies import STUDIES, Study
+from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.files import write_text
+from nnql_bullet.reports import ablation as report
+from nnql_bullet.reports.tables import text_table
+from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.work import OnProgress
+
+
+@dataclass(frozen=True)
+class AblationResults:
+    """Results of `ablate`."""
+
+    study: Study
+    budget: Budget
+    entries: list[Entry]
+    """A variant each, with its evidence."""
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A flat record for each variant, kind of world and training seed; `pandas.DataFrame(rows)` takes them."""
+        return report.ablation_records(self.entries)
+
+    @property
+    def decisions(self) -> dict[str, str]:
+        """The decision that the evidence supports, by the question of each factor."""
+        return {factor.question: report.decision(factor, self.entries) for factor in self.study.factors}
+
+    def table(self) -> str:
+        """The decision about each factor."""
+        return text_table(("factor", "evidence"), list(self.decisions.items()))
+
+    def save(self, folder: Path | str) -> None:
+        """Writes ablation.md, ablation.csv, ablation.json and ablation.png into a folder."""
+        out = Path(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / "ablation.md", report.ablation_markdown(self.study, self.entries, self.budget))
+        write_text(out / "ablation.csv", report.ablation_csv(self.entries))
+        values = report.ablation_values(self.study, self.entries, self.budget)
+        write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
+        report.draw_ablation(self.study, self.entries, self.budget, out / "ablation.png")
+
+
+def ablate(
+    preset: str = "paper",
+    *,
+    only: Sequence[str] | None = None,
+    seeds: int | None = None,
+    simulator: SimulatorName = "kinematic",
+    episodes: int | None = None,
+    vehicles: int = 64,
+    n_worlds: int = 300,
+    executor: ExecutorKind | None = None,
+    workers: int | None = 1,
+    address: str | None = None,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+) -> AblationResults:
+    """Trains every variant of every factor of a preset from several seeds, and tests them on validation worlds.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> results = nb.ablate("paper", only=["hysteresis"], seeds=1, episodes=4, vehicles=4, n_worlds=2)
+        >>> sorted({row["variant"] for row in results.rows})
+        ['0 m', '1 m']
+
+    Args:
+        preset: "paper", "tuned" or "double_dqn".
+        only: Names of some factors; all of them if it is not given.
+        seeds: Trainings of each variant; by default as the study says.
+        simulator: Where policies are trained and tested.
+        episodes: Episodes of each training; by default as the study says.
+        vehicles: Vehicles that each training learns from at once.
+        n_worlds: Validation worlds of each kind.
+        executor: See `evaluate`.
+        workers: Trainings at a time; None takes one a core. The results do not depend on it.
+        address: HOST:PORT of a running Ray cluster.
+        out: Folder for the report; finished trainings are kept there, so that the same call continues after an
+            interrupt. Without it nothing is written.
+        on_progress: Receives the progress.
+
+    Raises:
+        UserError: If an argument is wrong.
+        WorkFailed: If a training fails.
+    """
+    split_seeds("validation", n_worlds)
+    if seeds is not None and seeds < 1:
+        raise UserError(f"seeds must be at least 1, not {seeds}")
+    study = _study(preset, only)
+    budget = Budget(
+        simulator=simulator,
+        seeds=seeds or study.seeds,
+        episodes=study.episodes if episodes is None else episodes,
+        vehicles=vehicles,
+        worlds=n_worlds,
+    )
+    where = make_executor(executor, workers, address)
+    trials = [
+        (factor.name, variant.label, task_of(study, variant, seed, budget))
+        for seed in range(budget.seeds)
+        for factor in study.factors
+        for variant in factor.variants
+    ]
+    parts, tasks = Parts(None if out is None else Path(out) / "parts"), [task for *_, task in trials]
+    tested = run_kept(where, "trainings", train_and_test, tasks, parts, Counts, on_progress)
+    found: dict[tuple[str, str], list[list[Counts]]] = {}
+    for (name, label, _), its in zip(trials, tested, strict=True):
+        found.setdefault((name, label), []).append(its)
+    results = AblationResults(study, budget, entries(study, found))
+    if out is not None:
+        results.save(out)
+    return results
+
+
+def _study(preset: str, only: Sequence[str] | None) -> Study:
+    """The study of a preset, with the named factors.
+
+    Raises:
+        UserError: If there is no such preset or factor.
+    """
+    if preset not in STUDIES:
+        raise UserError(f"there is no ablation of '{preset}'; presets: {', '.join(STUDIES)}")
+    study = STUDIES[preset]
+    if only is None:
+        return study
+    factors = {factor.name: factor for factor in study.factors}
+    unknown = [name for name in only if name not in factors]
+    if unknown or not only:
+        raise UserError(f"only: there is no factor '{(unknown or [''])[0]}'; factors: {', '.join(factors)}")
+    return replace(study, factors=tuple(factors[name] for name in only))

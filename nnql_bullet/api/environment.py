@@ -1,0 +1,45 @@
+"""`make_env`: the task as a Gymnasium environment."""
+
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet.env import Reward
+from nnql_bullet.gym_env import TricycleEnv, TricycleVectorEnv
+from nnql_bullet.run_config import RunConfig
+
+
+def make_env(
+    config: str | Path | RunConfig = "paper",
+    *,
+    n_envs: int | None = None,
+    reward: Reward | None = None,
+    workers: int | None = 1,
+    **changes: Any,
+) -> TricycleEnv | TricycleVectorEnv:
+    """Makes a Gymnasium environment of one vehicle, or a vector environment of several.
+
+    `gymnasium.make("nnql_bullet/Tricycle-v0")` and `gymnasium.make_vec` make the same, with Gymnasium's wrappers.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> env = nb.make_env(world="traps", simulator="kinematic")
+        >>> observation, info = env.reset(seed=0)
+        >>> observation.shape
+        (11,)
+        >>> env.close()
+
+    Args:
+        config: A preset, a TOML file or a configuration.
+        n_envs: Number of vehicles of a vector environment; without it the environment has one vehicle.
+        reward: A reward of your own: a function of the transitions of n vehicles that returns n numbers.
+        workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
+            environment; None takes one a core.
+        **changes: Keys of the configuration: world, robot, simulator, physics, conditions, task and so on.
+
+    Raises:
+        UserError: If a key or value is wrong.
+    """
+    base = config if isinstance(config, RunConfig) else str(config)
+    if n_envs is None:
+        return TricycleEnv(base, reward=reward, **changes)
+    return TricycleVectorEnv(n_envs, base, workers, reward=reward, **changes)

@@ -1,0 +1,220 @@
+"""`evaluate`: policies through the same worlds, with intervals."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.drives import (
+    FilmTask,
+    Setting,
+    Tier,
+    check_setting,
+    draw_tiers,
+    drive,
+    drive_tasks,
+    film,
+    survey,
+    survey_tasks,
+)
+from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
+from nnql_bullet.evaluation.parts import Parts, run_kept
+from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
+from nnql_bullet.evaluation.splits import SplitName
+from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.files import write_text
+from nnql_bullet.recording import Recording
+from nnql_bullet.render.filming import render_ending
+from nnql_bullet.reports import evaluation as report
+from nnql_bullet.reports.failures import clear
+from nnql_bullet.reports.tables import text_table
+from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.runs import PolicyLike
+from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.work import OnProgress, run_all
+from nnql_bullet.worlds.paths import Difficulty
+from nnql_bullet.worlds.source import World
+
+WORLDS = ("paper", "cover_10", "cover_15")
+"""Worlds that policies are evaluated in by default."""
+CLIP = 12.0
+"""Length of a clip of a failure [s]."""
+CLIP_SIZE = (960, 540)
+"""Size of a clip [pixels]."""
+
+
+@dataclass(frozen=True)
+class EvaluationResults:
+    """Results of `evaluate`."""
+
+    evaluation: Evaluation
+    """Policies, worlds and every drive."""
+
+    @cached_property
+    def methods(self) -> list[Row]:
+        """Each method in each kind of world and, if there are several kinds, in all of them."""
+        return rows(self.evaluation)
+
+    @cached_property
+    def comparisons(self) -> list[Comparison]:
+        """Each pair of methods, compared over the same worlds."""
+        return comparisons(self.evaluation)
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A flat record for each method in each kind of world; `pandas.DataFrame(rows)` takes them."""
+        return report.method_records(self.methods)
+
+    @property
+    def episodes(self) -> list[dict[str, Any]]:
+        """A flat record for each drive."""
+        return report.episode_records(self.evaluation)
+
+    def table(self) -> str:
+        """Success in percent with 95 % intervals, methods down and kinds of worlds across."""
+        return text_table(*report.success_table(self.evaluation, self.methods))
+
+    def save(
+        self,
+        folder: Path | str,
+        clips: int = 0,
+        executor: Executor | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> dict[str, Any]:
+        """Writes the report, tables, pictures and recordings of failures into a folder.
+
+        Args:
+            folder: The folder; it is made if it is not there.
+            clips: Most videos of the last seconds of failures.
+            executor: Records the failures; by default this process does.
+            on_progress: Receives the progress.
+
+        Returns:
+            The values of results.json.
+        """
+        out, e = Path(folder), self.evaluation
+        films = _filmed(executor or InlineExecutor(), e, on_progress)
+        tasks = [task for task, _ in films]
+        failures = out / "failures"
+        failures.mkdir(parents=True, exist_ok=True)
+        clear(failures)
+        for task, recording in films:
+            recording.save(failures / task.name)
+        for name in ("cover.png", "failures.png"):
+            (out / name).unlink(missing_ok=True)
+        report.draw_outcomes(e, self.methods, out / "outcomes.png")
+        report.draw_cover(e, self.methods, out / "cover.png")
+        report.draw_failures(films, out / "failures.png")
+        write_text(out / "results.csv", report.results_csv(self.methods))
+        write_text(out / "episodes.csv", report.episodes_csv(e))
+        write_text(out / "evaluation.md", report.evaluation_markdown(e, self.methods, self.comparisons, tasks))
+        values = report.evaluation_values(e, self.methods, self.comparisons, tasks)
+        write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
+        for old in (out / "clips").glob("*.mp4"):
+            old.unlink()
+        for task in tasks[:clips]:
+            (out / "clips").mkdir(exist_ok=True)
+            render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+        return values
+
+
+def evaluate(
+    policies: PolicyLike | Sequence[PolicyLike],
+    *,
+    worlds: Sequence[str | Path | World] = WORLDS,
+    split: SplitName = "validation",
+    n_worlds: int = 100,
+    simulator: SimulatorName = "bullet",
+    physics: PhysicsName = "reference",
+    conditions: Conditions | None = None,
+    shield: bool = False,
+    executor: ExecutorKind | None = None,
+    workers: int | None = 1,
+    address: str | None = None,
+    out: Path | str | None = None,
+    clips: int = 0,
+    on_progress: OnProgress | None = None,
+) -> EvaluationResults:
+    """Drives policies through the same worlds, and says how good each is with intervals.
+
+    Policies that differ in their training seed alone are one method.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> results = nb.evaluate(["straight", "vfh"], worlds=["cover_10"], n_worlds=4, simulator="kinematic")
+        >>> [(row["method"], row["drives"]) for row in results.rows]
+        [('straight', 4), ('vfh', 4)]
+
+    Args:
+        policies: Run folders, policy files, shipped policies and rules by name, or your own objects (see `drive`).
+        worlds: Shipped worlds, TOML files or `World` objects.
+        split: "validation" has worlds to choose with, "test" those for a final table.
+        n_worlds: Worlds of each kind.
+        simulator: "bullet", "mujoco" or "kinematic".
+        physics: Solver settings of contact physics.
+        conditions: Conditions in place of each policy's own.
+        shield: Whether each policy drives in a shield too.
+        executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
+            more. A script that starts processes needs `if __name__ == "__main__":`.
+        workers: Pieces at a time; None takes one a core. The results do not depend on it.
+        address: HOST:PORT of a running Ray cluster.
+        out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
+            continues after an interrupt. Without it nothing is written.
+        clips: Most videos of failures in `out`.
+        on_progress: Receives the progress.
+
+    Raises:
+        UserError: If an argument is wrong or a policy or world cannot be read.
+        WorkFailed: If a piece of work fails.
+    """
+    if clips < 0:
+        raise UserError(f"clips must not be negative, not {clips}")
+    setting = Setting(split, simulator, physics, conditions)
+    opened = open_policies(policies, shield)
+    where = executor_for(opened, executor, workers, address)
+    check_setting(opened[0], setting)
+    tiers = draw_tiers(worlds, setting, n_worlds, opened[0])
+    parts = Parts(None if out is None else Path(out) / "parts")
+    results = EvaluationResults(_driven(where, opened, tiers, setting, parts, on_progress))
+    if out is not None:
+        results.save(out, clips, where, on_progress)
+    return results
+
+
+def _driven(
+    executor: Executor,
+    policies: Sequence[Policy],
+    tiers: Sequence[Tier],
+    setting: Setting,
+    parts: Parts,
+    on_progress: OnProgress | None,
+) -> Evaluation:
+    """Surveys the worlds and drives every policy through them, except for pieces that are kept."""
+    difficulties: dict[str, list[Difficulty]] = {tier.name: [] for tier in tiers}
+    surveys = survey_tasks(policies[0], tiers, setting)
+    surveyed = run_kept(executor, "worlds", survey, surveys, parts, Difficulty, on_progress)
+    for task, found in zip(surveys, surveyed, strict=True):
+        difficulties[task.tier.name] += found
+    drives: dict[tuple[str, str], list[EpisodeSummary]] = {}
+    tasks = drive_tasks(policies, tiers, setting)
+    driven = run_kept(executor, "driving", drive, tasks, parts, EpisodeSummary, on_progress)
+    for one, summaries in zip(tasks, driven, strict=True):
+        drives.setdefault((one.policy.name, one.tier.name), []).extend(summaries)
+    return Evaluation(setting, policies, tiers, difficulties, drives)
+
+
+def _filmed(executor: Executor, e: Evaluation, on_progress: OnProgress | None) -> list[tuple[FilmTask, Recording]]:
+    """Records the first failed drive of each method in each kind of world."""
+    tasks: dict[tuple[str, str], FilmTask] = {}
+    for policy in e.policies:
+        for tier in e.tiers:
+            for summary in e.drives[policy.name, tier.name]:
+                if summary.ending != "goal":
+                    task = FilmTask(policy, tier, e.setting, summary.world_seed)
+                    tasks.setdefault((policy.method, tier.name), task)
+    chosen = list(tasks.values())
+    return list(zip(chosen, run_all(executor, "failures", film, chosen, on_progress=on_progress), strict=True))

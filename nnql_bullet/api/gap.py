@@ -1,0 +1,120 @@
+"""`gap`: the same policies, worlds and seeds in two simulators."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation import gap as measure
+from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
+from nnql_bullet.evaluation.policies import executor_for, open_policies
+from nnql_bullet.evaluation.splits import SplitName, split_seeds
+from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.files import write_text
+from nnql_bullet.reports import gap as report
+from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.runs import PolicyLike
+from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.work import OnProgress, run_all
+from nnql_bullet.worlds.source import World
+
+
+@dataclass(frozen=True)
+class GapResults:
+    """Results of `gap`."""
+
+    gap: Gap
+    """Both simulators, and every drive."""
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A flat record for each drive; `pandas.DataFrame(rows)` takes them."""
+        return report.gap_records(self.gap)
+
+    def table(self) -> str:
+        """Endings in the two simulators against each other, and success by condition."""
+        return report.gap_table(self.gap)
+
+    def save(self, folder: Path | str) -> None:
+        """Writes the report, tables, pictures and the recordings of drives that ended differently into a folder."""
+        out, g = Path(folder), self.gap
+        flips = out / "flips"
+        flips.mkdir(parents=True, exist_ok=True)
+        for old in flips.glob("*.npz"):
+            old.unlink()
+        for pair in g.pairs:
+            for side, recording in zip((g.first, g.second), pair.recordings, strict=False):
+                recording.save(measure.flip_file(flips, pair.run, pair.world_seed, side))
+        write_text(out / "gap.md", report.gap_markdown(g))
+        write_text(out / "gap.json", json.dumps(report.gap_values(g), indent=1) + "\n")
+        write_text(out / "episodes.csv", report.gap_csv(g))
+        report.draw_gap(g, out / "gap.png")
+        for name in ("faults.png", "flips.png"):
+            (out / name).unlink(missing_ok=True)
+        report.draw_faults(g, out / "faults.png")
+        report.draw_flips(g, flips, out / "flips.png")
+
+
+def gap(
+    policies: PolicyLike | Sequence[PolicyLike],
+    *,
+    against: SimulatorName = "kinematic",
+    simulator: EngineName = "bullet",
+    physics: PhysicsName = "reference",
+    world: str | Path | World | None = None,
+    split: SplitName = "validation",
+    n_worlds: int = 100,
+    conditions: bool = True,
+    executor: ExecutorKind | None = None,
+    workers: int | None = 1,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+) -> GapResults:
+    """Measures the sim-to-sim gap: the same policies, worlds and seeds in two simulators, drive by drive.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> results = nb.gap("straight", world="cover_10", n_worlds=1, physics="fast", conditions=False)
+        >>> len(results.gap.pairs)
+        1
+
+    Args:
+        policies: See `evaluate`.
+        against: The first simulator.
+        simulator: The second one, an engine of contact physics.
+        physics: Solver settings of contact physics.
+        world: A shipped world, a TOML file or a `World`; by default that of the training.
+        split: "validation" has worlds to choose with, "test" those for a final table.
+        n_worlds: Number of worlds.
+        conditions: Whether policies drive under a series of conditions too, which takes some twelve times as long.
+        executor: See `evaluate`.
+        workers: Pieces at a time; None takes one a core. The results do not depend on it.
+        out: Folder for the report; without it nothing is written.
+        on_progress: Receives the progress.
+
+    Raises:
+        UserError: If an argument is wrong or a policy or world cannot be read.
+        WorkFailed: If a piece of work fails.
+    """
+    if against == simulator:
+        raise UserError(f"against: '{against}' is the simulator itself; give another one")
+    seeds, world = split_seeds(split, n_worlds), str(world) if isinstance(world, Path) else world
+    first, second = Side(against, physics), Side(simulator, physics)
+    opened = open_policies(policies)
+    where = executor_for(opened, executor, workers)
+    for policy in opened:
+        measure.check_sides(policy, world, (first, second), seeds[0])
+    tasks = measure.tasks(opened, world, seeds, first, second, conditions)
+    pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
+    drives = [drive for piece in pieces for drive in piece]
+    pairs = [drive for drive in drives if isinstance(drive, Pair)]
+    trials = [drive for drive in drives if isinstance(drive, Trial)]
+    prints = tuple(policy.fingerprint for policy in opened)
+    names = tuple(policy.path for policy in opened)
+    shown = world.name if isinstance(world, World) else world
+    results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials))
+    if out is not None:
+        results.save(out)
+    return results

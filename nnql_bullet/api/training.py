@@ -1,0 +1,128 @@
+"""`train` and `resume`: an agent learns, and leaves a run folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nnql_bullet import session
+from nnql_bullet.agents import Agent
+from nnql_bullet.env import Reward
+from nnql_bullet.presets import load_config
+from nnql_bullet.reports.plots import draw_learning_curve
+from nnql_bullet.run_config import RunConfig, changed
+from nnql_bullet.runs import LEARNING_CURVE, Run
+from nnql_bullet.work import OnProgress, silent
+
+
+def never() -> bool:
+    """Never stops a training."""
+    return False
+
+
+def train(
+    config: str | Path | RunConfig = "paper",
+    *,
+    out: Path | str | None = None,
+    agent: Agent | None = None,
+    reward: Reward | None = None,
+    workers: int | None = 1,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+    stop: Callable[[], bool] = never,
+    **changes: Any,
+) -> Run:
+    """Trains an agent and leaves a run folder; the result depends on the configuration alone.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> run = nb.train("paper", simulator="kinematic", vehicles=4, episodes=8, seed=1, out="runs/first")
+        >>> len(run.episodes), run.policy.episodes
+        (8, 8)
+
+    Args:
+        config: A preset, a TOML file or a configuration.
+        out: The run folder; by default runs/CONFIG-SEED.
+        agent: An agent of your own (see `agents.base.LearningAgent`) in place of the one that the configuration
+            describes. The object itself learns.
+        reward: A reward of your own: a function of the transitions of n vehicles that returns n numbers. The reward
+            terms that are logged stay the paper's.
+        workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; None takes one a
+            core. The result does not depend on it.
+        overwrite: Whether to start anew in a folder that holds a run already.
+        on_progress: Receives the progress after every episode.
+        stop: Asked after every episode; True ends the training with a checkpoint to resume from.
+        **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, world, simulator, physics,
+            vehicles, agent={"kind": ...}, task={...} and so on.
+
+    Raises:
+        UserError: If a key or value is wrong, or the folder holds something; nothing is written then.
+        WorkerDied: If a worker process is gone; a checkpoint is written before.
+    """
+    if changes.get("world") is not None:  # takes the place of a mix of worlds
+        changes["training"] = {"worlds": [], **changes.get("training", {})}
+    asked = {key: str(value) if isinstance(value, Path) else value for key, value in changes.items()}
+    resolved = changed(config, **asked) if isinstance(config, RunConfig) else load_config(str(config), asked)
+    name = "run" if isinstance(config, RunConfig) else Path(config).stem
+    folder = Path("runs") / f"{name}-{resolved.seed}" if out is None else Path(out)
+    return _with_curve(
+        session.train(
+            resolved,
+            folder,
+            agent=agent,
+            reward=reward,
+            workers=workers,
+            overwrite=overwrite,
+            on_progress=on_progress or silent,
+            stop=stop,
+        )
+    )
+
+
+def resume(
+    folder: Path | str,
+    episodes: int | None = None,
+    *,
+    agent: Agent | None = None,
+    reward: Reward | None = None,
+    workers: int | None = 1,
+    on_progress: OnProgress | None = None,
+    stop: Callable[[], bool] = never,
+) -> Run:
+    """Continues a run from its last checkpoint, bit for bit as if it had never stopped.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> run = nb.train("paper", simulator="kinematic", vehicles=4, episodes=8, seed=2, out="runs/second")
+        >>> len(nb.resume("runs/second", episodes=12).episodes)
+        12
+
+    Args:
+        folder: The run folder.
+        episodes: Episodes to train in all; by default as many as the run has been configured for.
+        agent: The agent of your own that the run was begun with, if it was.
+        reward: The reward of your own, likewise.
+        workers: See `train`.
+        on_progress: See `train`.
+        stop: See `train`.
+
+    Raises:
+        UserError: If the folder holds no run, its files do not fit each other, or it has more episodes already.
+        WorkerDied: If a worker process is gone; a checkpoint is written before.
+    """
+    return _with_curve(
+        session.resume(
+            Path(folder),
+            episodes,
+            agent=agent,
+            reward=reward,
+            workers=workers,
+            on_progress=on_progress or silent,
+            stop=stop,
+        )
+    )
+
+
+def _with_curve(run: Run) -> Run:
+    if run.episodes:
+        draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
+    return run

@@ -1,0 +1,48 @@
+"""`nnql-bullet keys`."""
+
+import json
+
+from nnql_bullet.cli.console import say
+from nnql_bullet.config import Key, to_values
+from nnql_bullet.config import keys as keys_of
+from nnql_bullet.errors import UserError
+from nnql_bullet.presets import load_config
+from nnql_bullet.reports.tables import text_table
+from nnql_bullet.run_config import RunConfig
+
+
+def keys(table: str = "", /, config: str = "paper") -> int:
+    """List the keys of a configuration: type, value and meaning.
+
+    Each is a key of a TOML file and a flag of `nnql-bullet train`: agent.discount is --agent.discount there.
+
+    For example:
+
+        nnql-bullet keys
+        nnql-bullet keys agent --config double_dqn
+        nnql-bullet keys task
+
+    Args:
+        table: Only the keys whose names begin like this: agent, task, conditions, training, drive, shield.
+        config: Preset or TOML file whose values are shown.
+    """
+    resolved = load_config(config, {})
+    kind, values = resolved.agent.kind, _flat(to_values(resolved))
+    shown = [key for key in keys_of(RunConfig) if key.kind in ("", kind) and key.name.startswith(table)]
+    if not shown:
+        raise UserError(f"no key begins with '{table}'")
+    rows = [(key.name, key.type_text, values.get(key.name, _value(key)), key.about) for key in shown]
+    say(text_table(("key", "type", config, "meaning"), rows))
+    return 0
+
+
+def _flat(values: dict[str, object], table: str = "") -> dict[str, str]:
+    found: dict[str, str] = {}
+    for key, value in values.items():
+        found |= _flat(value, f"{table}{key}.") if isinstance(value, dict) else {table + key: json.dumps(value)}
+    return found
+
+
+def _value(key: Key) -> str:
+    """The default of a key that is not set."""
+    return "-" if key.default is None else f"({json.dumps(key.default)})"

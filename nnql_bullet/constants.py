@@ -1,0 +1,4 @@
+"""Constants of nature."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s2]."""

@@ -1,0 +1,91 @@
+"""One drive of a policy, recorded."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from nnql_bullet import __version__
+from nnql_bullet.config import to_values
+from nnql_bullet.recording import Recorder, Recording
+from nnql_bullet.rollout import run_episode
+from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.runs import PolicyLike, drives_folder, load_policy
+from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import robot_name
+from nnql_bullet.worlds.source import World
+
+RECORDING = "trajectory.npz"
+"""File that a drive is kept in."""
+
+
+def drive(
+    policy: PolicyLike,
+    *,
+    world: str | Path | World | None = None,
+    seed: int = 0,
+    simulator: SimulatorName = "bullet",
+    physics: PhysicsName = "reference",
+    vehicle: str | Path | VehicleSpec | None = None,
+    shield: bool = False,
+    conditions: Conditions | None = None,
+    changes: Mapping[str, Any] = MappingProxyType({}),
+) -> Recording:
+    """Drives a policy through a world and records it.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> recording = nb.drive("vfh", world="cover_10", seed=1, simulator="kinematic")
+        >>> recording.summary.ending
+        'goal'
+
+    Args:
+        policy: A run folder, a policy file, a shipped policy or rule by name, what `load_policy` returned, or an object
+            of your own: `act(observations)` gives the actions (n,) of n vehicles. It may have `reset(vehicle,
+            world_seed)` to forget what it remembers of a vehicle.
+        world: A shipped world, a TOML file or a `World`; by default that of the training.
+        seed: Seed of the world.
+        simulator: Where it drives, wherever it was trained.
+        physics: Solver settings of contact physics.
+        vehicle: A shipped robot, a TOML file or a `Vehicle`; by default that of the training.
+        shield: Whether to put the policy into a shield.
+        conditions: Conditions in place of the policy's own.
+        changes: Nested values laid over the rest of the policy's configuration (see `config.merged`).
+
+    Raises:
+        UserError: If there is no such policy or world, or a value is wrong.
+    """
+    asked: dict[str, Any] = {"shield": {} if shield else None, **changes}
+    asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
+    asked["world"] = str(world) if isinstance(world, Path) else world
+    asked["robot"] = None if vehicle is None else robot_name(vehicle)
+    loaded = load_policy(policy, asked)
+    experiment, config = loaded.experiment, loaded.experiment.config
+    recorder = Recorder(experiment.vehicle, experiment.policy)
+    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
+    experiment.simulator.close()
+    return recorder.recording(
+        policy=loaded.label,
+        simulator=config.simulator,
+        physics=config.physics,
+        conditions=to_values(config.conditions),
+        version=__version__,
+        summary=asdict(summary),
+    )
+
+
+def drive_folder(
+    policy: Path,
+    world: str,
+    seed: int,
+    simulator: SimulatorName = "bullet",
+    shield: bool = False,
+    conditions: Conditions | None = None,
+) -> Path:
+    """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
+    asked = conditions.changes if conditions else {}
+    parts = [world, str(seed), *([simulator] if simulator != "bullet" else []), *(["shield"] if shield else [])]
+    parts += [f"{name.replace('_', '-')}-{value:g}" for name, value in asked.items()]
+    return drives_folder(policy) / "-".join(parts)

@@ -1,0 +1,236 @@
+"""One vehicle in one world of contact physics, as quantities that probes can set and read.
+
+An engine fills in the abstract methods; `sim.contact` adds the control of the wheels. So two engines differ in their
+physics and in nothing else.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+
+from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.jit import njit
+from nnql_bullet.types import Vector
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
+
+CONTACT_MARGIN = 0.0005
+"""Distance below which an engine may report a contact [m]."""
+
+Quaternion = tuple[float, float, float, float]
+"""x, y, z, w."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDynamics:
+    """Properties of a link in the engine."""
+
+    mass: float
+    """[kg]"""
+    inertia: Vector
+    """Moments about the principal axes [kg m2]."""
+    friction: float
+    rolling_friction: float
+    """[m]"""
+    spinning_friction: float
+    """[m]"""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactForce:
+    """Force of the ground on a wheel, or of obstacles on the chassis [N]."""
+
+    normal: float
+    friction: float
+    """Part in the plane of contact."""
+
+
+class VehiclePhysics(ABC):
+    """One vehicle in one world of contact physics. The methods are what probes need."""
+
+    _com: Vector
+    """Origin of `_frame` in the chassis frame [m]."""
+    _tracks: Array
+    """Tracks of the patrols: rows (m, 6) of `WorldSpec.tracks`."""
+    _solids: Array
+    """Obstacles, walls and patrols as they are now: rows (n, 6) of `geometry.as_rows`."""
+    _movers: Array
+    """The rows of the patrols: a view into `_solids` (m, 6)."""
+
+    def __init__(self, vehicle: VehicleSpec, time_step: float) -> None:
+        self.vehicle = vehicle
+        self.time_step = time_step
+        self._steps = 0
+
+    def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
+        """Builds a world from nothing, so that nothing of before is left, and puts the vehicle into it.
+
+        Args:
+            world: The obstacles, walls and patrols.
+            pose: Pose of the rear-axle centre.
+            speed: Speed straight ahead, with all wheels rolling [m/s].
+            height: Height of the wheels above the ground [m].
+            ground: Whether there is a ground.
+        """
+        self._steps = 0
+        self._tracks, self._solids = world.tracks, world.solids_at(0.0)
+        self._movers = self._solids[len(world.solids) :]
+        self._build(world, pose, speed, height, ground)
+        self._move_patrols()
+
+    def run(self, seconds: float) -> None:
+        """Runs physics steps for a time, to the nearest step."""
+        for _ in range(round(seconds / self.time_step)):
+            self.step()
+
+    def step(self) -> None:
+        """Runs one physics step, then moves the patrols to where they are by then."""
+        self._step()
+        self._move_patrols()
+
+    def command_wheels(self, left: float, right: float) -> None:
+        """Sets the wheel speeds [rad/s] that the motors hold within the torque limit, until the next command."""
+        self._engage_motors()
+        self._command([left, right])
+
+    @abstractmethod
+    def close(self) -> None:
+        """Frees the engine."""
+
+    @abstractmethod
+    def release_wheels(self) -> None:
+        """Lets the drive wheels roll freely."""
+
+    @abstractmethod
+    def lock_joints(self) -> None:
+        """Stops every joint and holds it where it is."""
+
+    @abstractmethod
+    def set_gravity(self, gravity: Vector) -> None:
+        """Sets the acceleration of gravity [m/s2]; `place` sets it pointing down."""
+
+    @abstractmethod
+    def set_velocity(self, x: float, y: float) -> None:
+        """Sets the velocity of the chassis [m/s], which then does not turn; the joints keep theirs."""
+
+    @abstractmethod
+    def set_swivel(self, angle: float) -> None:
+        """Turns the caster to an angle from trailing [rad], at rest."""
+
+    @abstractmethod
+    def twist(self, torque: float) -> None:
+        """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
+
+    @abstractmethod
+    def touching(self) -> bool:
+        """Whether the chassis touches an obstacle or wall now. It cannot touch anything else."""
+
+    @abstractmethod
+    def obstacle_force(self) -> float:
+        """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
+
+    @abstractmethod
+    def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
+        """Forces of the ground on the left, right and caster wheel."""
+
+    @abstractmethod
+    def wheel_speeds(self) -> tuple[float, float]:
+        """Speeds of the left and right drive wheel [rad/s]."""
+
+    @abstractmethod
+    def wheel_heights(self) -> Vector:
+        """Heights of the left, right and caster wheel centre above the ground [m]."""
+
+    @abstractmethod
+    def link_dynamics(self) -> dict[str, LinkDynamics]:
+        """Properties of every link in the engine, by the link's name."""
+
+    def wheel_loads(self) -> Vector:
+        """Normal force of the ground on the left, right and caster wheel [N]."""
+        left, right, front = (force.normal for force in self.wheel_forces())
+        return left, right, front
+
+    def time(self) -> float:
+        """Time since the vehicle was placed [s]."""
+        return self._steps * self.time_step
+
+    def pose(self) -> Pose:
+        """Pose of the rear-axle centre, seen from above."""
+        position, orientation = self._frame()
+        ahead, _, up = self._com
+        return Pose(*rear_axle(position, orientation, ahead, up))
+
+    def velocity(self) -> Vector:
+        """Velocity of the chassis [m/s]."""
+        return self._velocities()[0]
+
+    def speed(self) -> float:
+        """Speed of the rear-axle centre along the vehicle [m/s]."""
+        vx, vy, _ = self.velocity()
+        yaw = self.pose().yaw
+        return float(vx * cos(yaw) + vy * sin(yaw))
+
+    def yaw_rate(self) -> float:
+        """Yaw rate [rad/s]."""
+        return float(self._velocities()[1][2])
+
+    # What else an engine fills in
+
+    @abstractmethod
+    def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
+        """Builds the world and the vehicle in the engine, see `place`; sets `_com`."""
+
+    @abstractmethod
+    def _step(self) -> None:
+        """Runs and counts one physics step, in which the patrols stay where they were."""
+
+    @abstractmethod
+    def _engage_motors(self) -> None:
+        """Prepares the drive wheels for `_command`, after a release for instance."""
+
+    @abstractmethod
+    def _command(self, speeds: list[float]) -> None:
+        """Sets the speeds of the left and right wheel [rad/s] that the motors hold."""
+
+    @abstractmethod
+    def _place_patrols(self) -> None:
+        """Puts each patrol where its row of `_movers` says."""
+
+    @abstractmethod
+    def _frame(self) -> tuple[Vector, Quaternion]:
+        """Position of a point fixed to the chassis [m], and the orientation of the chassis."""
+
+    @abstractmethod
+    def _velocities(self) -> tuple[Vector, Vector]:
+        """Linear velocity of the origin of `_frame` [m/s], and angular velocity [rad/s]."""
+
+    @abstractmethod
+    def _cast(self, begins: Array, ends: Array) -> Array:
+        """Distances (n,) [m] at which rays from `begins` to `ends` (n, 3) meet an obstacle or wall."""
+
+    def _move_patrols(self) -> None:
+        """Moves the patrols to where they are now."""
+        if len(self._tracks):
+            follow_tracks(self._tracks, self.time(), self._movers)
+            self._place_patrols()
+
+
+@njit()
+def rear_axle(
+    position: tuple[float, float, float], orientation: tuple[float, float, float, float], ahead: float, up: float
+) -> tuple[float, float, float]:
+    """x, y [m] and yaw [rad] of the rear-axle centre, from a frame fixed to the chassis.
+
+    Args:
+        position: Origin of the frame in the world [m].
+        orientation: Its quaternion: x, y, z, w.
+        ahead: Distance of that origin ahead of the rear axle, in the chassis frame [m].
+        up: Its distance above the rear axle [m].
+    """
+    qx, qy, qz, qw = orientation
+    forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
+    x = position[0] - (ahead * forward_x + up * 2 * (qx * qz + qw * qy))
+    y = position[1] - (ahead * forward_y + up * 2 * (qy * qz - qw * qx))
+    return x, y, np.arctan2(forward_y, forward_x)
