@@ -7,19 +7,20 @@
     recording.render("drive.mp4")
     print(nb.evaluate([run.policy, "vfh"], worlds=["cover_10"], simulator="kinematic").table())
 
-Every name is imported when it is first used. Gymnasium knows the environment as `nnql_bullet/Tricycle-v0`.
+Every name is imported when it is first used. `gymnasium.make` knows the environment as `nnql_bullet/Tricycle-v0`.
 """
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from nnql_bullet.registration import register_lazily
 
 if TYPE_CHECKING:
     from nnql_bullet.api.ablate import ablate
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
     from nnql_bullet.api.failures import failures
-    from nnql_bullet.api.fidelity import envelope, fidelity
+    from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.driving import drive
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_ENVIRONMENT = "nnql_bullet/Tricycle-v0"
 _HOMES = {
     "Conditions": "run_config",
     "Progress": "work",
@@ -43,11 +43,11 @@ _HOMES = {
     "WorkFailed": "errors",
     "World": "worlds.source",
     "ablate": "api.ablate",
+    "check_fidelity": "api.fidelity",
     "drive": "driving",
     "envelope": "api.fidelity",
     "evaluate": "api.evaluate",
     "failures": "api.failures",
-    "fidelity": "api.fidelity",
     "gap": "api.gap",
     "load_policy": "runs",
     "load_run": "runs",
@@ -66,11 +66,11 @@ __all__ = [
     "WorkFailed",
     "World",
     "ablate",
+    "check_fidelity",
     "drive",
     "envelope",
     "evaluate",
     "failures",
-    "fidelity",
     "gap",
     "load_policy",
     "load_run",
@@ -80,19 +80,7 @@ __all__ = [
 ]
 
 
-def register() -> None:
-    """Makes `nnql_bullet/Tricycle-v0` known to Gymnasium, which calls this when it is imported."""
-    registration = import_module("gymnasium.envs.registration")
-    if _ENVIRONMENT not in registration.registry:
-        registration.register(
-            id=_ENVIRONMENT,
-            entry_point="nnql_bullet.gym_env:TricycleEnv",
-            vector_entry_point="nnql_bullet.gym_env:TricycleVectorEnv",
-        )
-
-
-if "gymnasium.envs.registration" in sys.modules:  # Gymnasium was imported before, perhaps without its plugins
-    register()
+register_lazily()
 
 
 def __getattr__(name: str) -> Any:

@@ -191,6 +191,12 @@ PolicyLike = str | Path | LoadedPolicy | Decider
 def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyType({})) -> LoadedPolicy:
     """Loads what a run has learned, or a rule.
 
+    Example:
+        >>> import nnql_bullet as nb
+        >>> policy = nb.load_policy("double_dqn")
+        >>> policy.episodes, policy.experiment.config.simulator
+        (12000, 'kinematic')
+
     Args:
         policy: A run folder, a policy file, the name of a shipped policy or of a rule, or a TOML file that configures
             a rule. An object of your own, which has a method `act`, gets the configuration of the preset `paper`.

@@ -18,6 +18,7 @@ from matplotlib.patches import Patch, Polygon, Wedge
 from numpy.typing import NDArray
 from rich.progress import track
 
+import nnql_bullet as nb
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.rules.straight import Straight
 from nnql_bullet.colours import INK, NON_SAFE, SAFE, VEHICLE
@@ -37,7 +38,7 @@ from nnql_bullet.reports.drawing import (
     without_ticks,
 )
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.runs import CHECKPOINT, Run, load_policy, load_run
+from nnql_bullet.runs import CHECKPOINT, Run, load_run
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import TaskOptions
@@ -131,14 +132,6 @@ def record(
     return recorder.recording(version=__version__)
 
 
-def drive(folder: Path, file: str, seed: int) -> Recording:
-    """Drives what was learned, greedily, as `nnql-bullet drive` does."""
-    experiment = load_policy(folder, {"world": file, "physics": "reference"}).experiment
-    recorder = Recorder(experiment.vehicle, experiment.agent)
-    run_episode(experiment.navigation, experiment.world(seed), experiment.agent, watcher=recorder)
-    return recorder.recording(version=__version__)
-
-
 def draw(training: list[Recording], new: list[Recording], path: Path) -> None:
     """The page."""
     figure = new_figure(12.0, 13.6)
@@ -194,7 +187,7 @@ def draw_moment(axes: Axes, recording: Recording) -> None:
     half = 1.15 * paper.SENSOR_RANGE
     inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44))
     without_ticks(inset)
-    draw_world(inset, recording, recording.state_time[step])
+    draw_world(inset, recording.world, recording.state_time[step])
     draw_path(inset, recording)
     for sector, reading in enumerate(recording.readings[step]):
         middle = np.degrees(yaw + sector * paper.SECTOR_ANGLE)
@@ -219,7 +212,7 @@ def main() -> None:
         train(folder, a.seed)
     for file, seed in NEW:
         if not film(folder, f"{file}-{seed}").exists():
-            drive(folder, file, seed).save(film(folder, f"{file}-{seed}"))
+            nb.drive(folder, world=file, seed=seed).save(film(folder, f"{file}-{seed}"))
     training = [load_recording(film(folder, number)) for number in TRAINING]
     draw(training, [load_recording(film(folder, f"{file}-{seed}")) for file, seed in NEW], a.out)
     print(a.out)

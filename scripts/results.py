@@ -10,14 +10,10 @@ part of it. What is trained and driven is kept in --out, so the same command goe
 """
 
 import argparse
-import csv
-import io
-import json
 import shutil
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
@@ -25,12 +21,12 @@ import numpy as np
 from rich.progress import track
 from scipy.stats import bootstrap
 
+import nnql_bullet as nb
 from nnql_bullet.agents import RULES
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.presets import load_config
 from nnql_bullet.training.base import TrainingEpisode
-
-KINEMATIC = ("--sim", "kinematic")
 
 
 @dataclass(frozen=True)
@@ -40,8 +36,8 @@ class Method:
     preset: str
     seeds: int
     """Trainings."""
-    flags: tuple[str, ...] = KINEMATIC
-    """What else `train` is told."""
+    changes: dict[str, Any] = field(default_factory=lambda: {"simulator": "kinematic"})
+    """Further arguments of `nb.train`."""
     stages: tuple[int, ...] = ()
     """Episodes after which it is looked at on the way."""
 
@@ -50,40 +46,40 @@ METHODS = {
     "paper": Method("paper", 10),
     "literal": Method("literal", 10),
     "tuned": Method("tuned", 10),
-    "tuned_contact": Method("tuned", 3, ("--sim", "bullet")),
+    "tuned_contact": Method("tuned", 3, {"simulator": "bullet"}),
     "q_table": Method("q_table", 5),
-    "genetic": Method("genetic", 5, (*KINEMATIC, "--vehicles", "200")),  # that changes nothing but the time
-    "sb3_dqn": Method("sb3_dqn", 1, (*KINEMATIC, "--vehicles", "16")),
+    "genetic": Method("genetic", 5, {"simulator": "kinematic", "vehicles": 200}),  # changes nothing but the time
+    "sb3_dqn": Method("sb3_dqn", 1, {"simulator": "kinematic", "vehicles": 16}),
     "double_dqn": Method("double_dqn", 5, stages=(500, 1000, 1500, 2000, 3000, 4500, 6000, 8000, 10_000)),
 }
 LEARNING_FROM_STEPS = ("paper", "tuned", "q_table", "sb3_dqn")
-"""Whose success while they act_exploring is drawn."""
-COVERS = ("--cover", "5,10,15,20")
-HARD = ("--world", "traps,aisles,moving")
+"""Methods whose success during training is drawn."""
+COVERS = ("paper", "cover_10", "cover_15", "cover_20")
+HARD = ("traps", "aisles", "moving")
 HARD_SEEDS = 2
 """Training seeds that are driven through those in contact physics, where drives last long."""
 SHIELDED_RULES = ("straight", "hand_rule")
-"""That success in a shield is held against."""
-CONDITIONS = {
-    "none": (),
-    "the kinematic model": KINEMATIC,
-    "friction 0.5": ("--friction", "0.5"),
-    "payload 80 kg": ("--payload", "80"),
-    "noise of 5 cm": ("--noise", "0.05"),
+"""Rules that the success in a shield is compared with."""
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "the kinematic model": {"simulator": "kinematic"},
+    "friction 0.5": {"conditions": nb.Conditions(wheel_friction=0.5)},
+    "payload 80 kg": {"conditions": nb.Conditions(payload=80.0)},
+    "noise of 5 cm": {"conditions": nb.Conditions(sensor_noise=0.05)},
 }
-"""In which a bare policy is driven, and held against the first of them."""
-CONDITION_COVERS = ("--cover", "5,10,15")
+"""Arguments of `nb.evaluate` for a bare policy; the others are compared with the first of them."""
+CONDITION_COVERS = COVERS[:3]
 DEAD_SECTORS = (0, 1)
-"""One at a time, untold, in the shield."""
-STAGE_WORLDS = ("--cover", "10,20", *HARD, "--split", "validation", *KINEMATIC)
+"""Sensors that are dead, one at a time, in the shield."""
+STAGE_WORLDS = ("cover_10", "cover_20", *HARD)
 PARTS = ("ablations", "covers", "hard", "kinematic", "shield", "conditions", "learning")
 """Methods of `Results`, in the order in which they are called."""
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
 """Files of a report that go into results/."""
-DOUBLE_DQN_CHOICES = "map,frames"
-"""Of its ablation, whose trainings take long."""
+DOUBLE_DQN_FACTORS = ("map", "frames")
+"""Factors of its ablation, whose trainings take long."""
 ABLATION = ("ablation.md", "ablation.json", "ablation.csv", "ablation.png")
-"""Of a ablation."""
+"""Files of an ablation."""
 
 
 @dataclass(frozen=True)
@@ -104,160 +100,145 @@ class Trial:
         return self.run / "stages" / f"{episodes}.safetensors"
 
 
-def nnql_bullet(*arguments: str) -> None:
-    """Runs the program; ends with it if it fails."""
-    from nnql_bullet.cli.parser import run
-
-    code = run(list(arguments))
-    if code:
-        sys.exit(code)
-
-
 def train(trial: Trial) -> None:
-    """Trains the run, or goes on with it, unseen; raises what is complained about."""
+    """Trains the run, or continues it, with a copy of the policy at each stage."""
     method = METHODS[trial.method]
     for episodes in (*method.stages, None):
         if episodes is None or not trial.stage(episodes).exists():
-            _train_to(trial, method, episodes)
+            if (trial.run / "checkpoint.safetensors").exists():
+                nb.resume(trial.run, episodes or load_config(method.preset, {}).episodes)
+            else:
+                nb.train(method.preset, seed=trial.seed, out=trial.run, episodes=episodes, **method.changes)
             if episodes is not None:
                 trial.stage(episodes).parent.mkdir(exist_ok=True)
                 shutil.copyfile(trial.run / "policy.safetensors", trial.stage(episodes))
 
 
-def _train_to(trial: Trial, method: Method, episodes: int | None) -> None:
-    from nnql_bullet.cli.parser import run
-    from nnql_bullet.presets import load_config
-
-    if (trial.run / "checkpoint.safetensors").exists():
-        episodes = episodes or load_config(method.preset, {}).episodes
-        arguments = ["--resume", str(trial.run), "--episodes", str(episodes)]
-    else:
-        arguments = ["--config", method.preset, "--seed", str(trial.seed), "--out", str(trial.run), *method.flags]
-        arguments += [] if episodes is None else ["--episodes", str(episodes)]
-    said = io.StringIO()
-    with redirect_stdout(said), redirect_stderr(said):
-        code = run(["train", *arguments, "--workers", "1"])
-    if code == 130:
-        raise KeyboardInterrupt
-    if code:
-        raise RuntimeError(said.getvalue().strip().rpartition("\n")[2])
-
-
 def draw_learning(trials: Sequence[Trial], path: Path) -> None:
     """How fast methods that learn from every step come to succeed."""
     from nnql_bullet.reports.plots import draw_success
-    from nnql_bullet.runs import load_run
 
     recipes: dict[str, dict[str, list[TrainingEpisode]]] = {}
     for trial in trials:
         if trial.method in LEARNING_FROM_STEPS:
-            recipes.setdefault(trial.method, {})[trial.run.name] = load_run(trial.run).episodes
+            recipes.setdefault(trial.method, {})[trial.run.name] = nb.load_run(trial.run).episodes
     draw_success(recipes, path)
 
 
 class Results:
     """The parts of the results, each made by a method of its name."""
 
-    def __init__(self, trials: Sequence[Trial], spread: Sequence[str], a: argparse.Namespace) -> None:
+    def __init__(self, trials: Sequence[Trial], spread: dict[str, Any], a: argparse.Namespace) -> None:
         self.trials = trials
         self.spread = spread
         self.a = a
 
-    def scaled(self, number: int) -> str:
+    def scaled(self, number: int) -> int:
         """A number of seeds or worlds."""
-        return str(max(1, round(number * self.a.scale)))
+        return max(1, round(number * self.a.scale))
 
     def runs(self, *methods: str, seeds: int | None = None) -> list[str]:
         """Run folders of methods, of every one if none is named."""
         found = [t for t in self.trials if not methods or t.method in methods]
         return [str(trial.run) for trial in found if seeds is None or trial.seed < seeds]
 
-    def make(self, name: str, arguments: Sequence[str], kept: Sequence[str]) -> None:
-        """Runs the program, and keeps what it leaves."""
-        nnql_bullet(*arguments, *self.spread, "--out", str(self.a.out / name))
+    def keep(self, name: str, files: Sequence[str]) -> None:
+        """Copies files of a report into the results."""
         (self.a.results / name).mkdir(parents=True, exist_ok=True)
-        for file in kept:
+        for file in files:
             if (self.a.out / name / file).exists():  # without several covers there is no picture of them
                 shutil.copy(self.a.out / name / file, self.a.results / name / file)
 
-    def evaluate(self, name: str, policies: Sequence[str], worlds: int, *flags: str) -> None:
+    def evaluate(self, name: str, policies: Sequence[str], worlds: Sequence[str], count: int, **more: Any) -> None:
         """Drives policies through test worlds."""
-        asked = ["--split", "test", "--worlds", self.scaled(worlds), *flags]
-        self.make(name, ["evaluate", *policies, *asked], KEPT)
+        nb.evaluate(
+            policies,
+            worlds=worlds,
+            split="test",
+            n_worlds=self.scaled(count),
+            out=self.a.out / name,
+            **{"physics": self.a.physics, **self.spread, **more},
+        )
+        self.keep(name, KEPT)
+
+    def ablate(self, name: str, preset: str, seeds: int, **more: Any) -> None:
+        """Trains and tests the variants of a preset."""
+        nb.ablate(preset, seeds=self.scaled(seeds), out=self.a.out / name, **self.spread, **more)
+        self.keep(name, ABLATION)
 
     def ablations(self) -> None:
         """What each choice of a preset is worth."""
-        self.make("ablation", ["ablate", "--seeds", self.scaled(self.a.ablation_seeds)], ABLATION)
-        self.make("ablation-tuned", ["ablate", "tuned", "--seeds", self.scaled(3)], ABLATION)
-        budget = ["--seeds", self.scaled(2), "--worlds", self.scaled(100), "--only", DOUBLE_DQN_CHOICES]
-        self.make("ablation-double_dqn", ["ablate", "double_dqn", *budget], ABLATION)
+        self.ablate("ablation", "paper", self.a.ablation_seeds)
+        self.ablate("ablation-tuned", "tuned", 3)
+        self.ablate("ablation-double_dqn", "double_dqn", 2, n_worlds=self.scaled(100), only=DOUBLE_DQN_FACTORS)
 
     def covers(self) -> None:
         """Everything in contact physics, by cover."""
-        self.evaluate("covers", [*self.runs(), *RULES], self.a.worlds, *COVERS, "--physics", self.a.physics)
+        self.evaluate("covers", [*self.runs(), *RULES], COVERS, self.a.worlds)
 
     def hard(self) -> None:
         """The same through worlds that need more than reflexes."""
-        some = [*self.runs(seeds=HARD_SEEDS), *RULES]
-        self.evaluate("hard", some, self.a.worlds, *HARD, "--physics", self.a.physics)
+        self.evaluate("hard", [*self.runs(seeds=HARD_SEEDS), *RULES], HARD, self.a.worlds)
 
     def kinematic(self) -> None:
         """The same through more worlds of all kinds, in the kinematic model."""
-        self.evaluate("kinematic", [*self.runs(), *RULES], self.a.kinematic_worlds, *COVERS, *HARD, *KINEMATIC)
+        everyone, worlds = [*self.runs(), *RULES], (*COVERS, *HARD)
+        self.evaluate("kinematic", everyone, worlds, self.a.kinematic_worlds, simulator="kinematic")
 
     def shield(self) -> None:
         """What learning is worth where a shield makes almost anything succeed."""
         policies = [*self.runs("double_dqn"), *SHIELDED_RULES]
-        where = [*COVERS, *HARD, "--physics", self.a.physics, "--shield"]
-        self.evaluate("shield", policies, self.a.shield_worlds, *where)
+        self.evaluate("shield", policies, (*COVERS, *HARD), self.a.shield_worlds, shield=True)
 
     def conditions(self) -> None:
         """What conditions cost that nothing was trained with."""
         bare = self.runs("tuned", "double_dqn", seeds=5)
-        found = {condition: self._under(condition, bare, *flags) for condition, flags in CONDITIONS.items()}
+        found = {condition: self._under(condition, bare, **more) for condition, more in CONDITIONS.items()}
         for sector in DEAD_SECTORS:
-            condition, flags = f"sector {sector} dead", ("--dead-sector", str(sector), "--shield")
-            found[condition] = self._under(condition, self.runs("double_dqn"), *flags)
+            condition, dead = f"sector {sector} dead", nb.Conditions(dead_sector=sector)
+            found[condition] = self._under(condition, self.runs("double_dqn"), conditions=dead, shield=True)
         folder = self.a.results / "conditions"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "conditions.md").write_text(conditions_markdown(found), encoding="utf-8")
 
-    def _under(self, condition: str, runs: Sequence[str], *flags: str) -> "Drives":
-        out = self.a.out / "conditions" / condition.replace(" ", "_")
-        worlds = ["--worlds", self.scaled(self.a.condition_worlds), "--split", "test", *CONDITION_COVERS]
-        where = ["--physics", self.a.physics, *flags, *self.spread, "--out", str(out)]
-        nnql_bullet("evaluate", *runs, *worlds, *where)
-        return drives_of(out)
+    def _under(self, condition: str, runs: Sequence[str], **more: Any) -> "Drives":
+        results = nb.evaluate(
+            runs,
+            worlds=CONDITION_COVERS,
+            split="test",
+            n_worlds=self.scaled(self.a.condition_worlds),
+            out=self.a.out / "conditions" / condition.replace(" ", "_"),
+            **{"physics": self.a.physics, **self.spread, **more},
+        )
+        return {
+            (row["method"], row["policy"], row["world"], row["world_seed"]): row["ending"] == "goal"
+            for row in results.episodes
+        }
 
     def learning(self) -> None:
-        """How fast methods come to succeed: while they act_exploring, and on validation worlds."""
+        """How fast methods come to succeed: during training, and on validation worlds."""
         draw_learning(self.trials, self.a.results / "learning.png")
         trials = [trial for trial in self.trials if trial.method == "double_dqn"]
         rows: list[dict[str, Any]] = []
         stages = [*METHODS["double_dqn"].stages, None]
         for episodes in stages:
             policies = [str(trial.stage(episodes) if episodes else trial.run) for trial in trials]
-            out = self.a.out / "stages"
-            worlds = ["--worlds", self.scaled(self.a.stage_worlds), *STAGE_WORLDS]
-            nnql_bullet("evaluate", *policies, *worlds, *self.spread, "--out", str(out))
-            values = json.loads((out / "results.json").read_text(encoding="utf-8"))
-            titles = {tier["name"]: tier["title"] for tier in values["tiers"]}
-            learned = values["policies"][0]["episodes"]
-            rows += [{**row, "episodes": learned, "title": titles.get(row["world"])} for row in values["rows"]]
+            results = nb.evaluate(
+                policies,
+                worlds=STAGE_WORLDS,
+                n_worlds=self.scaled(self.a.stage_worlds),
+                simulator="kinematic",
+                out=self.a.out / "stages",
+                **self.spread,
+            )
+            titles = {tier.name: tier.title for tier in results.evaluation.tiers}
+            learned = results.evaluation.policies[0].episodes
+            rows += [{**row, "episodes": learned, "title": titles.get(row["world"])} for row in results.rows]
         draw_stages(rows, len(trials), self.a.results / "double_dqn.png")
 
 
 Drives = dict[tuple[str, str, str, int], bool]
 """Whether a drive arrived, by method, policy, world and seed."""
-
-
-def drives_of(folder: Path) -> Drives:
-    """What `evaluate` left in a folder."""
-    with (folder / "episodes.csv").open(encoding="utf-8", newline="") as file:
-        return {
-            (row["method"], row["policy"], row["world"], int(row["world_seed"])): row["ending"] == "goal"
-            for row in csv.DictReader(file)
-        }
 
 
 def conditions_markdown(found: dict[str, Drives]) -> str:
@@ -311,7 +292,9 @@ def draw_stages(rows: Sequence[dict[str, Any]], seeds: int, path: Path) -> None:
     for kind, colour in zip(kinds, LINES, strict=False):
         its = [row for row in rows if row["title"] == kind]
         episodes = [row["episodes"] for row in its]
-        value, low, high = 100 * np.array([row["over_seeds"] or row["outcomes"]["goal"] for row in its]).T
+        shown = ["goal" if row["over_seeds"] is None else "over_seeds" for row in its]
+        parts = [[row[name + part] for part in ("", "_low", "_high")] for name, row in zip(shown, its, strict=True)]
+        value, low, high = 100 * np.array(parts).T
         axes.fill_between(episodes, low, high, color=colour, alpha=0.2, lw=0)
         axes.plot(episodes, value, color=colour, lw=2, marker="o", ms=4, mew=0, label=kind)
     axes.set(xlabel="training episodes", ylabel="success [%]", ylim=(-2, 102), xlim=(0, None))
@@ -349,7 +332,7 @@ def main() -> None:
         if outcome.error:
             sys.exit(f"{outcome.task.run}: {outcome.error.message}")
     a.results.mkdir(exist_ok=True)
-    results = Results(trials, ["--executor", a.executor, "--workers", str(a.workers)], a)
+    results = Results(trials, {"executor": a.executor, "workers": a.workers}, a)
     for part in a.only:
         getattr(results, part)()
     print(f"results: {a.results}")

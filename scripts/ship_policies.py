@@ -8,24 +8,23 @@ again.
 """
 
 import argparse
-import json
 import shutil
 from pathlib import Path
 from typing import Any
 
+import nnql_bullet as nb
 from nnql_bullet import assets
-from nnql_bullet.cli import main as nnql_bullet
+from nnql_bullet.api.evaluate import EvaluationResults
 from nnql_bullet.commands import preset_of
 from nnql_bullet.config import to_values, write_toml
-from nnql_bullet.evaluation.statistics import Estimate
-from nnql_bullet.runs import POLICY, load_policy
+from nnql_bullet.runs import POLICY
 
 FOLDER = Path(assets.__file__).parent / "_data" / "policies"
 WORK = Path("runs/ship")
-KINDS = ["--cover", "5,10,15,20", "--world", "traps,aisles,moving", "--split", "test", "--shield"]
-SETTINGS = {
-    "the kinematic model, 100 test worlds of each kind": ["--sim", "kinematic", "--worlds", "100"],
-    "contact physics (PyBullet, `fast`), 25 test worlds of each kind": ["--physics", "fast", "--worlds", "25"],
+KINDS = ("paper", "cover_10", "cover_15", "cover_20", "traps", "aisles", "moving")
+SETTINGS: dict[str, dict[str, Any]] = {
+    "the kinematic model, 100 test worlds of each kind": {"simulator": "kinematic", "n_worlds": 100},
+    "contact physics (PyBullet, `fast`), 25 test worlds of each kind": {"physics": "fast", "n_worlds": 25},
 }
 WHAT = {
     "double_dqn": "decides every step by a dueling network over 24 readings and a map of what it has seen",
@@ -48,20 +47,19 @@ def ship(name: str, run: Path) -> None:
     write_card(name, {})
 
 
-def evaluated(names: list[str]) -> dict[str, dict[str, Any]]:
-    """What the evaluations found, by setting."""
-    found = {}
-    for number, (title, flags) in enumerate(SETTINGS.items()):
-        out = WORK / str(number)
-        if nnql_bullet(["evaluate", *names, *KINDS, *flags, "--out", str(out)]):
-            raise SystemExit(f"evaluating in {title} failed")
-        found[title] = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    return found
+def evaluated(names: list[str]) -> dict[str, EvaluationResults]:
+    """Evaluates shipped policies in each setting."""
+    return {
+        title: nb.evaluate(
+            names, worlds=KINDS, split="test", shield=True, workers=None, out=WORK / str(number), **setting
+        )
+        for number, (title, setting) in enumerate(SETTINGS.items())
+    }
 
 
-def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
+def write_card(name: str, results: dict[str, EvaluationResults]) -> None:
     """The card of a policy that lies in its place."""
-    policy = load_policy(FOLDER / f"{name}.safetensors")
+    policy = nb.load_policy(FOLDER / f"{name}.safetensors")
     config, episodes = policy.experiment.config, policy.episodes
     trained = preset_of(config)
     if trained is None or trained[0] not in WHAT:
@@ -88,16 +86,16 @@ def write_card(name: str, results: dict[str, dict[str, Any]]) -> None:
     assets.card(FOLDER / f"{name}.safetensors").write_text("\n".join(lines), encoding="utf-8")
 
 
-def _tables(name: str, results: dict[str, dict[str, Any]]) -> list[str]:
+def _tables(name: str, results: dict[str, EvaluationResults]) -> list[str]:
     lines: list[str] = []
-    for title, values in results.items():
-        tiers = {tier["name"]: tier["title"] for tier in values["tiers"]}
+    for title, found in results.items():
+        tiers = {tier.name: tier.title for tier in found.evaluation.tiers}
         lines += [f"Success and collisions in % of drives, with 95 % intervals; {title}:", ""]
         lines += [f"| | {' | '.join(tiers.values())} |", f"|---|{'---|' * len(tiers)}"]
         for method, label in ((name, "bare"), (f"{name}+shield", "in a shield")):
-            rows = {row["world"]: row for row in values["rows"] if row["method"] == method}
+            rows = {row.world: row for row in found.methods if row.method == method}
             for ending, what in (("goal", label), ("collision", "collisions")):
-                cells = [str(Estimate(*rows[tier]["outcomes"][ending])) for tier in tiers]
+                cells = [str(rows[tier].outcomes[ending]) for tier in tiers]
                 lines.append(f"| {what} | {' | '.join(cells)} |")
         lines.append("")
     return lines

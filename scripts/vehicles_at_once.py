@@ -9,19 +9,15 @@ Every policy then drives the same validation worlds, in the kinematic model too.
 import argparse
 import sys
 from dataclasses import dataclass
-from itertools import islice
+from tempfile import TemporaryDirectory
 from typing import get_args
 
 import numpy as np
 from rich.progress import track
 
-from nnql_bullet.env import Navigation
+import nnql_bullet as nb
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import ExecutorKind, make_executor
-from nnql_bullet.experiment import Experiment
-from nnql_bullet.rollout import run_episodes
-from nnql_bullet.run_config import RunConfig, changed
-from nnql_bullet.seeding import VALIDATION_WORLDS
 
 COVERS = {"5 %": "paper", "10 %": "cover_10"}
 
@@ -37,19 +33,11 @@ class Trial:
 
 def successes(trial: Trial) -> list[float]:
     """Share of worlds in which the trained policy reaches the target, by cover."""
-    config = RunConfig(simulator="kinematic", vehicles=trial.vehicles, seed=trial.seed)
-    experiment = Experiment(config)
-    navigation = Navigation(experiment.new_simulator(1), config.task)
-    training = experiment.trainer(navigation)
-    for _ in islice(training.episodes(), config.episodes):
-        pass
-    shares = []
-    for world in COVERS.values():
-        test = Experiment(changed(config, world=world, vehicles=trial.worlds))
-        worlds = [test.world(seed) for seed in VALIDATION_WORLDS[: trial.worlds]]
-        summaries = run_episodes(Navigation(test.new_simulator(1), config.task), worlds, experiment.agent)
-        shares.append(float(np.mean([summary.ending == "goal" for summary in summaries])))
-    return shares
+    with TemporaryDirectory() as folder:
+        policy = nb.train("paper", simulator="kinematic", vehicles=trial.vehicles, seed=trial.seed, out=folder).policy
+        worlds = list(COVERS.values())
+        results = nb.evaluate(policy, worlds=worlds, n_worlds=trial.worlds, simulator="kinematic")
+        return [row["goal"] for row in results.rows if row["world"] in worlds]
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What several tests share: the vehicle, worlds with known geometry, simulators that are closed, and one small run."""
+"""What several tests share: the vehicle, worlds with known geometry, engines that are closed, and one small run."""
 
 import subprocess
 import sys
@@ -10,8 +10,8 @@ import pytest
 
 from nnql_bullet.cli import main
 from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
@@ -59,17 +59,17 @@ def empty_world(world_of: Callable[..., WorldSpec]) -> WorldSpec:
 
 
 @pytest.fixture
-def simulator_of(vehicle: VehicleSpec) -> Iterator[Callable[..., BulletSimulator]]:
-    """Makes simulators and closes them: (name of the physics settings, drive options, another vehicle)."""
-    made: list[BulletSimulator] = []
+def engine_of(vehicle: VehicleSpec) -> Iterator[Callable[..., BulletEngine]]:
+    """Makes engines and closes them: (name of the physics settings, drive options, another vehicle)."""
+    made: list[BulletEngine] = []
 
-    def make(physics: str, spec: VehicleSpec | None = None, **drive: float) -> BulletSimulator:
-        made.append(BulletSimulator(spec or vehicle, DriveOptions(**drive), PHYSICS[physics]))
+    def make(physics: str, spec: VehicleSpec | None = None, **drive: float) -> BulletEngine:
+        made.append(BulletEngine(spec or vehicle, DriveOptions(**drive), PHYSICS[physics]))
         return made[-1]
 
     yield make
-    for simulator in made:
-        simulator.close()
+    for engine in made:
+        engine.close()
 
 
 @pytest.fixture(params=["reference", "fast"])
@@ -81,7 +81,7 @@ def physics(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="session")
 def compiled_kernels(vehicle: VehicleSpec) -> None:
     """For tests of what is printed: the wait while the kinematic model is compiled, which is announced, is over."""
-    KinematicFleet(vehicle, DriveOptions(), 1).close()
+    KinematicSimulator(vehicle, DriveOptions(), 1).close()
 
 
 @pytest.fixture(scope="session")

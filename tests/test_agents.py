@@ -11,16 +11,16 @@ import pytest
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable, make_agent
+from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable
 from nnql_bullet.agents.base import Overridable
-from nnql_bullet.env import ACTIONS, FleetNavigation, Observations
+from nnql_bullet.env import ACTIONS, Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import load_policy
-from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -37,7 +37,7 @@ rules = pytest.mark.parametrize(
 )
 VEHICLES, DECISIONS = 5, 40
 
-Drive = list[Observations]
+Drive = list[Observation]
 """What vehicles see at one decision after the other."""
 Make = Callable[[str], Agent]
 
@@ -50,7 +50,7 @@ def options_of(kind: str, **changes: object) -> AgentOptions:
 @pytest.fixture
 def make(vehicle: VehicleSpec) -> Make:
     """Makes agents by kind."""
-    return lambda kind: make_agent(options_of(kind), 3, vehicle, DriveOptions())
+    return lambda kind: options_of(kind).make_agent(3, vehicle, DriveOptions())
 
 
 @pytest.fixture(scope="module")
@@ -58,22 +58,22 @@ def drive(vehicle: VehicleSpec) -> Drive:
     """Vehicle i in world i, where there is much to see, turning about; those that touch something stand there."""
     experiment = Experiment(RunConfig(world="cover_15", simulator="kinematic"))
     turns = np.random.default_rng(0).integers(ACTIONS, size=(DECISIONS, VEHICLES))
-    with closing(KinematicFleet(vehicle, DriveOptions(), VEHICLES)) as fleet:
-        navigation = FleetNavigation(fleet, TaskOptions())
+    with closing(KinematicSimulator(vehicle, DriveOptions(), VEHICLES)) as fleet:
+        navigation = Navigation(fleet, TaskOptions())
         navigation.reset({seed: experiment.world(seed) for seed in range(VEHICLES)})
-        seen = [navigation.observations]
+        seen = [navigation.observation]
         for actions in turns[1:]:
-            navigation.step(actions, navigation.observations.state_property <= StateProperty.NON_SAFE)
-            seen.append(navigation.observations)
+            navigation.step(actions, navigation.observation.state_property <= StateProperty.NON_SAFE)
+            seen.append(navigation.observation)
     assert {StateProperty.SAFE, StateProperty.NON_SAFE} <= set(
         np.concatenate([one.state_property for one in seen]).tolist()
     )
     return seen
 
 
-def rows(observations: Observations, vehicles: list[int]) -> Observations:
+def rows(observations: Observation, vehicles: list[int]) -> Observation:
     """What some vehicles see, in another order."""
-    return Observations(*(getattr(observations, field.name)[vehicles] for field in fields(Observations)))
+    return Observation(*(getattr(observations, field.name)[vehicles] for field in fields(Observation)))
 
 
 def decided(agent: Agent, drive: Drive, vehicles: list[int], order: list[int] | None = None) -> NDArray[np.int64]:
@@ -166,8 +166,8 @@ class TestEveryAgent:
         self, kind: str, make: Make, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
     ) -> None:
         world = world_of(target=(104.0, 100.0))
-        with closing(KinematicFleet(vehicle, DriveOptions(), 3)) as fleet:
-            (summary,) = run_episodes(FleetNavigation(fleet, TaskOptions()), [world], make(kind))
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 3)) as fleet:
+            (summary,) = run_episodes(Navigation(fleet, TaskOptions()), [world], make(kind))
         assert summary.ending == "goal"
 
     def test_unknown_options_are_refused(self, kind: str) -> None:
@@ -184,10 +184,10 @@ def opinionated(agent: Agent) -> Agent:
     return agent
 
 
-def mixed(one: Observations, other: Observations) -> Observations:
+def mixed(one: Observation, other: Observation) -> Observation:
     """What vehicle 0 sees in one record, beside what vehicle 2 sees in another."""
-    both = ((getattr(one, field.name)[:1], getattr(other, field.name)[2:3]) for field in fields(Observations))
-    return Observations(*(np.concatenate(pair) for pair in both))
+    both = ((getattr(one, field.name)[:1], getattr(other, field.name)[2:3]) for field in fields(Observation))
+    return Observation(*(np.concatenate(pair) for pair in both))
 
 
 @rules
@@ -208,7 +208,7 @@ class TestEveryRule:
         assert (config.agent.kind, config.world, policy.episodes) == (kind, "cover_15", 0)
 
     def test_what_it_does_is_no_function_of_the_runs_seed(self, kind: str, vehicle: VehicleSpec, drive: Drive) -> None:
-        one, other = (make_agent(options_of(kind), seed, vehicle, DriveOptions()) for seed in (0, 1))
+        one, other = (options_of(kind).make_agent(seed, vehicle, DriveOptions()) for seed in (0, 1))
         assert np.array_equal(decided(one, drive, [0, 1]), decided(other, drive, [0, 1]))
 
 
@@ -228,7 +228,7 @@ SUCCESS = {
 def test_it_drives_as_well_as_it_was_chosen_to(kind: str, vehicle: VehicleSpec) -> None:
     experiment = load_policy(Path(kind), {"world": "cover_10", "simulator": "kinematic"}).experiment
     worlds = [experiment.world(seed) for seed in range(60)]
-    with closing(KinematicFleet(vehicle, DriveOptions(), len(worlds))) as fleet:
-        summaries = run_episodes(FleetNavigation(fleet, TaskOptions()), worlds, experiment.agent)
+    with closing(KinematicSimulator(vehicle, DriveOptions(), len(worlds))) as fleet:
+        summaries = run_episodes(Navigation(fleet, TaskOptions()), worlds, experiment.agent)
     least, largest = SUCCESS[kind]
     assert least <= np.mean([summary.ending == "goal" for summary in summaries]) <= largest

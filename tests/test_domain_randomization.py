@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, TrainingOptions
 from nnql_bullet.seeding import training_world_seed
-from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedFleet, turned
-from nnql_bullet.sim.kinematic import KinematicFleet
+from nnql_bullet.sim.domain_randomization import DomainRandomization, RandomizedSimulator, turned
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -32,14 +32,14 @@ def worlds() -> dict[int, WorldSpec]:
 
 
 @pytest.fixture
-def plain(vehicle: VehicleSpec) -> Iterator[KinematicFleet]:
-    with closing(KinematicFleet(vehicle, DriveOptions(), VEHICLES, threads=1)) as fleet:
+def plain(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
+    with closing(KinematicSimulator(vehicle, DriveOptions(), VEHICLES, threads=1)) as fleet:
         yield fleet
 
 
 @pytest.fixture
-def beneath(vehicle: VehicleSpec) -> Iterator[KinematicFleet]:
-    with closing(KinematicFleet(vehicle, DriveOptions(), VEHICLES, threads=1)) as fleet:
+def beneath(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
+    with closing(KinematicSimulator(vehicle, DriveOptions(), VEHICLES, threads=1)) as fleet:
         yield fleet
 
 
@@ -53,9 +53,9 @@ class TestDisturbances:
         assert not DomainRandomization(start_yaw=True).any  # which is in the world, not in the vehicle
 
     def test_rays_are_noisy_or_dead(
-        self, plain: KinematicFleet, beneath: KinematicFleet, worlds: dict[int, WorldSpec]
+        self, plain: KinematicSimulator, beneath: KinematicSimulator, worlds: dict[int, WorldSpec]
     ) -> None:
-        fleet = RandomizedFleet(beneath, DomainRandomization(noise=0.1, dead_sector=0.5))
+        fleet = RandomizedSimulator(beneath, DomainRandomization(noise=0.1, dead_sector=0.5))
         _, true = plain.reset(worlds)
         poses, seen = fleet.reset(worlds)
         assert np.array_equal(poses, plain.reset(worlds)[0])
@@ -68,9 +68,11 @@ class TestDisturbances:
         spread = [np.std((seen - true)[i][both[i]]) for i in range(VEHICLES) if both[i].sum() > 8]
         assert max(spread) > 2 * min(spread)  # each episode has its own
 
-    def test_turns_come_out_too_large_or_too_small(self, beneath: KinematicFleet, worlds: dict[int, WorldSpec]) -> None:
+    def test_turns_come_out_too_large_or_too_small(
+        self, beneath: KinematicSimulator, worlds: dict[int, WorldSpec]
+    ) -> None:
         """A turn of 0.2 rad that is over within the period: what is left over is what it was off by."""
-        fleet = RandomizedFleet(beneath, DomainRandomization(turn_scale=0.2))
+        fleet = RandomizedSimulator(beneath, DomainRandomization(turn_scale=0.2))
         poses, _ = fleet.reset(worlds)
         start = poses[:, 2].copy()
         motions, _ = fleet.advance(np.full(VEHICLES, 0.2), everyone())
@@ -83,10 +85,10 @@ class TestDisturbances:
         assert (motions.pose[:, 2] - before) / 0.2 == pytest.approx(factors, abs=1e-6)  # all through the episode
 
     def test_an_episode_is_a_function_of_its_world(
-        self, plain: KinematicFleet, beneath: KinematicFleet, worlds: dict[int, WorldSpec]
+        self, plain: KinematicSimulator, beneath: KinematicSimulator, worlds: dict[int, WorldSpec]
     ) -> None:
         everything = DomainRandomization(noise=0.1, dead_sector=0.3, turn_scale=0.2, turn_noise_degrees=5.0)
-        one, other = RandomizedFleet(plain, everything), RandomizedFleet(beneath, everything)
+        one, other = RandomizedSimulator(plain, everything), RandomizedSimulator(beneath, everything)
         turned_round = {i: worlds[VEHICLES - 1 - i] for i in range(VEHICLES)}
         _, seen = one.reset(worlds)
         _, again = other.reset(turned_round)
@@ -129,9 +131,9 @@ class TestTrainingWorlds:
     def test_only_training_is_disturbed(self, small_world: Path) -> None:
         config = load_config("double_dqn", {"world": str(small_world), "vehicles": 2})
         experiment = Experiment(config)
-        with closing(experiment.fleet(1)) as sound, closing(experiment.training_fleet(1)) as disturbed:
-            assert isinstance(disturbed, RandomizedFleet)
-            assert not isinstance(sound, RandomizedFleet)
-            navigation = FleetNavigation(disturbed, TaskOptions())
+        with closing(experiment.new_simulator(1)) as sound, closing(experiment.new_training_simulator(1)) as disturbed:
+            assert isinstance(disturbed, RandomizedSimulator)
+            assert not isinstance(sound, RandomizedSimulator)
+            navigation = Navigation(disturbed, TaskOptions())
             navigation.reset({i: experiment.world(i) for i in range(2)})
             assert navigation.step(np.zeros(2, np.int64)).active.all()

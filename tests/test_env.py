@@ -1,11 +1,12 @@
-"""The simulator contract, the task over it, and the Gymnasium environment."""
+"""The task over a simulator, and the Gymnasium environment."""
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
-from itertools import pairwise
-from math import atan2, cos, degrees, hypot, pi, radians, sin
+from math import atan2, degrees, hypot, pi, radians
 from typing import Any
 
 import gymnasium
@@ -13,195 +14,26 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from shapely.geometry import Polygon
-from shapely.ops import unary_union
+from helpers import ending, step
 
 import nnql_bullet  # noqa: F401 (registers the environment)
-from nnql_bullet.env import (
-    ACTIONS,
-    TOWARD_TARGET,
-    FleetNavigation,
-    Navigation,
-    Observation,
-    heading_change,
-    stacked,
-)
+from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Navigation, Transition, heading_change
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import OrientedBox, Pose
-from nnql_bullet.sensing import RAYS, Scan, sector_readings
-from nnql_bullet.sim.base import Motion, Sample, Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.sensing import sector_readings
+from nnql_bullet.sim.base import Motion, no_motion
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
-from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.task import REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
-SIMULATORS: dict[str, Callable[[VehicleSpec, DriveOptions], Simulator]] = {
-    "bullet, reference": lambda vehicle, drive: BulletSimulator(vehicle, drive, PHYSICS["reference"]),
-    "bullet, fast": lambda vehicle, drive: BulletSimulator(vehicle, drive, PHYSICS["fast"]),
-    "mujoco, reference": lambda vehicle, drive: contact_simulator("mujoco", "reference", vehicle, drive),
-    "mujoco, fast": lambda vehicle, drive: contact_simulator("mujoco", "fast", vehicle, drive),
-    "kinematic": KinematicSimulator,
-}
-"""Every simulator; a new one is added here and has to pass the contract below."""
 NEEDS_MUJOCO = pytest.mark.skipif(
     find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
 )
-NAMES = [pytest.param(name, marks=NEEDS_MUJOCO) if "mujoco" in name else name for name in SIMULATORS]
-
 WorldOf = Callable[..., WorldSpec]
 
-BOXES = (
-    OrientedBox(112.0, 103.0, 1.5, 0.5, 0.4),
-    OrientedBox(105.0, 96.0, 2.0, 1.0, -0.3),
-    OrientedBox(98.0, 106.0, 1.0, 1.0, 0.0),
-)
-TURNS = (0.4, -0.8, 0.3, 0.0, 1.0, -0.2)
-
-
-@pytest.fixture(params=NAMES)
-def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
-    made = SIMULATORS[request.param](vehicle, DriveOptions())
-    yield made
-    made.close()
-
-
-def footprint_at(pose: Pose) -> Polygon:
-    c, s = cos(pose.yaw), sin(pose.yaw)
-    corners = [(0.90, 0.325), (-0.20, 0.325), (-0.20, -0.325), (0.90, -0.325)]
-    return Polygon([(pose.x + c * x - s * y, pose.y + s * x + c * y) for x, y in corners])
-
-
-class TestSimulatorContract:
-    def test_reset_puts_the_vehicle_on_the_start(self, simulator: Simulator, world_of: WorldOf) -> None:
-        start = Pose(50.0, 60.0, -2.5)
-        simulator.reset(world_of(start=start))
-        pose = simulator.pose()
-        assert (pose.x, pose.y, pose.yaw) == pytest.approx((start.x, start.y, start.yaw), abs=1e-9)
-
-    def test_it_starts_at_speed(self, simulator: Simulator, empty_world: WorldSpec) -> None:
-        simulator.reset(empty_world)
-        motion = simulator.advance(0.0)
-        assert motion.path_length == pytest.approx(2.0 * simulator.control_period, rel=1e-3)
-        assert motion.speed == pytest.approx(2.0, rel=1e-3)
-        assert motion.wheel_speeds == pytest.approx((16.0, 16.0), rel=1e-3)
-        assert motion.duration == pytest.approx(simulator.control_period)
-
-    def test_a_positive_turn_goes_left(self, simulator: Simulator, empty_world: WorldSpec) -> None:
-        simulator.reset(empty_world)
-        left = simulator.advance(radians(30))
-        simulator.reset(empty_world)
-        right = simulator.advance(radians(-30))
-        assert left.pose.y > 100.0 > right.pose.y
-        assert left.pose.yaw > 0.0 > right.pose.yaw
-        assert (right.pose.x, 200.0 - right.pose.y) == pytest.approx((left.pose.x, left.pose.y), abs=2e-3)
-
-    def test_motion_tells_where_the_vehicle_is(self, simulator: Simulator, empty_world: WorldSpec) -> None:
-        simulator.reset(empty_world)
-        for turn in TURNS:
-            before = simulator.pose()
-            motion = simulator.advance(turn)
-            assert motion.pose == simulator.pose()
-            assert -pi < motion.pose.yaw <= pi
-            straight = hypot(motion.pose.x - before.x, motion.pose.y - before.y)
-            assert straight <= motion.path_length <= 1.05 * 2.0 * motion.duration
-            left_over = (before.yaw + turn - motion.pose.yaw + pi) % (2 * pi) - pi
-            assert motion.heading_error == pytest.approx(left_over, abs=1e-9)
-
-    def test_it_follows_the_same_calls_with_the_same_bits(self, simulator: Simulator, world_of: WorldOf) -> None:
-        def drive(world: WorldSpec) -> list[Any]:
-            simulator.reset(world)
-            return [(simulator.advance(turn), simulator.scan().distances.tolist()) for turn in TURNS]
-
-        first = drive(world_of(*BOXES))
-        other = drive(world_of(start=Pose(30.0, 30.0, 1.0)))
-        assert drive(world_of(*BOXES)) == first != other
-
-    def test_a_trace_changes_nothing_and_runs_through_the_period(
-        self, simulator: Simulator, empty_world: WorldSpec
-    ) -> None:
-        simulator.reset(empty_world)
-        plain = [simulator.advance(turn) for turn in TURNS]
-        trace: list[Sample] = []
-        simulator.reset(empty_world)
-        assert [simulator.advance(turn, trace) for turn in TURNS] == plain
-        times = [sample.time for sample in trace]
-        assert all(earlier < later for earlier, later in pairwise(times))
-        assert 0.0 < times[0] <= 0.05
-        assert times[-1] == pytest.approx(len(TURNS) * simulator.control_period)
-        assert trace[-1].pose == plain[-1].pose
-        assert len(trace) >= 20 * len(TURNS) * simulator.control_period
-
-    def test_a_scan_has_72_rays_and_eight_sectors(self, simulator: Simulator, world_of: WorldOf) -> None:
-        simulator.reset(world_of(*BOXES))
-        scan = simulator.scan()
-        assert (scan.distances.shape, scan.readings.shape) == ((72,), (8,))
-        assert scan.distances.dtype == scan.readings.dtype == np.float64
-        assert 0.0 <= scan.distances.min() < 10.0 == scan.distances.max()
-        for sector in range(8):
-            assert scan.readings[sector] == scan.distances[9 * sector : 9 * sector + 9].min()
-
-    def test_a_scan_is_repeatable_and_stays_as_it_was(self, simulator: Simulator, world_of: WorldOf) -> None:
-        simulator.reset(world_of(*BOXES))
-        scan = simulator.scan()
-        kept = scan.distances.copy(), scan.readings.copy()
-        assert np.array_equal(simulator.scan().distances, scan.distances)
-        simulator.advance(0.5)
-        assert not np.array_equal(simulator.scan().distances, scan.distances)
-        assert np.array_equal(scan.distances, kept[0])
-        assert np.array_equal(scan.readings, kept[1])
-
-    def test_clearance_is_the_smallest_along_the_way(self, simulator: Simulator, world_of: WorldOf) -> None:
-        posts = [OrientedBox(102.0 + 3 * i, 100.0 + (1.4 if i % 2 else -1.2), 0.3, 0.4, 0.5 * i) for i in range(4)]
-        solids = unary_union([Polygon(post.corners()) for post in posts])
-        simulator.reset(world_of(*posts))
-        for turn in (0.1, -0.1, 0.2, -0.25, 0.1, 0.0, 0.3, -0.2):
-            trace: list[Sample] = []
-            before = simulator.pose()
-            motion = simulator.advance(turn, trace)
-            assert not motion.touching
-            poses = [before, *(sample.pose for sample in trace)]
-            expected = min(footprint_at(pose).distance(solids) for pose in poses)
-            assert motion.clearance == pytest.approx(expected, abs=0.02)  # samples are 67 mm apart
-
-    def test_contact_and_target_end_the_period(self, simulator: Simulator, world_of: WorldOf) -> None:
-        simulator.reset(world_of(OrientedBox(101.9, 100.0, 0.5, 1.0)))
-        motion = simulator.advance(0.0)
-        assert (motion.touching, motion.at_target, motion.clearance) == (True, False, 0.0)
-        assert motion.duration == pytest.approx(0.25, abs=0.02)
-        simulator.reset(world_of(target=(101.0, 100.0), target_radius=0.5))
-        motion = simulator.advance(0.0)
-        assert (motion.touching, motion.at_target) == (False, True)
-        assert motion.duration == pytest.approx(0.25, abs=0.02)
-        assert motion.clearance > 0.0
-
-    @pytest.mark.parametrize("wall", ["left", "right", "top", "bottom"])
-    def test_the_arena_is_walled_in(self, simulator: Simulator, world_of: WorldOf, wall: str) -> None:
-        yaw = {"left": pi, "right": 0.0, "top": pi / 2, "bottom": -pi / 2}[wall]
-        simulator.reset(world_of(side=8.0, start=Pose(4.0, 4.0, yaw), target=(7.9, 7.9), target_radius=0.1))
-        motions = [simulator.advance(0.0) for _ in range(4)]
-        assert [motion.touching for motion in motions] == [False, False, False, True]
-        assert sum(motion.duration for motion in motions) == pytest.approx((4.0 - 0.9) / 2.0, abs=0.03)
-
-    def test_a_period_may_be_followed_by_a_reset_after_a_contact(
-        self, simulator: Simulator, world_of: WorldOf, empty_world: WorldSpec
-    ) -> None:
-        simulator.reset(empty_world)
-        fresh = simulator.advance(0.3)
-        simulator.reset(world_of(OrientedBox(101.9, 100.0, 0.5, 1.0)))
-        assert simulator.advance(0.0).touching
-        simulator.reset(empty_world)
-        assert simulator.advance(0.3) == fresh
-
-    @pytest.mark.parametrize("name", NAMES)
-    def test_a_period_of_broken_steps_is_refused(self, vehicle: VehicleSpec, name: str) -> None:
-        with pytest.raises(UserError, match=r"0\.123 s is not a whole number"):
-            SIMULATORS[name](vehicle, DriveOptions(decision_period=0.123))
-
-
-NOWHERE = Motion(Pose(50.0, 50.0, 0.0), 2.0, 0.0, (16.0, 16.0), 0.5, 1.0, 5.0, 0.0, False, False)
 CLEAR = [10.0] * 8
 NEAR = [4.0, *[10.0] * 7]
 NEARER = [3.0, *[10.0] * 7]
@@ -209,39 +41,37 @@ NEARER = [3.0, *[10.0] * 7]
 
 @dataclass
 class Puppet:
-    """A simulator that plays a script: readings of each state, and the motion to each but the first."""
+    """A simulator of one vehicle that plays a script: readings of each state, and events on the way to them."""
 
     readings: list[list[float]]
-    motions: list[Motion]
-    vehicle: VehicleSpec
-    control_period: float = 0.5
+    events: dict[str, bool] = field(default_factory=dict)
     asked: list[float] = field(default_factory=list)
+    size: int = 1
 
-    def reset(self, world: WorldSpec) -> None:
-        self._start = world.start
+    def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         self.asked.clear()
+        start = worlds[0].start
+        return np.array([[start.x, start.y, start.yaw]]), self._rays()
 
-    def advance(self, heading_change: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> Motion:
-        self.asked.append(heading_change)
-        return self.motions[len(self.asked) - 1]
+    def advance(
+        self, heading_changes: Array, active: object = None, speed_scales: object = None, traces: object = None
+    ) -> tuple[Motion, Array]:
+        self.asked += heading_changes.tolist()
+        events = {name: np.array([happens]) for name, happens in self.events.items()}
+        return replace(no_motion(1), pose=np.array([[50.0, 50.0, 0.0]]), **events), self._rays()
 
-    def pose(self) -> Pose:
-        return self.motions[len(self.asked) - 1].pose if self.asked else self._start
-
-    def scan(self) -> Scan:
-        readings = np.array(self.readings[len(self.asked)])
-        return Scan(np.repeat(readings, 9), readings)
+    def _rays(self) -> Array:
+        return np.repeat(self.readings[len(self.asked)], 9)[None]
 
     def close(self) -> None:
         pass
 
 
 @pytest.fixture
-def navigation_of(vehicle: VehicleSpec, empty_world: WorldSpec) -> Callable[..., Navigation]:
-    def make(*states: list[float], motions: list[Motion] | None = None, task: TaskOptions | None = None) -> Navigation:
-        script = motions or [NOWHERE] * (len(states) - 1)
-        made = Navigation(Puppet(list(states), script, vehicle), task or TaskOptions())
-        made.reset(empty_world)
+def navigation_of(empty_world: WorldSpec) -> Callable[..., Navigation]:
+    def make(*states: list[float], task: TaskOptions | None = None, **events: bool) -> Navigation:
+        made = Navigation(Puppet(list(states), events), task or TaskOptions())
+        made.reset({0: empty_world})
         return made
 
     return make
@@ -251,53 +81,44 @@ TOWARD = [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), 
 """Bearing of the target and the turn toward it [degrees]."""
 
 
-class TestObservations:
-    SEEN = (
-        Observation(np.array(CLEAR), 30.0, 0.5, -0.1, StateProperty.SAFE, np.full(RAYS, 9.0)),
-        Observation(np.array(NEAR), 20.0, -0.5, 0.2, StateProperty.NON_SAFE, np.full(RAYS, 5.0)),
-        Observation(np.array(NEARER), 1.0, 0.0, 0.0, StateProperty.WINNING, np.full(RAYS, 1.0)),
-    )
-
-    def test_stacked_has_a_row_for_each_vehicle(self) -> None:
-        many = stacked(self.SEEN)
-        assert many.readings.tolist() == [CLEAR, NEAR, NEARER]
-        assert many.target_distance.tolist() == [30.0, 20.0, 1.0]
-        assert many.target_bearing.tolist() == [0.5, -0.5, 0.0]
-        assert many.yaw_rate.tolist() == [-0.1, 0.2, 0.0]
-        assert many.ray_distances.tolist() == [[9.0] * RAYS, [5.0] * RAYS, [1.0] * RAYS]
-        assert many.state_property.tolist() == [StateProperty.SAFE, StateProperty.NON_SAFE, StateProperty.WINNING]
-
-
 class TestTransition:
-    def test_one_vehicle_and_a_fleet_observe_the_same_to_the_last_bit(
+    def test_who_stands_by_keeps_what_it_saw_and_others_are_in_their_rows(
         self, vehicle: VehicleSpec, world_of: WorldOf
     ) -> None:
-        """Python's atan2 and NumPy's differ in the last bit for one input in twelve."""
-        places = np.random.default_rng(0).uniform((5, 5, -3), (195, 195, 3), (300, 3)).tolist()
-        worlds = [world_of(start=Pose(*place), target=(190.0, 150.0)) for place in places]
-        navigation = Navigation(KinematicSimulator(vehicle, DriveOptions()), TaskOptions())
-        alone = [navigation.reset(world) for world in worlds]
-        fleet = FleetNavigation(KinematicFleet(vehicle, DriveOptions(), len(worlds)), TaskOptions())
-        fleet.reset(dict(enumerate(worlds)))
-        assert fleet.observations.target_bearing.tolist() == [one.target_bearing for one in alone]
-        assert fleet.observations.target_distance.tolist() == [one.target_distance for one in alone]
+        worlds = [world_of(start=Pose(50.0 + 9 * i, 60.0, 0.3 * i)) for i in range(3)]
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 3)) as simulator:
+            navigation = Navigation(simulator, TaskOptions())
+            navigation.reset({2: worlds[2], 0: worlds[0], 1: worlds[1]})
+            first = navigation.observation
+            assert first.target_distance == pytest.approx([hypot(140.0 - 9 * i, 130.0) for i in range(3)])
+            t = navigation.step(np.full(3, 1), np.array([True, False, True]))
+            assert t.s_tm1 is first
+            assert t.s_t is navigation.observation
+            assert (t.s_t.target_distance != first.target_distance).tolist() == [True, False, True]
+            navigation.reset({1: worlds[0]})
+            assert navigation.observation.target_distance.tolist() == [
+                t.s_t.target_distance[0],
+                first.target_distance[0],
+                t.s_t.target_distance[2],
+            ]
 
-    def test_the_first_observation_is_of_the_start(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
-        world = world_of(start=Pose(10.0, 20.0, 0.5), target=(40.0, 60.0))
-        observation = Navigation(Puppet([NEAR], [], vehicle), TaskOptions()).reset(world)
-        assert observation.readings.tolist() == NEAR
-        assert sector_readings(observation.ray_distances).tolist() == NEAR
-        assert observation.target_distance == pytest.approx(50.0)
-        assert observation.target_bearing == pytest.approx(atan2(40.0, 30.0) - 0.5)
-        assert observation.yaw_rate == 0.0
-        assert observation.state_property is StateProperty.NON_SAFE
+    def test_the_first_observation_is_of_the_start(self, world_of: WorldOf) -> None:
+        navigation = Navigation(Puppet([NEAR]), TaskOptions())
+        navigation.reset({0: world_of(start=Pose(10.0, 20.0, 0.5), target=(40.0, 60.0))})
+        o = navigation.observation
+        assert o.readings.tolist() == sector_readings(o.ray_distances).tolist() == [NEAR]
+        assert o.target_distance == pytest.approx(50.0)
+        assert o.target_bearing == pytest.approx(atan2(40.0, 30.0) - 0.5)
+        assert (o.yaw_rate.tolist(), o.state_property.tolist()) == ([0.0], [StateProperty.NON_SAFE])
 
     def test_states_are_chained(self, navigation_of: Callable[..., Navigation]) -> None:
         navigation = navigation_of(CLEAR, NEAR, NEARER)
-        first, second = navigation.step(0), navigation.step(1)
+        first, second = step(navigation, 0), step(navigation, 1)
         assert second.s_tm1 is first.s_t
         assert (first.a_tm1, second.a_tm1) == (0, 1)
-        assert first.s_t.readings.tolist() == sector_readings(first.s_t.ray_distances).tolist() == NEAR
+        assert first.heading_command.tolist() == [0.0]
+        assert second.heading_command == pytest.approx(radians(30))
+        assert first.s_t.readings.tolist() == [NEAR]
 
     @pytest.mark.parametrize(
         ("before", "after", "flags", "term", "reward"),
@@ -322,38 +143,38 @@ class TestTransition:
         term: str | None,
         reward: float,
     ) -> None:
-        transition = navigation_of(before, after, motions=[replace(NOWHERE, **flags)]).step(0)
-        assert transition.r_t == reward == sum(transition.terms.values())
-        assert {name: value for name, value in transition.terms.items() if value} == ({term: reward} if term else {})
-        assert len(transition.terms) == 6
+        transition = step(navigation_of(before, after, **flags), 0)
+        assert transition.r_t.tolist() == [reward]
+        terms = dict(zip(REWARD_TERMS, *transition.terms.tolist(), strict=True))
+        assert {name: value for name, value in terms.items() if value} == ({term: reward} if term else {})
+        assert len(terms) == 6
 
     @pytest.mark.parametrize(
-        ("flags", "ending", "discount"),
+        ("flags", "end", "discount"),
         [({}, None, 1.0), ({"touching": True}, "collision", 0.0), ({"at_target": True}, "goal", 0.0)],
     )
     def test_the_discount_is_zero_where_the_episode_ends_for_good(
-        self, navigation_of: Callable[..., Navigation], flags: dict[str, bool], ending: str | None, discount: float
+        self, navigation_of: Callable[..., Navigation], flags: dict[str, bool], end: str | None, discount: float
     ) -> None:
-        transition = navigation_of(CLEAR, CLEAR, motions=[replace(NOWHERE, **flags)]).step(0)
-        assert (transition.ending, transition.discount_t) == (ending, discount)
+        transition = step(navigation_of(CLEAR, CLEAR, **flags), 0)
+        assert (ending(transition), transition.discount_t) == (end, discount)
 
     def test_a_timeout_ends_the_episode_with_discount_one(self, navigation_of: Callable[..., Navigation]) -> None:
         navigation = navigation_of(*[CLEAR] * 4, task=TaskOptions(max_steps=3))
-        steps = [navigation.step(0) for _ in range(3)]
-        assert [step.ending for step in steps] == [None, None, "timeout"]
+        steps = [step(navigation, 0) for _ in range(3)]
+        assert [ending(one) for one in steps] == [None, None, "timeout"]
         assert steps[-1].discount_t == 1.0
 
     def test_the_goal_at_the_last_step_is_no_timeout(self, navigation_of: Callable[..., Navigation]) -> None:
-        motion = replace(NOWHERE, at_target=True)
-        transition = navigation_of(CLEAR, CLEAR, motions=[motion], task=TaskOptions(max_steps=1)).step(0)
-        assert (transition.ending, transition.discount_t) == ("goal", 0.0)
+        transition = step(navigation_of(CLEAR, CLEAR, task=TaskOptions(max_steps=1), at_target=True), 0)
+        assert (ending(transition), transition.discount_t) == ("goal", 0.0)
 
     def test_reset_counts_steps_anew(self, navigation_of: Callable[..., Navigation], empty_world: WorldSpec) -> None:
         navigation = navigation_of(*[CLEAR] * 3, task=TaskOptions(max_steps=2))
-        navigation.step(0)
-        navigation.reset(empty_world)
-        assert navigation.step(0).ending is None
-        assert navigation.step(0).ending == "timeout"
+        step(navigation, 0)
+        navigation.reset({0: empty_world})
+        assert ending(step(navigation, 0)) is None
+        assert ending(step(navigation, 0)) == "timeout"
 
     @pytest.mark.parametrize(("bearing", "turn"), TOWARD)
     def test_toward_the_target_is_clipped_at_60_degrees(self, bearing: float, turn: float) -> None:
@@ -367,42 +188,45 @@ class TestTransition:
         assert np.degrees(got) == pytest.approx(turns)
         assert got.tolist() == [float(heading_change(a, radians(b))) for a, b, _ in rows]
 
-    def test_the_six_actions(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
-        puppet = Puppet([CLEAR] * 7, [NOWHERE] * 6, vehicle)
+    def test_the_six_actions(self, world_of: WorldOf) -> None:
+        puppet = Puppet([CLEAR] * 7)
         navigation = Navigation(puppet, TaskOptions())
-        navigation.reset(world_of(start=Pose(50.0, 50.0, 0.0), target=(60.0, 40.0)))
+        navigation.reset({0: world_of(start=Pose(50.0, 50.0, 0.0), target=(60.0, 40.0))})
         for action in range(ACTIONS):
-            navigation.step(action)
+            step(navigation, action)
         assert ACTIONS == 6
         assert TOWARD_TARGET == 5
         assert [degrees(turn) for turn in puppet.asked] == pytest.approx([0, 30, 60, -30, -60, -45])
 
 
-class TestNavigationInContactPhysics:
-    def test_toward_the_target_over_open_ground_ends_at_the_goal(self, simulator: Simulator, world_of: WorldOf) -> None:
-        navigation = Navigation(simulator, TaskOptions())
-        navigation.reset(world_of(start=Pose(100.0, 100.0, 2.0), target=(112.0, 100.0)))
-        steps = [navigation.step(TOWARD_TARGET)]
-        while not steps[-1].ending:
-            steps.append(navigation.step(TOWARD_TARGET))
-        assert steps[-1].ending == "goal"
-        assert steps[-1].s_t.state_property is StateProperty.WINNING
-        assert steps[-1].s_t.target_distance <= 2.0
-        assert (steps[-1].discount_t, steps[-1].r_t) == (0.0, 1.0)
-        assert all(step.discount_t == 1.0 and step.r_t == 0.0 for step in steps[:-1])
+@pytest.mark.parametrize("name", ["kinematic", "bullet", pytest.param("mujoco", marks=NEEDS_MUJOCO)])
+class TestEpisodes:
+    def drive(self, name: str, vehicle: VehicleSpec, world: WorldSpec, action: int) -> list[Transition]:
+        make = KinematicSimulator if name == "kinematic" else partial(contact_simulator, name, "fast")
+        with closing(make(vehicle, DriveOptions(), 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions())
+            navigation.reset({0: world})
+            steps = [step(navigation, action)]
+            while not ending(steps[-1]):
+                steps.append(step(navigation, action))
+        return steps
 
-    def test_straight_into_a_box_ends_in_a_collision(self, simulator: Simulator, world_of: WorldOf) -> None:
-        navigation = Navigation(simulator, TaskOptions())
-        navigation.reset(world_of(OrientedBox(108.0, 100.0, 1.0, 3.0)))
-        steps = [navigation.step(0)]
-        while not steps[-1].ending:
-            steps.append(navigation.step(0))
-        assert steps[-1].ending == "collision"
-        assert steps[-1].s_t.state_property is StateProperty.FAILURE
-        assert (steps[-1].discount_t, steps[-1].r_t) == (0.0, -0.6)
-        assert len(steps) == 7  # the face is 6.1 m from the nose, 1 m a step
-        assert steps[-2].s_t.state_property is StateProperty.NON_SAFE
-        assert sum(step.r_t for step in steps) == pytest.approx(sum(sum(step.terms.values()) for step in steps))
+    def test_toward_the_target_over_open_ground_ends_at_the_goal(
+        self, vehicle: VehicleSpec, world_of: WorldOf, name: str
+    ) -> None:
+        world = world_of(start=Pose(100.0, 100.0, 2.0), target=(112.0, 100.0))
+        *before, last = self.drive(name, vehicle, world, TOWARD_TARGET)
+        assert (ending(last), last.discount_t, last.r_t) == ("goal", 0.0, 1.0)
+        assert last.s_t.state_property == StateProperty.WINNING
+        assert last.s_t.target_distance <= 2.0
+        assert all(one.discount_t == 1.0 and one.r_t == 0.0 for one in before)
+
+    def test_straight_into_a_box_ends_in_a_collision(self, vehicle: VehicleSpec, world_of: WorldOf, name: str) -> None:
+        *before, last = self.drive(name, vehicle, world_of(OrientedBox(108.0, 100.0, 1.0, 3.0)), 0)
+        assert (ending(last), last.discount_t, last.r_t) == ("collision", 0.0, -0.6)
+        assert last.s_t.state_property == StateProperty.FAILURE
+        assert len(before) == 6  # the face is 6.1 m from the nose, 1 m a step
+        assert before[-1].s_t.state_property == StateProperty.NON_SAFE
 
 
 @pytest.fixture
@@ -439,13 +263,14 @@ class TestGymnasium:
         inner: Any = env.unwrapped
         observation, _ = env.reset(seed=3)
         for action in (1, 5, 4, 2, 0, 3, 5):
-            scan, pose = inner.simulator.scan(), inner.simulator.pose()
+            (engine,) = inner.simulator.engines
+            pose = engine.pose()
             dx, dy = 90.0 - pose.x, 90.0 - pose.y
             bearing = (atan2(dy, dx) - pose.yaw + pi) % (2 * pi) - pi
-            assert observation[:8] == pytest.approx(scan.readings, abs=1e-5)
+            assert observation[:8] == pytest.approx(sector_readings(engine.scan()), abs=1e-5)
             assert observation[8] == pytest.approx(hypot(dx, dy), rel=1e-6)
             assert observation[9] == pytest.approx(bearing, abs=1e-5)
-            assert observation[10] == pytest.approx(inner.simulator.yaw_rate(), abs=1e-5)
+            assert observation[10] == pytest.approx(engine.yaw_rate(), abs=1e-5)
             observation, *_ = env.step(action)
 
     def test_a_left_turn_shows_in_yaw_rate_and_bearing(self, env: gymnasium.Env[Any, Any]) -> None:

@@ -50,14 +50,14 @@ from nnql_bullet.reports.envelope import draw_envelope, envelope_csv, envelope_m
 from nnql_bullet.reports.stopping import draw_stopping, stopping_csv, stopping_markdown, stopping_values
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.sim.bullet import BulletEngine
 from nnql_bullet.sim.contact import ContactForce
 from nnql_bullet.vehicle.limits import TurnDemand
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 G, MASS, RADIUS = 9.81, 120.0, 0.125
 
-Make = Callable[..., BulletSimulator]
+Make = Callable[..., BulletEngine]
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +74,9 @@ def measured(bench: Bench, **changes: float) -> Result:
 
 @pytest.mark.parametrize("period", [0.5, 1.0])
 @pytest.mark.parametrize("turn", [0.0, 60.0, -30.0])
-def test_watching_a_turn_changes_no_bit_of_it(simulator_of: Make, physics: str, turn: float, period: float) -> None:
+def test_watching_a_turn_changes_no_bit_of_it(engine_of: Make, physics: str, turn: float, period: float) -> None:
     start = Pose(100.0, 100.0, 0.26)
-    advanced, watched = (simulator_of(physics, decision_period=period) for _ in range(2))
+    advanced, watched = (engine_of(physics, decision_period=period) for _ in range(2))
     trace: list[Sample] = []
     advanced.reset(open_ground(start=start))
     motion = advanced.advance(radians(turn), trace)
@@ -90,8 +90,8 @@ def test_watching_a_turn_changes_no_bit_of_it(simulator_of: Make, physics: str, 
     assert len(instants) == round(period / watched.time_step)
 
 
-def test_a_second_turn_is_watched_as_it_is_driven(simulator_of: Make) -> None:
-    advanced, watched = (simulator_of("reference", decision_period=1.0) for _ in range(2))
+def test_a_second_turn_is_watched_as_it_is_driven(engine_of: Make) -> None:
+    advanced, watched = (engine_of("reference", decision_period=1.0) for _ in range(2))
     for simulator in (advanced, watched):
         simulator.reset(open_ground())
     for turn in (60.0, -60.0):
@@ -102,9 +102,9 @@ def test_a_second_turn_is_watched_as_it_is_driven(simulator_of: Make) -> None:
 
 
 @pytest.mark.parametrize(("ahead", "aside"), [(2.0, 0.3), (1.5, 0.0), (1.7, -0.4)])
-def test_slip_is_the_speed_of_the_contact_points(simulator_of: Make, ahead: float, aside: float) -> None:
+def test_slip_is_the_speed_of_the_contact_points(engine_of: Make, ahead: float, aside: float) -> None:
     """In the air nothing disturbs a vehicle whose wheels turn for 2 m/s and which is sent along otherwise."""
-    simulator = simulator_of("reference", decision_period=0.5)
+    simulator = engine_of("reference", decision_period=0.5)
     simulator.place(open_ground(), Pose(100.0, 100.0, 0.0), 2.0, height=50.0, ground=False)
     simulator.set_velocity(ahead, aside)
     instants = list(follow_turn(simulator, 0.0))[:20]
@@ -114,8 +114,8 @@ def test_slip_is_the_speed_of_the_contact_points(simulator_of: Make, ahead: floa
     assert largest_slip(instants, 2.0) == pytest.approx(hypot(2.0 - ahead, aside) / 2.0, abs=1e-3)
 
 
-def test_wheels_on_the_ground_carry_the_weight_and_hold_the_turn(simulator_of: Make, vehicle: VehicleSpec) -> None:
-    simulator = simulator_of("reference", decision_period=1.0)
+def test_wheels_on_the_ground_carry_the_weight_and_hold_the_turn(engine_of: Make, vehicle: VehicleSpec) -> None:
+    simulator = engine_of("reference", decision_period=1.0)
     simulator.reset(open_ground())
     forces = forces_by_command(list(follow_turn(simulator, radians(60.0))))
     assert forces.times == pytest.approx(np.arange(1, 121) / 120)

@@ -8,16 +8,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from helpers import Alone
 
-from nnql_bullet.env import FleetNavigation
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Pose
 from nnql_bullet.rollout import run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, RunConfig, changed
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
-from nnql_bullet.sim.faults import FaultyFleet, FaultySimulator, SensorFaults, degraded
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.sim.base import Simulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.faults import FaultySimulator, SensorFaults, degraded
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded, urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
@@ -60,7 +62,9 @@ class TestDegraded:
 
 @pytest.mark.parametrize("faults", [SensorFaults(noise=0.05), SensorFaults(dead_sector=0)], ids=["noise", "dead"])
 class TestSimulatorsSeenThroughFaults:
-    def test_one_and_a_fleet_see_the_same(self, vehicle: VehicleSpec, small_world: Path, faults: SensorFaults) -> None:
+    def test_one_and_several_vehicles_see_the_same(
+        self, vehicle: VehicleSpec, small_world: Path, faults: SensorFaults
+    ) -> None:
         config = RunConfig(
             world=str(small_world),
             simulator="kinematic",
@@ -69,42 +73,33 @@ class TestSimulatorsSeenThroughFaults:
         )
         experiment = Experiment(config)
         worlds = [experiment.world(seed) for seed in range(4)]
-        many = run_episodes(FleetNavigation(experiment.fleet(), config.task), worlds, experiment.agent)
+        many = run_episodes(Navigation(experiment.new_simulator(), config.task), worlds, experiment.agent)
         alone = [run_episode(experiment.navigation, world, experiment.agent) for world in worlds]
         assert many == alone
-
-    def test_what_is_seen_is_the_same_until_the_vehicle_moves(
-        self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
-    ) -> None:
-        simulator = FaultySimulator(KinematicSimulator(vehicle, DriveOptions()), faults)
-        simulator.reset(world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0)))
-        first = simulator.scan()
-        assert (simulator.scan().distances == first.distances).all()
-        simulator.advance(0.3)
-        assert (simulator.scan().distances != first.distances).any()
 
     def test_the_vehicle_itself_moves_as_before(
         self, vehicle: VehicleSpec, empty_world: WorldSpec, faults: SensorFaults
     ) -> None:
-        sound = KinematicSimulator(vehicle, DriveOptions())
-        faulty = FaultySimulator(KinematicSimulator(vehicle, DriveOptions()), faults)
-        for simulator in (sound, faulty):
-            simulator.reset(empty_world)
-        assert sound.advance(0.4) == faulty.advance(0.4)
-        assert sound.pose() == faulty.pose()
+        motions = []
+        for faulty in (False, True):
+            simulator: Simulator = KinematicSimulator(vehicle, DriveOptions(), 1)
+            with Alone(FaultySimulator(simulator, faults) if faulty else simulator) as alone:
+                alone.reset(empty_world)
+                motions.append(alone.advance(0.4))
+        assert motions[0] == motions[1]
 
-    def test_what_a_fleet_hands_out_is_its_own(
+    def test_every_world_has_noise_of_its_own(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec], faults: SensorFaults
     ) -> None:
-        inner = KinematicFleet(vehicle, DriveOptions(), 2)
-        fleet = FaultyFleet(inner, faults)
+        inner = KinematicSimulator(vehicle, DriveOptions(), 2)
+        simulator = FaultySimulator(inner, faults)
         world = world_of(side=20.0, start=Pose(10.0, 10.0, 0.0), target=(15.0, 15.0))
-        _, seen = fleet.reset({0: world, 1: replace(world, seed=1)})
+        _, seen = simulator.reset({0: world, 1: replace(world, seed=1)})
         _, true = inner.reset({0: world, 1: replace(world, seed=1)})
         assert (seen != true).any()
         if faults.noise:
-            assert (seen[0] != seen[1]).any()  # every world has noise of its own
-        fleet.close()
+            assert (seen[0] != seen[1]).any()
+        simulator.close()
 
 
 class TestPayload:
@@ -136,9 +131,9 @@ class TestPayload:
             loaded(loaded(vehicle, self.LOAD), self.LOAD)
 
     def test_the_wheels_carry_it_by_the_lever_rule(
-        self, simulator_of: Callable[..., BulletSimulator], vehicle: VehicleSpec, empty_world: WorldSpec
+        self, engine_of: Callable[..., BulletEngine], vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
-        simulator = simulator_of("reference", loaded(vehicle, self.LOAD))
+        simulator = engine_of("reference", loaded(vehicle, self.LOAD))
         simulator.place(empty_world, empty_world.start, 0.0)
         simulator.command_wheels(0.0, 0.0)
         simulator.run(2.0)
@@ -151,7 +146,7 @@ class TestPayload:
         self, vehicle: VehicleSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-        simulator = BulletSimulator(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
+        simulator = BulletEngine(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
         assert list(tmp_path.iterdir())
         simulator.close()
         assert not list(tmp_path.iterdir())
@@ -169,12 +164,12 @@ class TestConditions:
         assert experiment.vehicle.payload == Payload(40.0, experiment.vehicle.footprint.x, 0.55)
 
     def test_a_slippery_floor_lets_the_vehicle_drift_wide(
-        self, vehicle: VehicleSpec, empty_world: WorldSpec, simulator_of: Callable[..., BulletSimulator]
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, engine_of: Callable[..., BulletEngine]
     ) -> None:
         ends = []
         for friction in (0.8, 0.3):
             slippery = Conditions(wheel_friction=friction).applied_to(vehicle)
-            simulator = simulator_of("reference", slippery, decision_period=1.0)
+            simulator = engine_of("reference", slippery, decision_period=1.0)
             simulator.reset(empty_world)
             ends.append(simulator.advance(1.0).pose)
         assert hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y) > 0.1

@@ -17,7 +17,7 @@ from nnql_bullet.fidelity.probe import Bench, Measurement, at_most, close_to
 from nnql_bullet.fidelity.probes import PROBES
 from nnql_bullet.reports.fidelity import number, share_used, tolerance
 from nnql_bullet.sim import bullet
-from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.sim.bullet import BulletEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -109,13 +109,13 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 class TestActions:
     def test_they_are_the_drives_of_the_simulator(
-        self, vehicle: VehicleSpec, empty_world: WorldSpec, simulator_of: Callable[..., BulletSimulator]
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, engine_of: Callable[..., BulletEngine]
     ) -> None:
         turns = watch_actions(Bench(vehicle, "bullet", "fast"))
-        simulator = simulator_of("fast", decision_period=1.0)
+        engine = engine_of("fast", decision_period=1.0)
         for turn in turns:
-            simulator.reset(empty_world)
-            end = simulator.advance(turn.heading_change).pose
+            engine.reset(empty_world)
+            end = engine.advance(turn.heading_change).pose
             assert turn.times[-1] == pytest.approx(1.0)
             assert (end.x - 100.0, end.y - 100.0) == tuple(turn.path[-1])
         assert degrees(tightest(turns).heading_change) == pytest.approx(60.0)

@@ -15,8 +15,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, ray_distances
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import PHYSICS as BULLET_PHYSICS
-from nnql_bullet.sim.bullet import BulletSimulator
-from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.bullet import BulletEngine
+from nnql_bullet.sim.engines import contact_engine
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import loaded
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
@@ -24,7 +24,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 pytest.importorskip("mujoco", reason="needs the extra: pip install 'nnql-bullet[mujoco]'")
-from nnql_bullet.sim.mujoco import PHYSICS, MujocoSimulator
+from nnql_bullet.sim.mujoco import PHYSICS, MujocoEngine
 
 G = 9.81
 SPEED = 2.0  # [m/s]
@@ -37,22 +37,22 @@ WHEEL_INERTIA, CASTER_INERTIA = 0.046874, 0.0025
 EFFECTIVE_MASS = MASS + 2 * WHEEL_INERTIA / RADIUS**2 + CASTER_INERTIA / CASTER_RADIUS**2  # wheels spin up too
 FRONT, HALF_WIDTH, RANGE = 0.90, 0.325, 10.0
 
-Make = Callable[..., MujocoSimulator]
+Make = Callable[..., MujocoEngine]
 WorldOf = Callable[..., WorldSpec]
 
 
 @pytest.fixture
 def mujoco_of(vehicle: VehicleSpec) -> Iterator[Make]:
     """Makes simulators and closes them: (name of the physics settings, another vehicle, drive options)."""
-    made: list[MujocoSimulator] = []
+    made: list[MujocoEngine] = []
 
-    def make(physics: str = "fast", spec: VehicleSpec | None = None, **drive: float) -> MujocoSimulator:
-        made.append(MujocoSimulator(spec or vehicle, DriveOptions(**drive), PHYSICS[physics]))
+    def make(physics: str = "fast", spec: VehicleSpec | None = None, **drive: float) -> MujocoEngine:
+        made.append(MujocoEngine(spec or vehicle, DriveOptions(**drive), PHYSICS[physics]))
         return made[-1]
 
     yield make
-    for simulator in made:
-        simulator.close()
+    for engine in made:
+        engine.close()
 
 
 def on_tyres(vehicle: VehicleSpec, friction: float) -> VehicleSpec:
@@ -85,94 +85,94 @@ class TestRays:
         )
         boxes = tuple(OrientedBox(*row) for row in rows.tolist())
         world, solids = world_of(*boxes, side=self.SIDE), as_rows(boxes + self.WALLS)
-        simulator = mujoco_of()
+        engine = mujoco_of()
         compared = hits = 0
         for x, y, yaw in generator.uniform((1, 1, -pi), (39, 39, pi), (8, 3)).tolist():
             eye = self.eye(Pose(x, y, yaw))
             if ray_distances(eye, self.ANGLES, solids, RANGE).min() < 0.05:
                 continue  # within a box
-            simulator.place(world, Pose(x, y, yaw), 0.0)
+            engine.place(world, Pose(x, y, yaw), 0.0)
             expected = ray_distances(eye, self.ANGLES + yaw, solids, RANGE)
-            assert simulator.scan().distances == pytest.approx(expected, abs=2e-3)
+            assert engine.scan() == pytest.approx(expected, abs=2e-3)
             compared += 1
             hits += int(np.sum(expected < RANGE))
         assert compared and hits > 36 * compared
 
     def test_they_follow_the_vehicle(self, mujoco_of: Make, world_of: WorldOf) -> None:
         boxes = (OrientedBox(20.0, 24.0, 6.0, 1.0, 0.1), OrientedBox(17.0, 12.0, 2.0, 1.0, 0.7))
-        simulator = mujoco_of()
-        simulator.reset(world_of(*boxes, start=Pose(5.0, 18.0, 0.0), side=self.SIDE))
+        engine = mujoco_of()
+        engine.reset(world_of(*boxes, start=Pose(5.0, 18.0, 0.0), side=self.SIDE))
         for turn in (0.3, -0.6, 0.4, 0.0, -0.5, 0.5):
-            pose = simulator.advance(turn).pose
+            pose = engine.advance(turn).pose
             beside = [
                 ray_distances(self.eye(pose), self.ANGLES + pose.yaw + nudge, as_rows(boxes + self.WALLS), RANGE)
                 for nudge in (-1e-3, 0.0, 1e-3)
             ]
             plain = np.ptp(beside, axis=0) < 0.2  # the rest just passes a corner, and the chassis leans a little
             assert plain.sum() > 68
-            assert simulator.scan().distances[plain] == pytest.approx(beside[1][plain], abs=2e-3)
+            assert engine.scan()[plain] == pytest.approx(beside[1][plain], abs=2e-3)
 
     @pytest.mark.parametrize("sensor", [(0.0, 0.1, 0.0), (0.6, 0.0, -0.09), (-0.5, 0.0, -0.124)])
     def test_they_see_neither_vehicle_nor_ground(
         self, mujoco_of: Make, empty_world: WorldSpec, vehicle: VehicleSpec, sensor: tuple[float, float, float]
     ) -> None:
-        simulator = mujoco_of("fast", replace(vehicle, sensor=sensor))
-        simulator.reset(empty_world)
-        simulator.advance(0.5)
-        assert np.all(simulator.scan().distances == RANGE)
+        engine = mujoco_of("fast", replace(vehicle, sensor=sensor))
+        engine.reset(empty_world)
+        engine.advance(0.5)
+        assert np.all(engine.scan() == RANGE)
 
 
 class TestCollisions:
     def test_wheels_go_through_what_the_chassis_clears(self, mujoco_of: Make, world_of: WorldOf, physics: str) -> None:
         kerb = replace(world_of(OrientedBox(101.5, 100.0, 0.3, 2.0)), obstacle_height=0.10)
-        simulator = mujoco_of(physics)
-        simulator.reset(kerb)
-        motion = simulator.advance(0.0)
-        assert simulator.pose().x == pytest.approx(101.0, abs=1e-3)
+        engine = mujoco_of(physics)
+        engine.reset(kerb)
+        motion = engine.advance(0.0)
+        assert engine.pose().x == pytest.approx(101.0, abs=1e-3)
         assert not motion.touching
-        assert simulator.wheel_heights() == pytest.approx((RADIUS, RADIUS, CASTER_RADIUS), abs=5e-5)
+        assert engine.wheel_heights() == pytest.approx((RADIUS, RADIUS, CASTER_RADIUS), abs=5e-5)
 
     def test_the_chassis_meets_what_reaches_up_to_it(self, mujoco_of: Make, world_of: WorldOf, physics: str) -> None:
         box = replace(world_of(OrientedBox(101.5, 100.0, 0.3, 2.0)), obstacle_height=0.12)
-        simulator = mujoco_of(physics)
-        simulator.reset(box)
-        motion = simulator.advance(0.0)
+        engine = mujoco_of(physics)
+        engine.reset(box)
+        motion = engine.advance(0.0)
         assert motion.touching
-        assert motion.pose.x + FRONT == pytest.approx(101.2, abs=2 * SPEED * simulator.time_step)
-        assert simulator.obstacle_force() > 0.0
+        assert motion.pose.x + FRONT == pytest.approx(101.2, abs=2 * SPEED * engine.time_step)
+        assert engine.obstacle_force() > 0.0
 
     @pytest.mark.parametrize("gap", [0.05, 0.236, 0.5, 0.73, 0.95])
     def test_a_contact_ends_the_step_when_it_happens(
         self, mujoco_of: Make, world_of: WorldOf, physics: str, gap: float
     ) -> None:
-        simulator = mujoco_of(physics)
-        simulator.reset(world_of(OrientedBox(START.x + FRONT + gap + 0.5, START.y, 0.5, 2.0)))
-        motion = simulator.advance(0.0)
+        engine = mujoco_of(physics)
+        engine.reset(world_of(OrientedBox(START.x + FRONT + gap + 0.5, START.y, 0.5, 2.0)))
+        motion = engine.advance(0.0)
         assert motion.touching
-        assert motion.duration == pytest.approx(gap / SPEED, abs=2.5 * simulator.time_step)
-        assert motion.duration == pytest.approx(simulator.time(), abs=1e-9)
-        assert -1e-5 < motion.pose.x - (START.x + gap) < SPEED * simulator.time_step
+        assert motion.duration == pytest.approx(gap / SPEED, abs=2.5 * engine.time_step)
+        assert motion.duration == pytest.approx(engine.time(), abs=1e-9)
+        assert -1e-5 < motion.pose.x - (START.x + gap) < SPEED * engine.time_step
 
     def test_a_wall_just_beyond_the_step_is_not_touched(self, mujoco_of: Make, world_of: WorldOf, physics: str) -> None:
-        simulator = mujoco_of(physics)
-        simulator.reset(world_of(OrientedBox(START.x + FRONT + 1.03 + 0.5, START.y, 0.5, 2.0)))
-        motion = simulator.advance(0.0)
+        engine = mujoco_of(physics)
+        engine.reset(world_of(OrientedBox(START.x + FRONT + 1.03 + 0.5, START.y, 0.5, 2.0)))
+        motion = engine.advance(0.0)
         assert not motion.touching
         assert motion.clearance == pytest.approx(0.03, abs=1e-3)
-        assert simulator.advance(0.0).touching
+        assert engine.advance(0.0).touching
 
     def test_a_hit_gives_next_to_nothing_back(self, mujoco_of: Make, world_of: WorldOf, physics: str) -> None:
-        simulator = mujoco_of(physics)
+        engine = mujoco_of(physics)
         world = world_of(OrientedBox(START.x + FRONT + 0.11 + 0.5, START.y, 0.5, 2.0))
-        simulator.place(world, START, 0.0, ground=False)
-        simulator.set_gravity((0.0, 0.0, 0.0))
-        simulator.lock_joints()
-        simulator.set_velocity(SPEED, 0.0)
+        engine.place(world, START, 0.0, ground=False)
+        engine.set_gravity((0.0, 0.0, 0.0))
+        engine.lock_joints()
+        engine.set_velocity(SPEED, 0.0)
         impulse = 0.0
-        while simulator.time() < 0.15:
-            simulator.step()
-            impulse += simulator.obstacle_force() * simulator.time_step
-        vx, _, _ = simulator.velocity()
+        while engine.time() < 0.15:
+            engine.step()
+            impulse += engine.obstacle_force() * engine.time_step
+        vx, _, _ = engine.velocity()
         assert -0.02 * SPEED < vx <= 0.0
         assert impulse == pytest.approx(MASS * (SPEED - vx), rel=1e-4)
 
@@ -180,19 +180,19 @@ class TestCollisions:
     def test_a_post_brushed_in_passing_is_a_contact(
         self, mujoco_of: Make, world_of: WorldOf, physics: str, side: int
     ) -> None:
-        simulator = mujoco_of(physics)
+        engine = mujoco_of(physics)
         for overlap, touches in ((0.005, True), (-0.005, False)):
             post = OrientedBox(START.x + FRONT + 0.1, START.y + side * (HALF_WIDTH - overlap + 0.02), 0.02, 0.02)
-            simulator.reset(world_of(post))
-            assert simulator.advance(0.0).touching is touches
+            engine.reset(world_of(post))
+            assert engine.advance(0.0).touching is touches
 
     @pytest.mark.parametrize("offset", [0.0, 0.15])
     def test_the_target_is_noticed_within_a_command(
         self, mujoco_of: Make, world_of: WorldOf, physics: str, offset: float
     ) -> None:
-        simulator = mujoco_of(physics)
-        simulator.reset(world_of(target=(START.x + 0.5, START.y + offset), target_radius=0.2))
-        motion = simulator.advance(0.0)
+        engine = mujoco_of(physics)
+        engine.reset(world_of(target=(START.x + 0.5, START.y + offset), target_radius=0.2))
+        motion = engine.advance(0.0)
         assert motion.at_target and not motion.touching
         assert motion.duration == pytest.approx((0.5 - (0.04 - offset**2) ** 0.5) / SPEED, abs=1 / 120 + 1e-9)
 
@@ -200,13 +200,13 @@ class TestCollisions:
 class TestFreshStart:
     BOXES = (OrientedBox(103.0, 98.0, 0.4, 0.4, 0.3), OrientedBox(98.0, 106.0, 1.0, 1.0))
 
-    def drive(self, simulator: MujocoSimulator, world: WorldSpec) -> list[object]:
+    def drive(self, engine: MujocoEngine, world: WorldSpec) -> list[object]:
         trace: list[Sample] = []
-        simulator.reset(world)
+        engine.reset(world)
         seen: list[object] = []
         for turn in (0.4, -0.8, 0.3, 0.0, 1.0):
-            seen += [simulator.advance(turn, trace), simulator.scan().distances.tolist()]
-        return [*seen, *trace, simulator.wheel_forces(), simulator.velocity()]
+            seen += [engine.advance(turn, trace), engine.scan().tolist()]
+        return [*seen, *trace, engine.wheel_forces(), engine.velocity()]
 
     def test_nothing_of_before_is_left_after_a_reset(
         self, mujoco_of: Make, world_of: WorldOf, empty_world: WorldSpec, physics: str
@@ -214,28 +214,28 @@ class TestFreshStart:
         world = world_of(*self.BOXES)
         expected = self.drive(mujoco_of(physics), world)
         assert not any(motion.touching for motion in expected[:10:2])  # type: ignore[attr-defined]
-        simulator = mujoco_of(physics)
+        engine = mujoco_of(physics)
         upsets: list[Callable[[], object]] = [
-            lambda: self.drive(simulator, empty_world),
-            lambda: simulator.command_wheels(50.0, -50.0),
-            simulator.release_wheels,
-            simulator.lock_joints,
-            lambda: simulator.set_gravity((1.0, 2.0, 3.0)),
-            lambda: simulator.twist(1e4),
-            lambda: simulator.set_swivel(1.0),
-            lambda: simulator.set_velocity(3.0, 4.0),
-            lambda: simulator.place(empty_world, START, 1.0, height=3.0, ground=False),
+            lambda: self.drive(engine, empty_world),
+            lambda: engine.command_wheels(50.0, -50.0),
+            engine.release_wheels,
+            engine.lock_joints,
+            lambda: engine.set_gravity((1.0, 2.0, 3.0)),
+            lambda: engine.twist(1e4),
+            lambda: engine.set_swivel(1.0),
+            lambda: engine.set_velocity(3.0, 4.0),
+            lambda: engine.place(empty_world, START, 1.0, height=3.0, ground=False),
         ]
         for upset in upsets:
             upset()
-            simulator.step()
+            engine.step()
             upset()  # and what is left to the next step
-            assert self.drive(simulator, world) == expected
+            assert self.drive(engine, world) == expected
 
     def test_looking_changes_nothing(self, mujoco_of: Make, world_of: WorldOf) -> None:
         quiet, watched = mujoco_of(), mujoco_of()
-        for simulator in (quiet, watched):
-            simulator.reset(world_of(*self.BOXES))
+        for engine in (quiet, watched):
+            engine.reset(world_of(*self.BOXES))
         for turn in (0.4, -0.8, 0.3):
             looks = (
                 watched.scan,
@@ -272,8 +272,8 @@ class TestVehicle:
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
         plain, carrying = mujoco_of(), mujoco_of("fast", loaded(vehicle, self.PAYLOAD))
-        for simulator in (plain, carrying):
-            simulator.reset(empty_world)
+        for engine in (plain, carrying):
+            engine.reset(empty_world)
         held, without = carrying.link_dynamics(), plain.link_dynamics()
         assert held.keys() - without.keys() == {"payload"}
         assert held["payload"].mass == pytest.approx(60.0, rel=1e-12)
@@ -284,18 +284,18 @@ class TestVehicle:
     def test_a_payload_weighs_on_the_wheels(
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec, physics: str
     ) -> None:
-        simulator = mujoco_of(physics, loaded(vehicle, self.PAYLOAD))
-        simulator.place(empty_world, Pose(100.0, 100.0, 0.7), 0.0)
-        simulator.run(1.0)
+        engine = mujoco_of(physics, loaded(vehicle, self.PAYLOAD))
+        engine.place(empty_world, Pose(100.0, 100.0, 0.7), 0.0)
+        engine.run(1.0)
         ahead = (MASS * A + 60.0 * 0.4) / (MASS + 60.0)
         front = (MASS + 60.0) * G * ahead / WHEELBASE
         rear = ((MASS + 60.0) * G - front) / 2
-        assert simulator.wheel_loads() == pytest.approx((rear, rear, front), rel=1e-4)
+        assert engine.wheel_loads() == pytest.approx((rear, rear, front), rel=1e-4)
 
     def test_moments_of_inertia_are_told_by_axis(self, mujoco_of: Make, empty_world: WorldSpec) -> None:
-        simulator = mujoco_of()
-        simulator.reset(empty_world)
-        held = simulator.link_dynamics()
+        engine = mujoco_of()
+        engine.reset(empty_world)
+        held = engine.link_dynamics()
         assert held["chassis"].inertia == pytest.approx((2.76577, 9.29702, 10.8854), rel=1e-9)
         assert held["left_wheel"].inertia == pytest.approx((0.024687, WHEEL_INERTIA, 0.024687), rel=1e-9)
 
@@ -306,9 +306,9 @@ class TestVehicle:
         shutil.copy(robots / "tricycle.toml", tmp_path)
         text = (robots / "tricycle.urdf").read_text()
         (tmp_path / "tricycle.urdf").write_text(text.replace('ixx="2.76577"', 'ixx="0.1"'))
-        simulator = mujoco_of("fast", load_vehicle(str(tmp_path / "tricycle.toml")))
+        engine = mujoco_of("fast", load_vehicle(str(tmp_path / "tricycle.toml")))
         with pytest.raises(UserError, match=r"^\S*tricycle\.urdf: MuJoCo cannot take this URDF: .*'chassis'"):
-            simulator.reset(empty_world)
+            engine.reset(empty_world)
 
 
 class TestDrives:
@@ -317,70 +317,70 @@ class TestDrives:
     def test_they_give_their_torque_limit_and_no_more(
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec, physics: str, torque: float, direction: int
     ) -> None:
-        simulator = mujoco_of(physics, replace(rolling_freely(vehicle), wheel_torque=torque))
-        simulator.place(empty_world, START, 0.0)
-        simulator.command_wheels(direction * 1e6, direction * 1e6)  # out of reach
-        simulator.run(0.5)
-        assert simulator.speed() == pytest.approx(direction * 2 * torque * 0.5 / (RADIUS * EFFECTIVE_MASS), rel=1e-4)
+        engine = mujoco_of(physics, replace(rolling_freely(vehicle), wheel_torque=torque))
+        engine.place(empty_world, START, 0.0)
+        engine.command_wheels(direction * 1e6, direction * 1e6)  # out of reach
+        engine.run(0.5)
+        assert engine.speed() == pytest.approx(direction * 2 * torque * 0.5 / (RADIUS * EFFECTIVE_MASS), rel=1e-4)
 
     def test_a_vehicle_starts_with_its_wheels_rolling(
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec, physics: str
     ) -> None:
-        simulator = mujoco_of(physics, rolling_freely(vehicle))
-        simulator.place(empty_world, Pose(100.0, 100.0, 2.0), SPEED)
-        assert simulator.wheel_speeds() == pytest.approx((SPEED / RADIUS, SPEED / RADIUS))
-        simulator.run(0.5)  # a wheel that had to be spun up, the caster's too, would take speed away
-        assert simulator.speed() == pytest.approx(SPEED, abs=1e-6)
-        assert simulator.sample().joint_angles[3] == pytest.approx(0.5 * SPEED / CASTER_RADIUS, rel=1e-5)
+        engine = mujoco_of(physics, rolling_freely(vehicle))
+        engine.place(empty_world, Pose(100.0, 100.0, 2.0), SPEED)
+        assert engine.wheel_speeds() == pytest.approx((SPEED / RADIUS, SPEED / RADIUS))
+        engine.run(0.5)  # a wheel that had to be spun up, the caster's too, would take speed away
+        assert engine.speed() == pytest.approx(SPEED, abs=1e-6)
+        assert engine.sample().joint_angles[3] == pytest.approx(0.5 * SPEED / CASTER_RADIUS, rel=1e-5)
 
     def test_a_wheel_in_the_air_comes_to_its_speed_and_stays_there(
         self, mujoco_of: Make, empty_world: WorldSpec, physics: str
     ) -> None:
         # A gain that is right for the whole vehicle would have a free wheel, which is twenty times lighter, swing.
-        simulator = mujoco_of(physics)
-        simulator.place(empty_world, START, 0.0, height=5.0, ground=False)
-        simulator.command_wheels(16.0, -16.0)
-        simulator.run(16.0 * WHEEL_INERTIA / 40.0 + 2 * simulator.time_step)
+        engine = mujoco_of(physics)
+        engine.place(empty_world, START, 0.0, height=5.0, ground=False)
+        engine.command_wheels(16.0, -16.0)
+        engine.run(16.0 * WHEEL_INERTIA / 40.0 + 2 * engine.time_step)
         for _ in range(50):
-            simulator.step()
-            assert simulator.wheel_speeds() == pytest.approx((16.0, -16.0), abs=1e-2)
+            engine.step()
+            assert engine.wheel_speeds() == pytest.approx((16.0, -16.0), abs=1e-2)
 
     def test_a_lock_and_a_release_end_with_the_next_command(
         self, mujoco_of: Make, empty_world: WorldSpec, physics: str
     ) -> None:
-        simulator = mujoco_of(physics)
-        for let_go in (simulator.lock_joints, simulator.release_wheels):
-            simulator.place(empty_world, START, 1.0)
+        engine = mujoco_of(physics)
+        for let_go in (engine.lock_joints, engine.release_wheels):
+            engine.place(empty_world, START, 1.0)
             let_go()
-            simulator.step()
-            simulator.command_wheels(8.0, 8.0)
-            simulator.run(1.0)
-            assert simulator.speed() == pytest.approx(1.0, rel=1e-4)
+            engine.step()
+            engine.command_wheels(8.0, 8.0)
+            engine.run(1.0)
+            assert engine.speed() == pytest.approx(1.0, rel=1e-4)
 
     def test_a_twist_lasts_for_one_step(self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        simulator = mujoco_of()
-        simulator.place(empty_world, START, 0.0, height=5.0, ground=False)
-        simulator.lock_joints()
+        engine = mujoco_of()
+        engine.place(empty_world, START, 0.0, height=5.0, ground=False)
+        engine.lock_joints()
         rates = []
-        simulator.twist(100.0)
+        engine.twist(100.0)
         for _ in range(3):
-            simulator.step()
-            rates.append(simulator.yaw_rate())
-        assert rates == pytest.approx([100.0 * simulator.time_step / vehicle.yaw_inertia] * 3, rel=5e-3)
+            engine.step()
+            rates.append(engine.yaw_rate())
+        assert rates == pytest.approx([100.0 * engine.time_step / vehicle.yaw_inertia] * 3, rel=5e-3)
 
     def test_velocities_are_those_of_the_world(self, mujoco_of: Make, empty_world: WorldSpec) -> None:
-        simulator = mujoco_of()
-        simulator.place(empty_world, Pose(100.0, 100.0, 2.0), 1.0, height=5.0, ground=False)
-        simulator.command_wheels(90.0, -20.0)  # which pitches the chassis
-        simulator.twist(3000.0)
+        engine = mujoco_of()
+        engine.place(empty_world, Pose(100.0, 100.0, 2.0), 1.0, height=5.0, ground=False)
+        engine.command_wheels(90.0, -20.0)  # which pitches the chassis
+        engine.twist(3000.0)
         for _ in range(40):
-            before, turned = simulator._frame()
-            simulator.step()
-            after, now = simulator._frame()
-            linear, angular = simulator._velocities()
-            assert linear == pytest.approx(np.subtract(after, before) / simulator.time_step, abs=1e-6)
+            before, turned = engine._frame()
+            engine.step()
+            after, now = engine._frame()
+            linear, angular = engine._velocities()
+            assert linear == pytest.approx(np.subtract(after, before) / engine.time_step, abs=1e-6)
             rotation = (Rotation.from_quat(now) * Rotation.from_quat(turned).inv()).as_rotvec()
-            assert angular == pytest.approx(rotation / simulator.time_step, abs=1e-6)
+            assert angular == pytest.approx(rotation / engine.time_step, abs=1e-6)
         assert np.min(np.abs(angular)) > 0.05
 
 
@@ -392,15 +392,15 @@ class TestSliding:
     def test_a_skid_goes_straight_and_stops_where_grip_says(
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec, direction: float, friction: float
     ) -> None:
-        simulator = mujoco_of("reference", on_tyres(vehicle, friction))
-        simulator.place(empty_world, START, 0.0)
-        simulator.lock_joints()
-        simulator.set_velocity(4.0 * cos(direction), 4.0 * sin(direction))
+        engine = mujoco_of("reference", on_tyres(vehicle, friction))
+        engine.place(empty_world, START, 0.0)
+        engine.lock_joints()
+        engine.set_velocity(4.0 * cos(direction), 4.0 * sin(direction))
         heights = []
-        while hypot(*simulator.velocity()) > 0.05:
-            simulator.step()
-            heights.append(simulator.wheel_heights())
-        pose = simulator.pose()
+        while hypot(*engine.velocity()) > 0.05:
+            engine.step()
+            heights.append(engine.wheel_heights())
+        pose = engine.pose()
         dx, dy = pose.x - START.x, pose.y - START.y
         assert hypot(dx, dy) == pytest.approx(4.0**2 / (2 * friction * G), rel=1e-2)
         assert degrees(atan2(dy, dx) - direction) == pytest.approx(0.0, abs=0.05)
@@ -413,24 +413,24 @@ class TestSliding:
         self, mujoco_of: Make, vehicle: VehicleSpec, empty_world: WorldSpec, physics: str, torque: float
     ) -> None:
         friction = 0.4
-        simulator = mujoco_of(physics, replace(on_tyres(vehicle, friction), wheel_torque=torque))
-        simulator.reset(empty_world)
-        simulator.advance(0.0)
-        simulator.command_wheels(0.0, 0.0)
-        while simulator.time() < 0.65:  # until they stand
-            simulator.step()
-            assert min(simulator.wheel_loads()) > 100.0
-            assert simulator.wheel_heights() == pytest.approx((RADIUS, RADIUS, CASTER_RADIUS), abs=1e-5)
-        assert simulator.wheel_speeds() == pytest.approx((0.0, 0.0), abs=0.05)
+        engine = mujoco_of(physics, replace(on_tyres(vehicle, friction), wheel_torque=torque))
+        engine.reset(empty_world)
+        engine.advance(0.0)
+        engine.command_wheels(0.0, 0.0)
+        while engine.time() < 0.65:  # until they stand
+            engine.step()
+            assert min(engine.wheel_loads()) > 100.0
+            assert engine.wheel_heights() == pytest.approx((RADIUS, RADIUS, CASTER_RADIUS), abs=1e-5)
+        assert engine.wheel_speeds() == pytest.approx((0.0, 0.0), abs=0.05)
         caster = CASTER_INERTIA / CASTER_RADIUS  # its spin is stopped by its own contact
         shifted = friction * (MASS * H + caster) / WHEELBASE
         deceleration = friction * MASS * G * (1 - A / WHEELBASE) / (MASS + caster / CASTER_RADIUS + shifted)
         rear = (MASS + caster / CASTER_RADIUS) * deceleration / friction / 2
-        before = simulator.speed()
+        before = engine.speed()
         for n in range(1, 21):
-            simulator.step()
-            assert simulator.wheel_loads()[:2] == pytest.approx((rear, rear), rel=5e-3)
-            assert before - simulator.speed() == pytest.approx(n * deceleration * simulator.time_step, rel=1e-2)
+            engine.step()
+            assert engine.wheel_loads()[:2] == pytest.approx((rear, rear), rel=5e-3)
+            assert before - engine.speed() == pytest.approx(n * deceleration * engine.time_step, rel=1e-2)
 
 
 @pytest.mark.parametrize(
@@ -441,12 +441,12 @@ def test_two_engines_agree_on_the_five_turns(
     mujoco_of: Make, vehicle: VehicleSpec, world_of: WorldOf, physics: str, turn: int, yaw: float
 ) -> None:
     world = world_of(start=Pose(100.0, 100.0, yaw))
-    other = BulletSimulator(vehicle, DriveOptions(decision_period=1.0), BULLET_PHYSICS["reference"])
+    other = BulletEngine(vehicle, DriveOptions(decision_period=1.0), BULLET_PHYSICS["reference"])
     traces: list[list[Sample]] = []
-    for simulator in (mujoco_of(physics, decision_period=1.0), other):
+    for engine in (mujoco_of(physics, decision_period=1.0), other):
         traces.append([])
-        simulator.reset(world)
-        simulator.advance(radians(turn), traces[-1])
+        engine.reset(world)
+        engine.advance(radians(turn), traces[-1])
     other.close()
     here, there = ([(s.pose.x, s.pose.y, degrees(s.pose.yaw)) for s in trace] for trace in traces)
     gaps = np.abs(np.subtract(here, there))
@@ -462,4 +462,4 @@ def test_without_the_package_it_is_named(vehicle: VehicleSpec, monkeypatch: pyte
     monkeypatch.delattr(nnql_bullet.sim, "mujoco")
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(UserError, match=r"pip install 'nnql-bullet\[mujoco\]'"):
-        contact_simulator("mujoco", "fast", vehicle, DriveOptions())
+        contact_engine("mujoco", "fast", vehicle, DriveOptions())

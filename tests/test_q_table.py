@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import observed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -17,16 +18,17 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import LearningAgent, NoMemory, NoTrainingState
+from nnql_bullet.agents.base import NoMemory, NoTrainingState
 from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
-from nnql_bullet.env import FleetNavigation, Observation, Observations, Transitions, stacked
+from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Motions
+from nnql_bullet.sim.base import no_motion
 from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.training.loop import Training
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -41,16 +43,16 @@ def agent_of(**options: Any) -> QTable:
     return QTable(QTableOptions(**{"edges": EDGES, "sectors": SECTORS, **options}))
 
 
-def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observations:
+def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
     """What vehicles see that read so much."""
-    return stacked([Observation(np.array(r), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings])
+    return observed(*((r, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings))
 
 
 def steps(
-    before: Observations, turns: list[int], rewards: list[float], after: Observations, discount: float = 1.0
-) -> Transitions:
+    before: Observation, turns: list[int], rewards: list[float], after: Observation, discount: float = 1.0
+) -> Transition:
     n = len(turns)
-    return Transitions(
+    return Transition(
         s_tm1=before,
         a_tm1=np.array(turns),
         r_t=np.array(rewards),
@@ -58,7 +60,8 @@ def steps(
         s_t=after,
         terms=np.zeros((n, len(REWARD_TERMS))),
         ending=np.full(n, NO_ENDING),
-        motions=Motions(np.zeros((n, 3)), *np.zeros((5, n)), *np.zeros((2, n), np.bool_)),
+        heading_command=np.zeros(n),
+        motion=no_motion(n),
         active=np.ones(n, np.bool_),
     )
 
@@ -86,7 +89,7 @@ class Dictionary(NoMemory, NoTrainingState):
         return self.table.get(self.state(readings), [0.0] * 5)
 
     def act_exploring(
-        self, observations: Observations, episodes: NDArray[np.int64], uniforms: NDArray[np.float64]
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: NDArray[np.float64]
     ) -> NDArray[np.int64]:
         actions = []
         for i, uniform in enumerate(uniforms):
@@ -104,7 +107,7 @@ class Dictionary(NoMemory, NoTrainingState):
                     break
         return np.array(actions)
 
-    def learn(self, transitions: Transitions) -> NDArray[np.float64]:
+    def learn(self, transitions: Transition) -> NDArray[np.float64]:
         t = transitions
         errors, updates = [], []
         for i in range(len(t.r_t)):
@@ -143,8 +146,8 @@ def test_training_is_that_of_a_dictionary(vehicles: int, small_world: Path) -> N
     agent, oracle = experiment.learning_agent, Dictionary(options)
     found = []
     for learner in (agent, oracle):
-        with closing(experiment.fleet(1)) as fleet:
-            navigation = FleetNavigation(fleet, config.task)
+        with closing(experiment.new_simulator(1)) as fleet:
+            navigation = Navigation(fleet, config.task)
             training = Training(learner, navigation, experiment.training_world, config.seed)  # type: ignore[arg-type]
             found.append(list(islice(training.episodes(), 40)))
     assert isinstance(agent, QTable)

@@ -15,13 +15,13 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
-from nnql_bullet.env import Navigation, Observations
+from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_learning_curve, draw_trajectory
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import TrainingEpisode
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -39,11 +39,11 @@ def record(vehicle: VehicleSpec) -> Record:
     """Records one episode of a fixed series of actions, over and over until it ends."""
 
     def make(world: WorldSpec, *actions: int, max_steps: int = 500) -> tuple[Recording, EpisodeSummary]:
-        simulator = BulletSimulator(vehicle, DriveOptions(), PHYSICS["fast"])
+        simulator = contact_simulator("bullet", "fast", vehicle, DriveOptions(), 1)
         recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
         script = cycle(actions)
 
-        def policy(observations: Observations) -> NDArray[np.int64]:
+        def policy(observations: Observation) -> NDArray[np.int64]:
             return np.array([next(script)])
 
         navigation = Navigation(simulator, TaskOptions(max_steps=max_steps))

@@ -18,7 +18,7 @@ from PIL import Image
 
 from nnql_bullet import colours, diagnosis
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
-from nnql_bullet.env import STOP, Navigation, Observations
+from nnql_bullet.env import STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.experiment import Experiment
@@ -52,10 +52,10 @@ Run = Callable[..., tuple[int, str, str]]
 
 def record(vehicle: VehicleSpec, world: WorldSpec, action: int, max_steps: int = 500, **about: object) -> Recording:
     """A drive of one action over and over, by an ideal vehicle."""
-    simulator = KinematicSimulator(vehicle, DriveOptions())
+    simulator = KinematicSimulator(vehicle, DriveOptions(), 1)
     recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
 
-    def policy(observations: Observations) -> NDArray[np.int64]:
+    def policy(observations: Observation) -> NDArray[np.int64]:
         return np.full(len(observations.state_property), action)
 
     run_episode(Navigation(simulator, TaskOptions(max_steps=max_steps)), world, Reflex(policy), watcher=recorder)

@@ -19,7 +19,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from nnql_bullet.runs import Run
-from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.sim.bullet import BulletEngine
 
 Cli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
@@ -241,15 +241,15 @@ class TestInterrupt:
     def test_an_interrupt_within_an_episode_waits_for_its_end(
         self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        real, calls = BulletSimulator.advance, []
+        real, calls = BulletEngine.advance, []
 
-        def advance(self: BulletSimulator, *args: object) -> object:
+        def advance(self: BulletEngine, *args: object) -> object:
             calls.append(args)
             if len(calls) == 3:
                 os.kill(os.getpid(), signal.SIGINT)
             return real(self, *args)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(BulletSimulator, "advance", advance)
+        monkeypatch.setattr(BulletEngine, "advance", advance)
         handler = signal.getsignal(signal.SIGINT)
         code, out, _ = train(tmp_path / "run", 50)
         assert code == 130
@@ -260,15 +260,15 @@ class TestInterrupt:
     def test_a_second_interrupt_ends_at_once(
         self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        real, calls = BulletSimulator.advance, []
+        real, calls = BulletEngine.advance, []
 
-        def advance(self: BulletSimulator, *args: object) -> object:
+        def advance(self: BulletEngine, *args: object) -> object:
             calls.append(args)
             if len(calls) in (3, 4):
                 os.kill(os.getpid(), signal.SIGINT)
             return real(self, *args)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(BulletSimulator, "advance", advance)
+        monkeypatch.setattr(BulletEngine, "advance", advance)
         code, _, err = train(tmp_path / "run", 50)
         assert code == 130
         assert len(calls) == 4
@@ -435,10 +435,10 @@ class TestCheckpoints:
     def test_there_is_one_every_five_seconds_and_at_the_end(
         self, train: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        clock, reset, save = [100.0], BulletSimulator.reset, Run.save
+        clock, reset, save = [100.0], BulletEngine.reset, Run.save
         saved: list[int] = []
 
-        def slow_reset(self: BulletSimulator, *args: object) -> None:
+        def slow_reset(self: BulletEngine, *args: object) -> None:
             clock[0] += 2.0  # so long does an episode take
             reset(self, *args)  # type: ignore[arg-type]
 
@@ -447,7 +447,7 @@ class TestCheckpoints:
             saved.append(episodes(self.folder))
 
         monkeypatch.setattr("nnql_bullet.session.time", SimpleNamespace(monotonic=lambda: clock[0]))
-        monkeypatch.setattr(BulletSimulator, "reset", slow_reset)
+        monkeypatch.setattr(BulletEngine, "reset", slow_reset)
         monkeypatch.setattr(Run, "save", noted_save)
         assert train(tmp_path / "run", 8)[0] == 0
         assert saved == [3, 6, 8]

@@ -24,7 +24,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import load_policy
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals
 
@@ -128,7 +128,7 @@ def contents(folder: Path) -> dict[str, Any]:
 def driven(policy: Path, world: str | None, seeds: range) -> list[str]:
     """How a policy's drives end in the kinematic model, one vehicle after the other."""
     experiment = load_policy(policy, {"world": world}).experiment
-    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
+    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive, 1), experiment.config.task)
     return [run_episode(navigation, experiment.world(seed), experiment.agent).ending for seed in seeds]
 
 
@@ -193,9 +193,9 @@ class TestResume:
     def test_after_an_interrupt_too(
         self, whole: Path, train: Train, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        real, calls = KinematicFleet.advance, []
+        real, calls = KinematicSimulator.advance, []
 
-        def advance(self: KinematicFleet, *args: Any) -> Any:
+        def advance(self: KinematicSimulator, *args: Any) -> Any:
             calls.append(args)
             if len(calls) == 20:
                 os.kill(os.getpid(), signal.SIGINT)
@@ -203,7 +203,7 @@ class TestResume:
 
         folder = tmp_path / "stopped"
         with monkeypatch.context() as patch:
-            patch.setattr(KinematicFleet, "advance", advance)
+            patch.setattr(KinematicSimulator, "advance", advance)
             assert train(folder, TOTAL)[0] == 130
         assert not (folder / "selection.csv").exists()
         assert run_cli("train", "--resume", folder, "--workers", 1)[0] == 0

@@ -1,4 +1,4 @@
-"""`fidelity` and `envelope`: an engine against mechanics on paper, and the limits of a vehicle."""
+"""`check_fidelity` and `envelope`: an engine against mechanics on paper, and the limits of a vehicle."""
 
 import json
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ REFINEMENTS = (1, 2, 4)
 
 @dataclass(frozen=True)
 class FidelityResults:
-    """Results of `fidelity`."""
+    """Results of `check_fidelity`."""
 
     fidelity: Fidelity
     """Every measurement with its expectation."""
@@ -59,7 +59,7 @@ class FidelityResults:
         report.draw_grip(self.fidelity, out / "grip.png")
 
 
-def fidelity(
+def check_fidelity(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
     simulator: EngineName = "bullet",
@@ -73,7 +73,7 @@ def fidelity(
 
     Example:
         >>> import nnql_bullet as nb
-        >>> results = nb.fidelity("tricycle", physics="fast")
+        >>> results = nb.check_fidelity("tricycle", physics="fast")
         >>> results.ok
         True
 

@@ -35,7 +35,7 @@ def fidelity(
         out: Where the report goes; default runs/fidelity/ROBOT-ENGINE-PHYSICS.
     """
     with progress() as show:
-        results = api.fidelity(robot, simulator=sim, physics=physics, on_progress=show)
+        results = api.check_fidelity(robot, simulator=sim, physics=physics, on_progress=show)
     folder = out or Path("runs") / "fidelity" / f"{results.fidelity.bench.vehicle.name}-{sim}-{physics}"
     results.save(folder)
     say(results.table())

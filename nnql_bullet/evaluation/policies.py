@@ -83,13 +83,14 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
         raise UserError(
             f"give a policy: a run folder, a policy file, or one of: {', '.join((*assets.policies(), *RULES))}"
         )
-    opened = [load_policy(policy) for policy in several]
+    # A loaded policy is read again from its name, as the processes that drive it do.
+    opened = [load_policy(_named(policy)) for policy in several]
     experiments = [its.experiment for its in opened]
     agents = [experiment.agent for experiment in experiments]
     given = _paths(several, agents)
     for policy, experiment in zip(several, experiments, strict=True):
         if isinstance(policy, LoadedPolicy) and fingerprint(experiment) != fingerprint(policy.experiment):
-            raise UserError(f"{policy.name}: has changed since it was loaded; load it again")
+            raise UserError(f"{policy.name}: is not what is saved there; load it again, without changes")
     odd = [path for path, its in zip(given, experiments, strict=True) if its.room != experiments[0].room]
     if odd:
         raise UserError(
@@ -138,6 +139,11 @@ def executor_for(
     if custom and kind not in (None, "inline"):
         raise UserError(f"policy '{custom[0]}' is an object of this process; give it the executor 'inline'")
     return make_executor("inline" if custom else kind, workers, address)
+
+
+def _named(policy: PolicyLike) -> PolicyLike:
+    own = isinstance(policy, LoadedPolicy) and isinstance(policy.experiment.agent, Custom)
+    return policy.name if isinstance(policy, LoadedPolicy) and not own else policy
 
 
 def _paths(policies: Sequence[PolicyLike], agents: Sequence[Agent]) -> list[str]:

@@ -36,6 +36,7 @@ def render(
     speed: float = 1.0,
     begin: float = 0.0,
     end: float | None = None,
+    hold: float = HOLD,
     renderer: Literal["auto"] | RendererName = "auto",
     kind: VideoFormat | None = None,
     pictures: Path | str | None = None,
@@ -54,6 +55,7 @@ def render(
         speed: Speed of the film relative to the drive.
         begin: Start of the film in the drive [s].
         end: End of the film in the drive [s]; by default the end of the drive.
+        hold: Time that the last picture stays [s].
         renderer: Renderer of the solid bodies; "auto" takes EGL or TinyRenderer, whichever is faster here.
         kind: Format of the video; by default the one that its name says.
         pictures: Folder for a PNG of each frame; none if it is not given.
@@ -75,7 +77,7 @@ def render(
         film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
         check_renderer(loaded, film.renderer)
         if video or pictures:
-            _shoot(film, frame_times(begin, last, fps, speed), video, chosen, fps, pictures, workers, on_progress)
+            _shoot(film, frame_times(begin, last, fps, speed, hold), video, chosen, fps, pictures, workers, on_progress)
         if sheet:
             moments = key_moments(Timeline(loaded))
             drawn = list(frames(film, [moment.time for moment in moments], make_executor(workers=workers)))

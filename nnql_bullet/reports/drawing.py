@@ -32,6 +32,7 @@ from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
 from nnql_bullet.recording import Recording
+from nnql_bullet.worlds.spec import WorldSpec
 
 DPI = 150
 """Resolution of pictures [pixels per inch]."""
@@ -98,28 +99,27 @@ def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch]
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def draw_world(axes: Axes, recording: Recording, time: float) -> None:
+def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
 
     Args:
         axes: Axes to draw on.
-        recording: Recording of a drive in the world.
+        world: The world.
         time: Instant at which moving boxes are shown [s].
     """
-    world = recording.about["world"]
-    width, depth = world["width"], world["depth"]
+    width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
-    for box in recording.obstacles:
+    for box in world.obstacles:
         axes.add_patch(Polygon(box.corners(), fc=BOX, ec=BOX_EDGE, lw=0.8))
-    for patrol in recording.patrols:
+    for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
         for box in (patrol.box, at_end):
             axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
         axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
-    axes.add_patch(Circle(world["target"], world["target_radius"], fc=TARGET, ec=COLLISION, lw=1.6))
-    axes.plot(*world["target"], "+", color=COLLISION, ms=7)
-    axes.plot(world["start"]["x"], world["start"]["y"], "o", color=INK, ms=5, zorder=5)
+    axes.add_patch(Circle(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
+    axes.plot(*world.target, "+", color=COLLISION, ms=7)
+    axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
 
 
 def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:
@@ -156,7 +156,7 @@ def draw_drive(
         title: Text above the axes.
         size: Font size of the title [points].
     """
-    draw_world(axes, recording, recording.state_time[-1])
+    draw_world(axes, recording.world, recording.state_time[-1])
     draw_path(axes, recording, detail)
     frame_world(axes, recording, margin)
     finish_axes(axes, title, size, grid="none")

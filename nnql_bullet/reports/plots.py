@@ -26,6 +26,7 @@ from nnql_bullet.reports.drawing import (
 )
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.worlds.spec import WorldSpec
 
 BAND_PLACES = 400
 """Points along a curve at which its interval is computed."""
@@ -129,12 +130,22 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
     save_figure(figure, path)
 
 
+def draw_map(world: WorldSpec, path: Path) -> None:
+    """Draws a world from above, with moving boxes where they start."""
+    figure = new_figure(6.0, 6.0)
+    axes = figure.add_subplot()
+    draw_world(axes, world, 0.0)
+    axes.set(xlim=(-2, world.width + 2), ylim=(-2, world.depth + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set_title(f"{world.name}, seed {world.seed}", fontsize=10, color=INK)
+    save_figure(figure, path)
+
+
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
     """Draws the tightest moment enlarged."""
     moment = _tightest(recording)
     vehicle = moved(recording.footprint, Pose(*recording.sample_pose[moment]))
     x, y = vehicle.x, vehicle.y
-    draw_world(axes, recording, recording.sample_time[moment])
+    draw_world(axes, recording.world, recording.sample_time[moment])
     draw_path(axes, recording, detail=2.0)
     axes.add_patch(Polygon(vehicle.corners(), fc=VEHICLE, ec=INK, lw=1.6, zorder=5))
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")

@@ -93,6 +93,12 @@ class World:
         layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
         return parse(World, {**values, "layout": layout}, "world")
 
+    def plot(self, path: Path | str, seed: int = 0) -> None:
+        """Draws the world of a seed as a picture (.png)."""
+        from nnql_bullet.reports.plots import draw_map
+
+        draw_map(self.draw(seed), Path(path))
+
     def draw(self, seed: int, room: float = ROOM) -> WorldSpec:
         """The world of a seed, with a path of half width `room` [m] from start to target.
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from nnql_bullet.cli.filming import shoot
-
 from nnql_bullet.executors import ProcessExecutor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.render.camera import chase
-from nnql_bullet.render.film import Film, frame_times
+from nnql_bullet.render.film import frame_times
+from nnql_bullet.render.filming import render
 from nnql_bullet.render.renderers import RendererName
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
@@ -51,7 +50,7 @@ def film_over_bare(renderer: RendererName, seconds: float) -> float:
         before = _bare(path, renderer)
         times = frame_times(0.0, seconds, 30.0, 1.0, hold=0.0)
         begin = time.perf_counter()
-        shoot(Film(path, "chase", *SIZE, renderer), times, Path(folder) / "film.mp4")
+        render(path, Path(folder) / "film.mp4", size=SIZE, renderer=renderer, end=seconds, hold=0.0, workers=None)
         film = len(times) / (time.perf_counter() - begin)
         return film / ((before + _bare(path, renderer)) / 2)
 

@@ -1,4 +1,4 @@
-"""Faults to be found: each a simulator, or a vehicle file, that is wrong in one way, while what is expected is not."""
+"""Faults to be found: each an engine, or a vehicle file, that is wrong in one way, while what is expected is not."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -15,7 +15,7 @@ import pybullet
 
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.sim.bullet import GROUND, PHYSICS, WHEEL, BulletSimulator, Physics
+from nnql_bullet.sim.bullet import GROUND, PHYSICS, WHEEL, BulletEngine, Physics
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import JointNames, VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -25,14 +25,14 @@ CHASSIS = "link[@name='chassis']/inertial"
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong: with the URDF, with what the simulator is told of the vehicle, its settings, or its workings."""
+    """What is wrong: with the URDF, with what the engine is told of the vehicle, its settings, or its workings."""
 
     seen_by: tuple[str, ...]
     """Probes that must turn red."""
     urdf: Callable[[Element], None] | None = None
     vehicle: Callable[[VehicleSpec], VehicleSpec] = lambda vehicle: vehicle
     settings: Callable[[Physics], Physics] = lambda settings: settings
-    simulator: type[BulletSimulator] = BulletSimulator
+    made_by: type[BulletEngine] = BulletEngine
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class FaultyBench(Bench):
     folder: Path = Path()
 
     @contextmanager
-    def simulator(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[BulletSimulator]:
+    def open_engine(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[BulletEngine]:
         wrong = self.fault.vehicle(vehicle or self.vehicle)
         if self.fault.urdf:
             tree: ElementTree = parse(wrong.urdf)
@@ -51,7 +51,7 @@ class FaultyBench(Bench):
             tree.write(self.folder / "wrong.urdf")
             wrong = replace(wrong, urdf=self.folder / "wrong.urdf")
         settings = self.fault.settings(PHYSICS[self.physics])
-        with closing(self.fault.simulator(wrong, DriveOptions(**drive), settings)) as made:
+        with closing(self.fault.made_by(wrong, DriveOptions(**drive), settings)) as made:
             yield made
 
 
@@ -115,7 +115,7 @@ def cylinders(robot: Element) -> None:
         geometry.append(Element("cylinder", radius=sphere.attrib["radius"], length="0.05"))
 
 
-# In what the simulator is told
+# In what the engine is told
 
 
 def contact(**changes: float) -> Callable[[VehicleSpec], VehicleSpec]:
@@ -151,13 +151,13 @@ def sensor_moved(x: float, y: float, z: float) -> Callable[[VehicleSpec], Vehicl
     return change
 
 
-# In the simulator
+# In the engine
 
 
-def loaded_with(flags: int) -> type[BulletSimulator]:
+def loaded_with(flags: int) -> type[BulletEngine]:
     """The URDF is loaded with other flags."""
 
-    class Loading(BulletSimulator):
+    class Loading(BulletEngine):
         def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
             load = pybullet.loadURDF
             with patch.object(pybullet, "loadURDF", lambda *given, **named: load(*given, **(named | {"flags": flags}))):
@@ -166,10 +166,10 @@ def loaded_with(flags: int) -> type[BulletSimulator]:
     return Loading
 
 
-def changed(*links: str, **dynamics: float) -> type[BulletSimulator]:
+def changed(*links: str, **dynamics: float) -> type[BulletEngine]:
     """Calls `changeDynamics` of links once more, after everything else."""
 
-    class Changed(BulletSimulator):
+    class Changed(BulletEngine):
         def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
             super()._add_vehicle(pose, speed, height)
             for name in links:
@@ -179,10 +179,10 @@ def changed(*links: str, **dynamics: float) -> type[BulletSimulator]:
     return Changed
 
 
-def motor_left_on(joint: str) -> type[BulletSimulator]:
+def motor_left_on(joint: str) -> type[BulletEngine]:
     """The motor that a joint is loaded with still holds it."""
 
-    class Holding(BulletSimulator):
+    class Holding(BulletEngine):
         def _hold(self, number: int, torque: float) -> None:
             name = pybullet.getJointInfo(self.body, number, self.client)[1].decode()
             if torque > 0 or name != joint:
@@ -191,10 +191,10 @@ def motor_left_on(joint: str) -> type[BulletSimulator]:
     return Holding
 
 
-def solving_with(**parameters: float) -> type[BulletSimulator]:
+def solving_with(**parameters: float) -> type[BulletEngine]:
     """Calls `setPhysicsEngineParameter` once more."""
 
-    class Solving(BulletSimulator):
+    class Solving(BulletEngine):
         def _set_solver(self) -> None:
             super()._set_solver()
             pybullet.setPhysicsEngineParameter(**parameters, physicsClientId=self.client)
@@ -202,10 +202,10 @@ def solving_with(**parameters: float) -> type[BulletSimulator]:
     return Solving
 
 
-def pulled_by(x: float, y: float, z: float) -> type[BulletSimulator]:
+def pulled_by(x: float, y: float, z: float) -> type[BulletEngine]:
     """Other gravity."""
 
-    class Pulled(BulletSimulator):
+    class Pulled(BulletEngine):
         def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
             super()._build(world, pose, speed, height, ground)
             pybullet.setGravity(x, y, z, self.client)
@@ -213,7 +213,7 @@ def pulled_by(x: float, y: float, z: float) -> type[BulletSimulator]:
     return Pulled
 
 
-class SlipperyGround(BulletSimulator):
+class SlipperyGround(BulletEngine):
     def _add_ground(self) -> None:
         change = pybullet.changeDynamics
         smooth = lambda body, link, **given: change(body, link, **(given | {"lateralFriction": 0.9}))  # noqa: E731
@@ -221,7 +221,7 @@ class SlipperyGround(BulletSimulator):
             super()._add_ground()
 
 
-class SelfSeeing(BulletSimulator):
+class SelfSeeing(BulletEngine):
     """Rays without a mask, and wheels in a group that they meet."""
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
@@ -234,12 +234,12 @@ class SelfSeeing(BulletSimulator):
         return np.array([hit[2] for hit in hits]) * 10.0
 
 
-class ShortRays(BulletSimulator):
+class ShortRays(BulletEngine):
     def _cast(self, begins: Array, ends: Array) -> Array:
         return super()._cast(begins, ends) * 0.999
 
 
-class LateRays(BulletSimulator):
+class LateRays(BulletEngine):
     """Rays from where the vehicle was at the last look."""
 
     _last: tuple[Array, Array] | None = None
@@ -249,7 +249,7 @@ class LateRays(BulletSimulator):
         return super()._cast(*before)
 
 
-class Bouncing(BulletSimulator):
+class Bouncing(BulletEngine):
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
         super()._build(world, pose, speed, height, ground)
         for number in range(pybullet.getNumBodies(self.client)):
@@ -257,12 +257,12 @@ class Bouncing(BulletSimulator):
             pybullet.changeDynamics(body, -1, restitution=0.7071, physicsClientId=self.client)
 
 
-class NoObstacles(BulletSimulator):
+class NoObstacles(BulletEngine):
     def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
         del boxes, height
 
 
-class WearingTyres(BulletSimulator):
+class WearingTyres(BulletEngine):
     """What happened before leaks into what follows."""
 
     _placed = 0
@@ -275,7 +275,7 @@ class WearingTyres(BulletSimulator):
             pybullet.changeDynamics(self.body, wheel, lateralFriction=friction, physicsClientId=self.client)
 
 
-class DoubleForces(BulletSimulator):
+class DoubleForces(BulletEngine):
     def obstacle_force(self) -> float:
         return 2 * super().obstacle_force()
 
@@ -290,7 +290,7 @@ FAULTS = {
         ("read-back", "settle", "acceleration", "wall"), urdf=scaled("link/inertial/mass", "value", 1.02)
     ),
     "chassis 2 % heavier after loading": Fault(
-        ("read-back", "yaw-inertia"), simulator=changed("base", mass=104.5 * 1.02)
+        ("read-back", "yaw-inertia"), made_by=changed("base", mass=104.5 * 1.02)
     ),
     "chassis turns 5 % harder": Fault(("read-back", "yaw-inertia"), urdf=scaled(f"{CHASSIS}/inertia", "izz", 1.05)),
     "wheels spin up 5 % harder": Fault(("read-back", "acceleration"), urdf=harder_spin),
@@ -300,49 +300,47 @@ FAULTS = {
         ("tilt-table", "steady-turn", "locked-braking"), urdf=moved(f"{CHASSIS}/origin", z=0.03)
     ),
     "wheels are hulls": Fault(
-        ("settle", "straight"), urdf=cylinders, simulator=loaded_with(pybullet.URDF_USE_INERTIA_FROM_FILE)
+        ("settle", "straight"), urdf=cylinders, made_by=loaded_with(pybullet.URDF_USE_INERTIA_FROM_FILE)
     ),
     "left and right swapped": Fault(("five-actions", "steady-turn"), vehicle=swapped),
     "wheel friction 0.7": Fault(("read-back", "skids", "friction-cone"), vehicle=contact(wheel_friction=0.875)),
-    "caster friction 0.4": Fault(("read-back", "skids"), simulator=changed("caster", lateralFriction=0.4)),
-    "ground friction 0.9": Fault(("locked-braking", "skids", "friction-cone"), simulator=SlipperyGround),
+    "caster friction 0.4": Fault(("read-back", "skids"), made_by=changed("caster", lateralFriction=0.4)),
+    "ground friction 0.9": Fault(("locked-braking", "skids", "friction-cone"), made_by=SlipperyGround),
     "rolling friction missing": Fault(("read-back", "rolling-resistance"), vehicle=contact(rolling_friction=0.0)),
     "spinning friction tenfold": Fault(("read-back", "five-actions"), vehicle=contact(spinning_friction=10.0)),
     "torque limit doubled": Fault(("acceleration",), vehicle=torque_times(2.0)),
     "torque limit not applied": Fault(("acceleration",), vehicle=torque_times(1e6)),
     "inertia from shapes": Fault(
-        ("read-back", "yaw-inertia"), simulator=loaded_with(pybullet.URDF_USE_IMPLICIT_CYLINDER)
+        ("read-back", "yaw-inertia"), made_by=loaded_with(pybullet.URDF_USE_IMPLICIT_CYLINDER)
     ),
     "default damping": Fault(
-        ("free-fall", "coast", "skids"), simulator=changed("base", linearDamping=0.04, angularDamping=0.04)
+        ("free-fall", "coast", "skids"), made_by=changed("base", linearDamping=0.04, angularDamping=0.04)
     ),
-    "joints held below 100 rad/s": Fault(("coast",), simulator=changed("base", maxJointVelocity=100.0)),
-    "joint damping": Fault(("coast", "acceleration"), simulator=changed("left", "right", jointDamping=0.1)),
-    "motor left on the caster": Fault(("coast", "caster"), simulator=motor_left_on("caster_roll")),
-    "motor left on the swivel": Fault(("five-actions", "caster"), simulator=motor_left_on("swivel")),
-    "motor left on a drive": Fault(("coast",), simulator=motor_left_on("left_drive")),
+    "joints held below 100 rad/s": Fault(("coast",), made_by=changed("base", maxJointVelocity=100.0)),
+    "joint damping": Fault(("coast", "acceleration"), made_by=changed("left", "right", jointDamping=0.1)),
+    "motor left on the caster": Fault(("coast", "caster"), made_by=motor_left_on("caster_roll")),
+    "motor left on the swivel": Fault(("five-actions", "caster"), made_by=motor_left_on("swivel")),
+    "motor left on a drive": Fault(("coast",), made_by=motor_left_on("left_drive")),
     "10 iterations": Fault(("creep", "straight", "five-actions"), settings=partial(replace, iterations=10)),
     "residual 1e-4": Fault(("creep", "acceleration"), settings=partial(replace, residual=1e-4)),
-    "four substeps": Fault(("settle", "acceleration", "wall"), simulator=solving_with(numSubSteps=4)),
-    "friction pyramid": Fault(("friction-cone",), simulator=solving_with(enableConeFriction=0)),
-    "engine steps 1/200 s": Fault(
-        ("free-fall", "yaw-inertia", "caster"), simulator=solving_with(fixedTimeStep=1 / 200)
-    ),
-    "penetration pushed out at once": Fault(("wall",), simulator=solving_with(contactERP=0.9)),
-    "gravity 9.80": Fault(("free-fall",), simulator=pulled_by(0.0, 0.0, -9.80)),
+    "four substeps": Fault(("settle", "acceleration", "wall"), made_by=solving_with(numSubSteps=4)),
+    "friction pyramid": Fault(("friction-cone",), made_by=solving_with(enableConeFriction=0)),
+    "engine steps 1/200 s": Fault(("free-fall", "yaw-inertia", "caster"), made_by=solving_with(fixedTimeStep=1 / 200)),
+    "penetration pushed out at once": Fault(("wall",), made_by=solving_with(contactERP=0.9)),
+    "gravity 9.80": Fault(("free-fall",), made_by=pulled_by(0.0, 0.0, -9.80)),
     "ground not level by 0.2 degrees": Fault(
-        ("settle", "coast"), simulator=pulled_by(0.0, 9.81 * sin(radians(0.2)), -9.81)
+        ("settle", "coast"), made_by=pulled_by(0.0, 9.81 * sin(radians(0.2)), -9.81)
     ),
-    "rays see the vehicle": Fault(("rays",), simulator=SelfSeeing),
-    "rays 0.1 % short": Fault(("rays",), simulator=ShortRays),
-    "rays late by one look": Fault(("rays", "determinism"), simulator=LateRays),
+    "rays see the vehicle": Fault(("rays",), made_by=SelfSeeing),
+    "rays 0.1 % short": Fault(("rays",), made_by=ShortRays),
+    "rays late by one look": Fault(("rays", "determinism"), made_by=LateRays),
     "sensor 5 cm ahead": Fault(("rays",), vehicle=sensor_moved(0.05, 0.0, 0.0)),
     "sensor 5 cm to the left": Fault(("rays",), vehicle=sensor_moved(0.0, 0.05, 0.0)),
     "sensor 5 cm higher": Fault(("rays",), vehicle=sensor_moved(0.0, 0.0, 0.05)),
     "sensor 5 cm lower": Fault(("rays",), vehicle=sensor_moved(0.0, 0.0, -0.05)),
-    "restitution 0.5": Fault(("wall",), simulator=Bouncing),
-    "soft chassis": Fault(("wall",), simulator=changed("base", contactStiffness=2e4, contactDamping=1e3)),
-    "no obstacles": Fault(("wall", "rays"), simulator=NoObstacles),
-    "forces of contact doubled": Fault(("wall",), simulator=DoubleForces),
-    "tyres that wear": Fault(("determinism",), simulator=WearingTyres),
+    "restitution 0.5": Fault(("wall",), made_by=Bouncing),
+    "soft chassis": Fault(("wall",), made_by=changed("base", contactStiffness=2e4, contactDamping=1e3)),
+    "no obstacles": Fault(("wall", "rays"), made_by=NoObstacles),
+    "forces of contact doubled": Fault(("wall",), made_by=DoubleForces),
+    "tyres that wear": Fault(("determinism",), made_by=WearingTyres),
 }

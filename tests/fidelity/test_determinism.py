@@ -12,7 +12,7 @@ import pytest
 
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
@@ -22,28 +22,28 @@ BOXES = tuple(OrientedBox(x, y, 1.0, 0.5, 0.3 * x) for x in range(4, 40, 6) for 
 HERE = WorldSpec("here", 0, 40.0, 40.0, BOXES, Pose(10.0, 20.0, 0.1), (36.0, 20.0), 1.0, 1.5)
 THERE = WorldSpec("there", 1, 60.0, 60.0, BOXES[:7], Pose(30.0, 30.0, -2.0), (50.0, 50.0), 2.0, 1.0)
 
-Make = Callable[..., BulletSimulator]
+Make = Callable[..., BulletEngine]
 
 
 class Drive:
     """A fixed series of decisions; `digest` covers every bit of what came of them."""
 
-    def __init__(self, simulator: BulletSimulator, world: WorldSpec = HERE) -> None:
-        self.simulator = simulator
+    def __init__(self, engine: BulletEngine, world: WorldSpec = HERE) -> None:
+        self.engine = engine
         self.seen: list[object] = []
         self.trace: list[Sample] = []
-        simulator.reset(world)
+        engine.reset(world)
 
     def decide(self, turn: float) -> None:
-        self.seen.append(self.simulator.advance(turn, self.trace))
-        self.seen.append(self.simulator.scan().distances.tolist())
+        self.seen.append(self.engine.advance(turn, self.trace))
+        self.seen.append(self.engine.scan().tolist())
 
     def digest(self) -> str:
         return hashlib.sha256(repr((self.seen, self.trace)).encode()).hexdigest()
 
 
-def driven(simulator: BulletSimulator, world: WorldSpec = HERE) -> str:
-    drive = Drive(simulator, world)
+def driven(engine: BulletEngine, world: WorldSpec = HERE) -> str:
+    drive = Drive(engine, world)
     for turn in TURNS:
         drive.decide(turn)
     return drive.digest()
@@ -57,35 +57,35 @@ def elsewhere() -> dict[str, str]:
     return dict(line.split() for line in answer.stdout.splitlines())
 
 
-def test_a_digest_tells_drives_apart(simulator_of: Make) -> None:
-    simulator = simulator_of("fast")
-    assert len({driven(simulator), driven(simulator, THERE), driven(simulator_of("reference"))}) == 3
+def test_a_digest_tells_drives_apart(engine_of: Make) -> None:
+    engine = engine_of("fast")
+    assert len({driven(engine), driven(engine, THERE), driven(engine_of("reference"))}) == 3
 
 
-def test_reset_within_an_episode_starts_afresh(simulator_of: Make, physics: str) -> None:
-    simulator = simulator_of(physics)
-    drive = Drive(simulator)
+def test_reset_within_an_episode_starts_afresh(engine_of: Make, physics: str) -> None:
+    engine = engine_of(physics)
+    drive = Drive(engine)
     for turn in TURNS[:3]:
         drive.decide(turn)
-    assert driven(simulator) == driven(simulator_of(physics))
+    assert driven(engine) == driven(engine_of(physics))
 
 
-def test_interleaved_simulators_do_not_touch_each_other(simulator_of: Make, physics: str) -> None:
+def test_interleaved_simulators_do_not_touch_each_other(engine_of: Make, physics: str) -> None:
     other = "fast" if physics == "reference" else "reference"
-    alone = driven(simulator_of(physics)), driven(simulator_of(other), THERE)
-    first, second = Drive(simulator_of(physics)), Drive(simulator_of(other), THERE)
+    alone = driven(engine_of(physics)), driven(engine_of(other), THERE)
+    first, second = Drive(engine_of(physics)), Drive(engine_of(other), THERE)
     for turn in TURNS:
         first.decide(turn)
         second.decide(turn)
     assert (first.digest(), second.digest()) == alone
 
 
-def test_another_process_finds_the_same(simulator_of: Make, elsewhere: dict[str, str], physics: str) -> None:
-    assert driven(simulator_of(physics)) == elsewhere[physics]
+def test_another_process_finds_the_same(engine_of: Make, elsewhere: dict[str, str], physics: str) -> None:
+    assert driven(engine_of(physics)) == elsewhere[physics]
 
 
-def test_scans_and_samples_change_nothing(simulator_of: Make, physics: str) -> None:
-    quiet, watched = simulator_of(physics), simulator_of(physics)
+def test_scans_and_samples_change_nothing(engine_of: Make, physics: str) -> None:
+    quiet, watched = engine_of(physics), engine_of(physics)
     quiet.reset(HERE)
     watched.reset(HERE)
     for turn in TURNS:
@@ -94,32 +94,32 @@ def test_scans_and_samples_change_nothing(simulator_of: Make, physics: str) -> N
         assert quiet.advance(turn) == watched.advance(turn, [])
 
 
-def test_a_closed_simulator_is_disconnected_and_closing_twice_is_harmless(simulator_of: Make) -> None:
-    simulator = simulator_of("fast")
-    client = simulator.client
+def test_a_closed_simulator_is_disconnected_and_closing_twice_is_harmless(engine_of: Make) -> None:
+    engine = engine_of("fast")
+    client = engine.client
     assert pybullet.isConnected(client)
-    simulator.close()
+    engine.close()
     assert not pybullet.isConnected(client)
-    simulator.close()
+    engine.close()
 
 
 def test_a_dropped_simulator_is_disconnected() -> None:
-    simulator = BulletSimulator(load_vehicle("tricycle"), DriveOptions(), PHYSICS["fast"])
-    simulator.reset(HERE)
-    client = simulator.client
+    engine = BulletEngine(load_vehicle("tricycle"), DriveOptions(), PHYSICS["fast"])
+    engine.reset(HERE)
+    client = engine.client
     assert pybullet.isConnected(client)
-    del simulator
+    del engine
     gc.collect()
     assert not pybullet.isConnected(client)
 
 
-def test_closing_one_leaves_the_others_connected(simulator_of: Make) -> None:
-    first, second = simulator_of("fast"), simulator_of("fast")
+def test_closing_one_leaves_the_others_connected(engine_of: Make) -> None:
+    first, second = engine_of("fast"), engine_of("fast")
     driven(second)
     first.close()
-    assert driven(second) == driven(simulator_of("fast"))
+    assert driven(second) == driven(engine_of("fast"))
 
 
 if __name__ == "__main__":
     for name, settings in PHYSICS.items():
-        print(name, driven(BulletSimulator(load_vehicle("tricycle"), DriveOptions(), settings)))
+        print(name, driven(BulletEngine(load_vehicle("tricycle"), DriveOptions(), settings)))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, ray_distances
-from nnql_bullet.sim.bullet import BulletSimulator
+from nnql_bullet.sensing import sector_readings
+from nnql_bullet.sim.bullet import BulletEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -22,7 +23,7 @@ WALLS = (  # the arena is a hole of SIDE x SIDE
     OrientedBox(SIDE + 0.5, SIDE / 2, 0.5, 30.0),
 )
 
-Make = Callable[..., BulletSimulator]
+Make = Callable[..., BulletEngine]
 WorldOf = Callable[..., WorldSpec]
 
 
@@ -39,13 +40,13 @@ def origin_of(pose: Pose, vehicle: VehicleSpec) -> tuple[float, float]:
 
 
 def test_rays_read_the_analytic_distance_on_the_move(
-    simulator_of: Make, world_of: WorldOf, vehicle: VehicleSpec, physics: str
+    engine_of: Make, world_of: WorldOf, vehicle: VehicleSpec, physics: str
 ) -> None:
     boxes = (OrientedBox(20.0, 24.0, 6.0, 1.0, 0.1), OrientedBox(17.0, 12.0, 2.0, 1.0, 0.7))
-    simulator = simulator_of(physics)
-    simulator.reset(world_of(*boxes, start=Pose(5.0, 18.0, 0.0), side=SIDE))
+    engine = engine_of(physics)
+    engine.reset(world_of(*boxes, start=Pose(5.0, 18.0, 0.0), side=SIDE))
     for turn in (0.3, -0.6, 0.4, 0.0, -0.5, 0.5, 0.2, 0.0):
-        motion = simulator.advance(turn)
+        motion = engine.advance(turn)
         assert not motion.touching
         origin = origin_of(motion.pose, vehicle)
         expected = ray_distances(origin, ANGLES + motion.pose.yaw, as_rows(boxes + WALLS), RANGE)
@@ -54,43 +55,43 @@ def test_rays_read_the_analytic_distance_on_the_move(
         for nudge in (-1e-3, 1e-3):
             beside = ray_distances(origin, ANGLES + motion.pose.yaw + nudge, as_rows(boxes + WALLS), RANGE)
             grazing |= np.abs(beside - expected) > 0.2
-        assert simulator.scan().distances[~grazing] == pytest.approx(expected[~grazing], abs=TOLERANCE)
+        assert engine.scan()[~grazing] == pytest.approx(expected[~grazing], abs=TOLERANCE)
         assert grazing.sum() < 4
 
 
 def test_rays_do_not_see_the_ground_when_the_vehicle_rears_up(
-    simulator_of: Make, empty_world: WorldSpec, vehicle: VehicleSpec, physics: str
+    engine_of: Make, empty_world: WorldSpec, vehicle: VehicleSpec, physics: str
 ) -> None:
-    simulator = simulator_of(physics, replace(vehicle, wheel_torque=400.0))
-    simulator.place(empty_world, empty_world.start, 0.0)
-    simulator.command_wheels(1e3, 1e3)
+    engine = engine_of(physics, replace(vehicle, wheel_torque=400.0))
+    engine.place(empty_world, empty_world.start, 0.0)
+    engine.command_wheels(1e3, 1e3)
     for _ in range(2 * 240):
-        simulator.step()
-        if simulator.wheel_heights()[2] > 0.05 + 0.7 * sin(0.15):  # nose up by 0.15 rad: 10 m behind, 1.5 m lower
+        engine.step()
+        if engine.wheel_heights()[2] > 0.05 + 0.7 * sin(0.15):  # nose up by 0.15 rad: 10 m behind, 1.5 m lower
             break
     else:
         pytest.fail("the vehicle did not rear up")
-    assert np.all(simulator.scan().distances == RANGE)
+    assert np.all(engine.scan() == RANGE)
 
 
-def test_a_sector_reads_the_nearest_of_its_nine_rays(simulator_of: Make, world_of: WorldOf, physics: str) -> None:
-    simulator = simulator_of(physics)
+def test_a_sector_reads_the_nearest_of_its_nine_rays(engine_of: Make, world_of: WorldOf, physics: str) -> None:
+    engine = engine_of(physics)
     pose = Pose(20.0, 20.0, 0.5)
-    simulator.place(world_of(*random_boxes(np.random.default_rng(5)), side=SIDE), pose, 0.0)
-    scan = simulator.scan()
-    assert scan.readings.tolist() == [min(scan.distances[9 * sector : 9 * sector + 9]) for sector in range(8)]
+    engine.place(world_of(*random_boxes(np.random.default_rng(5)), side=SIDE), pose, 0.0)
+    rays = engine.scan()
+    assert sector_readings(rays).tolist() == [min(rays[9 * sector : 9 * sector + 9]) for sector in range(8)]
 
 
 def test_a_post_is_read_in_its_own_sector_only(
-    simulator_of: Make, world_of: WorldOf, vehicle: VehicleSpec, physics: str
+    engine_of: Make, world_of: WorldOf, vehicle: VehicleSpec, physics: str
 ) -> None:
     pose = Pose(20.0, 20.0, 0.3)
     x, y = origin_of(pose, vehicle)
-    simulator = simulator_of(physics)
+    engine = engine_of(physics)
     for sector in range(8):
         direction = pose.yaw + sector * pi / 4
         post = OrientedBox(x + 4.0 * cos(direction), y + 4.0 * sin(direction), 0.4, 0.4, direction)
-        simulator.place(world_of(post, side=SIDE), pose, 0.0)
+        engine.place(world_of(post, side=SIDE), pose, 0.0)
         expected = [RANGE] * 8
         expected[sector] = 3.6
-        assert simulator.scan().readings == pytest.approx(expected, abs=TOLERANCE)
+        assert sector_readings(engine.scan()) == pytest.approx(expected, abs=TOLERANCE)

@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Pose
-from nnql_bullet.sim.base import Motion, Sample
-from nnql_bullet.sim.bullet import PHYSICS, BulletSimulator
+from nnql_bullet.sim.base import Sample
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -23,7 +24,7 @@ SPEED, YAW_RATE, YAW_ACCELERATION = 2.0, 1.5708, 7.4  # [m/s], [rad/s], [rad/s2]
 TURNS = (0, 30, 60, -30, -60)  # degrees
 GAP = {"reference": 12e-3, "fast": 18e-3}  # RMS [m]
 
-Make = Callable[..., BulletSimulator]
+Make = Callable[..., BulletEngine]
 
 
 def profile(turn: float, time: float) -> float:
@@ -47,11 +48,11 @@ def unicycle(start: Pose, turn: float, times: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(solution.y.T)
 
 
-def turned(simulator: BulletSimulator, world: WorldSpec, turn: float) -> tuple[Motion, list[Sample], float]:
+def turned(engine: BulletEngine, world: WorldSpec, turn: float) -> tuple[VehicleMotion, list[Sample], float]:
     """One turn of 1 s from running straight, and its RMS distance from the ideal one."""
     trace: list[Sample] = []
-    simulator.reset(world)
-    motion = simulator.advance(turn, trace)
+    engine.reset(world)
+    motion = engine.advance(turn, trace)
     times = np.array([sample.time for sample in trace])
     reached = np.array([(sample.pose.x, sample.pose.y) for sample in trace])
     gaps = np.hypot(*(reached - unicycle(world.start, turn, times)[:, :2]).T)
@@ -61,10 +62,10 @@ def turned(simulator: BulletSimulator, world: WorldSpec, turn: float) -> tuple[M
 # The engine's friction cone has axes fixed in the world, so grip depends on the direction of travel: near yaw 0.26 a
 # turn to the right, and near 1.30 its mirror image to the left, departs from the unicycle by up to 11.1 mm (reference)
 # and 16.4 mm (fast, whose fewer iterations add to it). The heading, which the controller closes, keeps its tolerance.
-def test_heading_is_reached_from_any_yaw(simulator_of: Make, world_of: Callable[..., WorldSpec], physics: str) -> None:
-    simulator = simulator_of(physics, decision_period=1.0)
+def test_heading_is_reached_from_any_yaw(engine_of: Make, world_of: Callable[..., WorldSpec], physics: str) -> None:
+    engine = engine_of(physics, decision_period=1.0)
     for turn, yaw in product(TURNS, (0.26, pi / 4, 1.30, 2.0, pi, -1.0)):
-        motion, trace, gap = turned(simulator, world_of(start=Pose(100.0, 100.0, yaw)), radians(turn))
+        motion, trace, gap = turned(engine, world_of(start=Pose(100.0, 100.0, yaw)), radians(turn))
         change = (degrees(motion.pose.yaw - yaw) + 180.0) % 360.0 - 180.0
         assert change == pytest.approx(turn, abs=0.1)
         assert degrees(motion.heading_error) == pytest.approx(turn - change, abs=1e-9)
@@ -73,8 +74,8 @@ def test_heading_is_reached_from_any_yaw(simulator_of: Make, world_of: Callable[
         assert gap < GAP[physics]
 
 
-def test_caster_trails_again_soon_after_a_turn(simulator_of: Make, empty_world: WorldSpec, physics: str) -> None:
-    _, trace, _ = turned(simulator_of(physics, decision_period=1.0), empty_world, radians(60))
+def test_caster_trails_again_soon_after_a_turn(engine_of: Make, empty_world: WorldSpec, physics: str) -> None:
+    _, trace, _ = turned(engine_of(physics, decision_period=1.0), empty_world, radians(60))
     end = YAW_RATE / YAW_ACCELERATION + radians(60) / YAW_RATE
     swivel = {sample.time: abs(degrees(sample.joint_angles[2])) for sample in trace}
     assert max(swivel.values()) > 25.0
@@ -83,29 +84,29 @@ def test_caster_trails_again_soon_after_a_turn(simulator_of: Make, empty_world: 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_what_half_a_second_cannot_turn_is_left_over(
-    simulator_of: Make, empty_world: WorldSpec, physics: str, side: int
+    engine_of: Make, empty_world: WorldSpec, physics: str, side: int
 ) -> None:
-    simulator = simulator_of(physics, decision_period=0.5)
-    simulator.reset(empty_world)
-    motion = simulator.advance(side * radians(60))
+    engine = engine_of(physics, decision_period=0.5)
+    engine.reset(empty_world)
+    motion = engine.advance(side * radians(60))
     rise = YAW_RATE / YAW_ACCELERATION
     reached = YAW_RATE * rise / 2 + YAW_RATE * (0.5 - rise)  # ramp, then flat; 35.4 degrees
     assert degrees(motion.heading_error) == pytest.approx(side * (60.0 - degrees(reached)), abs=0.1)
     assert motion.yaw_rate == pytest.approx(side * YAW_RATE, rel=0.01)
 
 
-def test_a_turn_goes_on_over_several_decisions(simulator_of: Make, empty_world: WorldSpec, physics: str) -> None:
-    simulator = simulator_of(physics, decision_period=0.5)
-    simulator.reset(empty_world)
-    left_over = simulator.advance(radians(60)).heading_error
-    motion = simulator.advance(left_over)
+def test_a_turn_goes_on_over_several_decisions(engine_of: Make, empty_world: WorldSpec, physics: str) -> None:
+    engine = engine_of(physics, decision_period=0.5)
+    engine.reset(empty_world)
+    left_over = engine.advance(radians(60)).heading_error
+    motion = engine.advance(left_over)
     assert degrees(motion.pose.yaw) == pytest.approx(60.0, abs=0.1)
     assert abs(motion.yaw_rate) < 0.01
 
 
-def test_a_control_period_of_broken_steps_is_refused_with_both_values(simulator_of: Make, physics: str) -> None:
+def test_a_control_period_of_broken_steps_is_refused_with_both_values(engine_of: Make, physics: str) -> None:
     with pytest.raises(UserError, match=r"0\.504 s.*0\.00833333 s"):
-        simulator_of(physics, decision_period=0.504)
+        engine_of(physics, decision_period=0.504)
 
 
 @pytest.mark.parametrize("turn", [0.0, -60.0])
@@ -115,10 +116,10 @@ def test_driven_wheels_overcome_rolling_resistance(
     ends = []
     for resists_driven in (True, False):
         settings = replace(PHYSICS[physics], resists_driven=resists_driven)
-        simulator = BulletSimulator(vehicle, DriveOptions(decision_period=1.0), settings)
-        simulator.reset(empty_world)
-        ends.append(simulator.advance(radians(turn)).pose)
-        simulator.close()
+        engine = BulletEngine(vehicle, DriveOptions(decision_period=1.0), settings)
+        engine.reset(empty_world)
+        ends.append(engine.advance(radians(turn)).pose)
+        engine.close()
     with_it, without = ends
     assert hypot(with_it.x - without.x, with_it.y - without.y) < 0.5e-3
     assert degrees(with_it.yaw) == pytest.approx(degrees(without.yaw), abs=0.005)

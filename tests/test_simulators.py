@@ -1,4 +1,4 @@
-"""Fleets: every vehicle does, bit for bit, what it does alone, whatever the others do and wherever it is computed."""
+"""The contract of a simulator: one vehicle, and several of which each does, bit for bit, what it does alone."""
 
 import logging
 import threading
@@ -8,20 +8,25 @@ from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.util import find_spec
-from math import cos, hypot, pi, sin
+from itertools import pairwise
+from math import cos, hypot, pi, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+from helpers import Alone, row
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
-from nnql_bullet.sim.local import local_fleet
+from shapely.geometry import Polygon
+from shapely.ops import unary_union
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
-from nnql_bullet.sim.base import Fleet, Motions, Simulator
+from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.kinematic import KinematicFleet, KinematicSimulator, _announced
-from nnql_bullet.sim.workers import WorkerFleet
+from nnql_bullet.sim.kinematic import KinematicSimulator, _announced
+from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -29,30 +34,165 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
-DRIVE = DriveOptions()
+DRIVE, PERIOD = DriveOptions(), DriveOptions().decision_period
 SIZE = 6
+MAKERS: dict[str, Callable[[VehicleSpec, DriveOptions, int], Simulator]] = {
+    "kinematic": KinematicSimulator,
+    "bullet, reference": partial(contact_simulator, "bullet", "reference"),
+    "bullet, fast": partial(contact_simulator, "bullet", "fast"),
+    "mujoco, reference": partial(contact_simulator, "mujoco", "reference"),
+    "mujoco, fast": partial(contact_simulator, "mujoco", "fast"),
+    "workers": lambda vehicle, drive, size: WorkerSimulator(
+        partial(contact_simulator, "bullet", "fast", vehicle, drive), size, min(size, 2)
+    ),
+}
+"""Every simulator; a new one is added here and has to pass the contract below."""
 NEEDS_MUJOCO = pytest.mark.skipif(
     find_spec("mujoco") is None, reason="needs the extra: pip install 'nnql-bullet[mujoco]'"
 )
-KINDS = ("kinematic", "local bullet", pytest.param("local mujoco", marks=NEEDS_MUJOCO), "local kinematic", "workers")
+NAMES = [pytest.param(name, marks=NEEDS_MUJOCO) if "mujoco" in name else name for name in MAKERS if name != "workers"]
+KINDS = ("kinematic", "bullet, fast", pytest.param("mujoco, fast", marks=NEEDS_MUJOCO), "workers")
 LIMIT = 60.0
 """Seconds after which a wait is given up."""
 
-
-def maker(kind: str, vehicle: VehicleSpec) -> Callable[[], Simulator]:
-    """What makes a single simulator of the fleet's kind."""
-    if "kinematic" in kind:
-        return partial(KinematicSimulator, vehicle, DRIVE)
-    return partial(contact_simulator, "mujoco" if "mujoco" in kind else "bullet", "fast", vehicle, DRIVE)
+WorldOf = Callable[..., WorldSpec]
 
 
-def make_fleet(kind: str, vehicle: VehicleSpec, size: int) -> Fleet:
-    make = maker(kind, vehicle)
-    if kind == "kinematic":
-        return KinematicFleet(vehicle, DRIVE, size)
-    if kind == "workers":
-        return WorkerFleet(partial(local_fleet, make), size, min(size, 2))
-    return local_fleet(make, size)
+BOXES = (
+    OrientedBox(112.0, 103.0, 1.5, 0.5, 0.4),
+    OrientedBox(105.0, 96.0, 2.0, 1.0, -0.3),
+    OrientedBox(98.0, 106.0, 1.0, 1.0, 0.0),
+)
+TURNS = (0.4, -0.8, 0.3, 0.0, 1.0, -0.2)
+
+
+@pytest.fixture(params=NAMES)
+def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Alone]:
+    with Alone(MAKERS[request.param](vehicle, DRIVE, 1)) as made:
+        yield made
+
+
+def footprint_at(pose: Pose) -> Polygon:
+    c, s = cos(pose.yaw), sin(pose.yaw)
+    corners = [(0.90, 0.325), (-0.20, 0.325), (-0.20, -0.325), (0.90, -0.325)]
+    return Polygon([(pose.x + c * x - s * y, pose.y + s * x + c * y) for x, y in corners])
+
+
+class TestOneVehicle:
+    def test_reset_puts_the_vehicle_on_the_start(self, simulator: Alone, world_of: WorldOf) -> None:
+        start = Pose(50.0, 60.0, -2.5)
+        simulator.reset(world_of(start=start))
+        pose = simulator.pose
+        assert (pose.x, pose.y, pose.yaw) == pytest.approx((start.x, start.y, start.yaw), abs=1e-9)
+
+    def test_it_starts_at_speed(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        simulator.reset(empty_world)
+        motion = simulator.advance(0.0)
+        assert motion.path_length == pytest.approx(2.0 * PERIOD, rel=1e-3)
+        assert simulator.end.wheel_speeds == pytest.approx((16.0, 16.0), rel=1e-3)
+        assert motion.duration == pytest.approx(PERIOD)
+
+    def test_a_positive_turn_goes_left(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        simulator.reset(empty_world)
+        left = simulator.advance(radians(30))
+        simulator.reset(empty_world)
+        right = simulator.advance(radians(-30))
+        assert left.pose.y > 100.0 > right.pose.y
+        assert left.pose.yaw > 0.0 > right.pose.yaw
+        assert (right.pose.x, 200.0 - right.pose.y) == pytest.approx((left.pose.x, left.pose.y), abs=2e-3)
+
+    def test_motion_tells_where_the_vehicle_is(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        simulator.reset(empty_world)
+        for turn in TURNS:
+            before = simulator.pose
+            motion = simulator.advance(turn)
+            assert motion.pose == simulator.pose
+            assert -pi < motion.pose.yaw <= pi
+            straight = hypot(motion.pose.x - before.x, motion.pose.y - before.y)
+            assert straight <= motion.path_length <= 1.05 * 2.0 * motion.duration
+            left_over = (before.yaw + turn - motion.pose.yaw + pi) % (2 * pi) - pi
+            assert motion.heading_error == pytest.approx(left_over, abs=1e-9)
+
+    def test_it_follows_the_same_calls_with_the_same_bits(self, simulator: Alone, world_of: WorldOf) -> None:
+        def drive(world: WorldSpec) -> list[Any]:
+            simulator.reset(world)
+            return [(simulator.advance(turn), simulator.rays.tolist()) for turn in TURNS]
+
+        first = drive(world_of(*BOXES))
+        other = drive(world_of(start=Pose(30.0, 30.0, 1.0)))
+        assert drive(world_of(*BOXES)) == first != other
+
+    def test_a_trace_changes_nothing_and_runs_through_the_period(
+        self, simulator: Alone, empty_world: WorldSpec
+    ) -> None:
+        simulator.reset(empty_world)
+        plain = [simulator.advance(turn) for turn in TURNS]
+        trace: list[Sample] = []
+        simulator.reset(empty_world)
+        assert [simulator.advance(turn, trace) for turn in TURNS] == plain
+        times = [sample.time for sample in trace]
+        assert all(earlier < later for earlier, later in pairwise(times))
+        assert 0.0 < times[0] <= 0.05
+        assert times[-1] == pytest.approx(len(TURNS) * PERIOD)
+        assert trace[-1].pose == plain[-1].pose
+        assert len(trace) >= 20 * len(TURNS) * PERIOD
+
+    def test_rays_meet_boxes_and_see_no_farther_than_10_m(self, simulator: Alone, world_of: WorldOf) -> None:
+        simulator.reset(world_of(*BOXES))
+        before = simulator.rays
+        assert (before.shape, before.dtype) == ((72,), np.float64)
+        assert 0.0 <= before.min() < 10.0 == before.max()
+        kept = before.copy()
+        simulator.advance(0.5)
+        assert not np.array_equal(simulator.rays, before)
+        assert np.array_equal(before, kept)
+
+    def test_clearance_is_the_smallest_along_the_way(self, simulator: Alone, world_of: WorldOf) -> None:
+        posts = [OrientedBox(102.0 + 3 * i, 100.0 + (1.4 if i % 2 else -1.2), 0.3, 0.4, 0.5 * i) for i in range(4)]
+        solids = unary_union([Polygon(post.corners()) for post in posts])
+        simulator.reset(world_of(*posts))
+        for turn in (0.1, -0.1, 0.2, -0.25, 0.1, 0.0, 0.3, -0.2):
+            trace: list[Sample] = []
+            before = simulator.pose
+            motion = simulator.advance(turn, trace)
+            assert not motion.touching
+            poses = [before, *(sample.pose for sample in trace)]
+            expected = min(footprint_at(pose).distance(solids) for pose in poses)
+            assert motion.clearance == pytest.approx(expected, abs=0.02)  # samples are 67 mm apart
+
+    def test_contact_and_target_end_the_period(self, simulator: Alone, world_of: WorldOf) -> None:
+        simulator.reset(world_of(OrientedBox(101.9, 100.0, 0.5, 1.0)))
+        motion = simulator.advance(0.0)
+        assert (motion.touching, motion.at_target, motion.clearance) == (True, False, 0.0)
+        assert motion.duration == pytest.approx(0.25, abs=0.02)
+        simulator.reset(world_of(target=(101.0, 100.0), target_radius=0.5))
+        motion = simulator.advance(0.0)
+        assert (motion.touching, motion.at_target) == (False, True)
+        assert motion.duration == pytest.approx(0.25, abs=0.02)
+        assert motion.clearance > 0.0
+
+    @pytest.mark.parametrize("wall", ["left", "right", "top", "bottom"])
+    def test_the_arena_is_walled_in(self, simulator: Alone, world_of: WorldOf, wall: str) -> None:
+        yaw = {"left": pi, "right": 0.0, "top": pi / 2, "bottom": -pi / 2}[wall]
+        simulator.reset(world_of(side=8.0, start=Pose(4.0, 4.0, yaw), target=(7.9, 7.9), target_radius=0.1))
+        motions = [simulator.advance(0.0) for _ in range(4)]
+        assert [motion.touching for motion in motions] == [False, False, False, True]
+        assert sum(motion.duration for motion in motions) == pytest.approx((4.0 - 0.9) / 2.0, abs=0.03)
+
+    def test_a_period_may_be_followed_by_a_reset_after_a_contact(
+        self, simulator: Alone, world_of: WorldOf, empty_world: WorldSpec
+    ) -> None:
+        simulator.reset(empty_world)
+        fresh = simulator.advance(0.3)
+        simulator.reset(world_of(OrientedBox(101.9, 100.0, 0.5, 1.0)))
+        assert simulator.advance(0.0).touching
+        simulator.reset(empty_world)
+        assert simulator.advance(0.3) == fresh
+
+    @pytest.mark.parametrize("name", NAMES)
+    def test_a_period_of_broken_steps_is_refused(self, vehicle: VehicleSpec, name: str) -> None:
+        with pytest.raises(UserError, match=r"0\.123 s is not a whole number"):
+            MAKERS[name](vehicle, DriveOptions(decision_period=0.123), 1)
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -61,16 +201,16 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def fleet(kind: str, vehicle: VehicleSpec) -> Iterator[Fleet]:
+def fleet(kind: str, vehicle: VehicleSpec) -> Iterator[Simulator]:
     """Six vehicles; every test resets those it looks at."""
-    with closing(make_fleet(kind, vehicle, SIZE)) as made:
+    with closing(MAKERS[kind](vehicle, DRIVE, SIZE)) as made:
         yield made
 
 
 @pytest.fixture(scope="module")
-def alone(kind: str, vehicle: VehicleSpec) -> Iterator[Simulator]:
-    """What a vehicle of the fleet is compared with: a single simulator."""
-    with closing(maker(kind, vehicle)()) as simulator:
+def alone(kind: str, vehicle: VehicleSpec) -> Iterator[Alone]:
+    """What one of six vehicles is compared with: a vehicle in a simulator of its own, in this process."""
+    with Alone(MAKERS["bullet, fast" if kind == "workers" else kind](vehicle, DRIVE, 1)) as simulator:
         yield simulator
 
 
@@ -94,19 +234,15 @@ def worlds(world_of: Callable[..., WorldSpec]) -> list[WorldSpec]:
     ]
 
 
-def row(motions: Motions, vehicle: int) -> dict[str, object]:
-    return {field.name: getattr(motions, field.name)[vehicle].tolist() for field in fields(Motions)}
-
-
 @dataclass
 class Diary:
     """What happened to one vehicle: its calls, and what came back."""
 
     calls: list[WorldSpec | float]
-    answers: list[dict[str, object]]
+    answers: list[tuple[Any, list[float]]]
 
 
-def driven(fleet: Fleet, calls: list[dict[int, WorldSpec] | tuple[Array, Array]]) -> list[Diary]:
+def driven(fleet: Simulator, calls: list[dict[int, WorldSpec] | tuple[Array, Array]]) -> list[Diary]:
     """Plays resets and (turns, active) to a fleet."""
     diaries = [Diary([], []) for _ in range(fleet.size)]
     for call in calls:
@@ -114,29 +250,25 @@ def driven(fleet: Fleet, calls: list[dict[int, WorldSpec] | tuple[Array, Array]]
             poses, rays = fleet.reset(call)
             for k, (vehicle, world) in enumerate(call.items()):
                 diaries[vehicle].calls.append(world)
-                diaries[vehicle].answers.append({"pose": poses[k].tolist(), "rays": rays[k].tolist()})
+                diaries[vehicle].answers.append((Pose(*poses[k].tolist()), rays[k].tolist()))
         else:
             turns, active = call
             motions, rays = fleet.advance(turns, active)
             for vehicle in np.flatnonzero(active).tolist():
                 diaries[vehicle].calls.append(float(turns[vehicle]))
-                diaries[vehicle].answers.append({**row(motions, vehicle), "rays": rays[vehicle].tolist()})
+                diaries[vehicle].answers.append((row(motions, vehicle), rays[vehicle].tolist()))
     return diaries
 
 
-def answers_alone(simulator: Simulator, calls: list[WorldSpec | float]) -> list[dict[str, object]]:
-    """What a single simulator answers to the calls that one vehicle of a fleet got."""
-    answers: list[dict[str, object]] = []
+def answers_alone(simulator: Alone, calls: list[WorldSpec | float]) -> list[tuple[Any, list[float]]]:
+    """What a vehicle alone answers to the calls that one of several got."""
+    answers: list[tuple[Any, list[float]]] = []
     for call in calls:
         if isinstance(call, WorldSpec):
             simulator.reset(call)
-            pose, names = simulator.pose(), {}
+            answers.append((simulator.pose, simulator.rays.tolist()))
         else:
-            motion = simulator.advance(call)
-            pose = motion.pose
-            names = {f.name: getattr(motion, f.name) for f in fields(Motions) if f.name != "pose"}
-        rays = simulator.scan().distances.tolist()
-        answers.append({"pose": [pose.x, pose.y, pose.yaw], **names, "rays": rays})
+            answers.append((simulator.advance(call), simulator.rays.tolist()))
     return answers
 
 
@@ -152,28 +284,28 @@ def restless(worlds: list[WorldSpec], size: int, seed: int) -> list[dict[int, Wo
     return calls
 
 
-class TestEveryFleet:
+class TestSeveralVehicles:
     def test_each_vehicle_does_what_a_simulator_does_alone(
-        self, fleet: Fleet, alone: Simulator, worlds: list[WorldSpec]
+        self, fleet: Simulator, alone: Alone, worlds: list[WorldSpec]
     ) -> None:
         diaries = driven(fleet, restless(worlds, SIZE, seed=1))
         for diary in diaries:
             assert diary.answers == answers_alone(alone, diary.calls)
         for event in ("touching", "at_target"):
-            assert any(answer.get(event) for diary in diaries for answer in diary.answers), event
+            assert any(getattr(what, event, False) for diary in diaries for what, _ in diary.answers), event
 
     @pytest.mark.parametrize("kind", KINDS[:-1], indirect=True)  # the rest is in test_workers.py
     @pytest.mark.parametrize("size", [1, 3])
-    def test_the_size_of_the_fleet_makes_no_difference(
-        self, kind: str, vehicle: VehicleSpec, alone: Simulator, worlds: list[WorldSpec], size: int
+    def test_the_number_of_vehicles_makes_no_difference(
+        self, kind: str, vehicle: VehicleSpec, alone: Alone, worlds: list[WorldSpec], size: int
     ) -> None:
-        with closing(make_fleet(kind, vehicle, size)) as fleet:
+        with closing(MAKERS[kind](vehicle, DRIVE, size)) as fleet:
             assert fleet.size == size
             for diary in driven(fleet, restless(worlds, size, seed=size)):
                 assert diary.answers == answers_alone(alone, diary.calls)
 
     def test_who_stands_by_is_where_it_was_and_its_neighbours_do_not_notice(
-        self, fleet: Fleet, worlds: list[WorldSpec]
+        self, fleet: Simulator, worlds: list[WorldSpec]
     ) -> None:
         turns, everybody = np.linspace(-0.9, 0.9, SIZE), np.ones(SIZE, np.bool_)
         begin = {i: worlds[1 + i % 2] for i in range(SIZE)}
@@ -189,7 +321,7 @@ class TestEveryFleet:
         assert [len(diary.answers) for diary in straight] == [4, 3, 4, 4, 3, 4]
 
     def test_rows_of_a_reset_come_in_the_order_asked_for(
-        self, fleet: Fleet, alone: Simulator, worlds: list[WorldSpec]
+        self, fleet: Simulator, alone: Alone, worlds: list[WorldSpec]
     ) -> None:
         turns, everybody = np.full(SIZE, 0.4), np.ones(SIZE, np.bool_)
         some = {4: worlds[0], 1: worlds[5], 5: worlds[3], 0: worlds[2]}
@@ -199,12 +331,26 @@ class TestEveryFleet:
         assert poses.shape == (4, 3)
         assert rays.shape == (4, 72)
         expected = [answers_alone(alone, [world])[0] for world in some.values()]
-        assert poses.tolist() == [answer["pose"] for answer in expected]
-        assert rays.tolist() == [answer["rays"] for answer in expected]
+        assert [Pose(*pose) for pose in poses.tolist()] == [pose for pose, _ in expected]
+        assert rays.tolist() == [seen for _, seen in expected]
         for diary in diaries:
             assert diary.answers == answers_alone(alone, diary.calls)
 
-    def test_nobody_has_to_be_reset_or_to_drive(self, fleet: Fleet, worlds: list[WorldSpec]) -> None:
+    def test_traces_are_those_of_the_vehicle_alone(
+        self, fleet: Simulator, alone: Alone, worlds: list[WorldSpec]
+    ) -> None:
+        traces: dict[int, list[Sample]] = {4: [], 1: []}
+        fleet.reset(dict(enumerate(worlds[:SIZE])))
+        for turn in TURNS[:3]:
+            fleet.advance(np.full(SIZE, turn), None, None, traces)
+        for i, trace in traces.items():
+            expected: list[Sample] = []
+            alone.reset(worlds[i])
+            for turn in TURNS[:3]:
+                alone.advance(turn, expected)
+            assert trace == expected
+
+    def test_nobody_has_to_be_reset_or_to_drive(self, fleet: Simulator, worlds: list[WorldSpec]) -> None:
         fleet.reset({i: worlds[1] for i in range(SIZE)})
         poses, rays = fleet.reset({})
         assert poses.shape == (0, 3)
@@ -213,16 +359,16 @@ class TestEveryFleet:
         assert motions.pose.shape == (SIZE, 3)
         assert rays.shape == (SIZE, 72)
 
-    def test_shapes_and_kinds_of_what_is_returned(self, fleet: Fleet, worlds: list[WorldSpec]) -> None:
+    def test_shapes_and_kinds_of_what_is_returned(self, fleet: Simulator, worlds: list[WorldSpec]) -> None:
         fleet.reset({i: worlds[2] for i in range(SIZE)})
         motions, _ = fleet.advance(np.zeros(SIZE), np.ones(SIZE, np.bool_))
-        for field in fields(Motions):
+        for field in fields(Motion):
             values = getattr(motions, field.name)
             assert values.shape == ((SIZE, 3) if field.name == "pose" else (SIZE,)), field.name
             assert values.dtype == (np.bool_ if field.name in ("touching", "at_target") else np.float64), field.name
 
 
-class TestKinematicFleet:
+class TestManyKinematicVehicles:
     def test_the_number_of_threads_makes_no_difference(self, vehicle: VehicleSpec) -> None:
         size = 100
         sources = [load_world(name) for name in ("paper", "cover_20")]
@@ -230,7 +376,7 @@ class TestKinematicFleet:
         calls = restless(worlds, size, seed=3)
         found = []
         for threads in (1, 2, 3):
-            with closing(KinematicFleet(vehicle, DRIVE, size, threads)) as fleet:
+            with closing(KinematicSimulator(vehicle, DRIVE, size, threads)) as fleet:
                 found.append(driven(fleet, calls))
         assert found[0] == found[1] == found[2]
 
@@ -244,14 +390,17 @@ class TestKinematicFleet:
         few = replace(full, patrols=busy.patrols[:2])
         calls = [{0: sparse, 1: world_of()}, drive, {1: few}, drive, {0: full, 1: sparse}, drive, drive]
         calls += [{0: busy}, drive, {1: few}, drive, {0: sparse}, drive, drive, {0: few, 1: busy}, drive]
-        with closing(KinematicFleet(vehicle, DRIVE, 2)) as fleet, closing(KinematicSimulator(vehicle, DRIVE)) as alone:
+        with (
+            closing(KinematicSimulator(vehicle, DRIVE, 2)) as fleet,
+            Alone(KinematicSimulator(vehicle, DRIVE, 1)) as alone,
+        ):
             for diary in driven(fleet, calls):
                 assert diary.answers == answers_alone(alone, diary.calls)
 
     def test_its_path_leads_from_the_start_of_the_period_to_where_the_vehicle_is(
         self, vehicle: VehicleSpec, worlds: list[WorldSpec]
     ) -> None:
-        with closing(KinematicFleet(vehicle, DRIVE, 2)) as fleet:
+        with closing(KinematicSimulator(vehicle, DRIVE, 2)) as fleet:
             begin, _ = fleet.reset({0: worlds[3], 1: worlds[1]})
             for _ in range(3):
                 motions, _ = fleet.advance(np.array([0.0, 0.5]), np.ones(2, np.bool_))
@@ -382,20 +531,20 @@ def check(scene: Scene) -> list[str]:
         for patrol in scene.patrols
     )
     world = WorldSpec("scene", 0, 200.0, 200.0, boxes, Pose(MIDDLE, MIDDLE, 0.0), target, scene.radius, 1.5, patrols)
-    with closing(KinematicFleet(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
+    with closing(KinematicSimulator(VEHICLE, DriveOptions(speed=scene.speed), 1, threads=1)) as fleet:
         fleet.reset({0: world})
         for change, expected in zip(scene.turns, follows(scene, world), strict=False):
             path, last, touching, at_target, smallest, error = expected
             motions, _ = fleet.advance(np.array([change]), np.ones(1, np.bool_))
             found = row(motions, 0)
-            assert (found["touching"], found["at_target"]) == (touching, at_target)
-            assert found["duration"] == pytest.approx(last / COMMAND_RATE)
-            assert found["path_length"] == pytest.approx(last * scene.speed / COMMAND_RATE)
-            assert found["clearance"] == pytest.approx(smallest, abs=1e-9)
+            assert (found.touching, found.at_target) == (touching, at_target)
+            assert found.duration == pytest.approx(last / COMMAND_RATE)
+            assert found.path_length == pytest.approx(last * scene.speed / COMMAND_RATE)
+            assert found.clearance == pytest.approx(smallest, abs=1e-9)
             assert fleet.path(0)[:, :2] == pytest.approx(path[:, :2], abs=1e-9)
-            assert hypot(*np.subtract(found["pose"][:2], path[-1, :2])) < 1e-9  # type: ignore[index]
-            assert cos(found["pose"][2] - path[-1, 2]) == pytest.approx(1.0)  # type: ignore[index]
-            assert found["heading_error"] == pytest.approx(error, abs=1e-9)
+            assert hypot(found.pose.x - path[-1, 0], found.pose.y - path[-1, 1]) < 1e-9
+            assert cos(found.pose.yaw - path[-1, 2]) == pytest.approx(1.0)
+            assert found.heading_error == pytest.approx(error, abs=1e-9)
     return ["contact"] * touching + ["target"] * at_target
 
 

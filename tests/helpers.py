@@ -1,0 +1,76 @@
+"""What several tests use: one vehicle of a simulator, seen alone, and observations made by hand."""
+
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from nnql_bullet.env import Navigation, Observation, Transition
+from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.sim.base import Motion, Sample, Simulator
+from nnql_bullet.sim.contact import VehicleMotion
+from nnql_bullet.task import ENDINGS, NO_ENDING
+from nnql_bullet.worlds.spec import WorldSpec
+
+
+class Alone(AbstractContextManager["Alone"]):
+    """A simulator of one vehicle, with plain numbers in and out."""
+
+    pose: Pose
+    """Where the vehicle is."""
+    rays: Array
+    """What it saw last (72,) [m]."""
+    end: Sample
+    """The end of the last control period."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        assert simulator.size == 1
+        self.simulator = simulator
+
+    def __exit__(self, *error: object) -> None:
+        self.simulator.close()
+
+    def reset(self, world: WorldSpec) -> None:
+        (pose,), (self.rays,) = self.simulator.reset({0: world})
+        self.pose = Pose(*pose.tolist())
+
+    def advance(self, turn: float, trace: list[Sample] | None = None, speed_scale: float = 1.0) -> VehicleMotion:
+        own: list[Sample] = []
+        scale = np.array([speed_scale])
+        motion, (self.rays,) = self.simulator.advance(np.array([turn]), speed_scales=scale, traces={0: own})
+        if trace is not None:
+            trace += own
+        self.end = own[-1]
+        done = row(motion, 0)
+        self.pose = done.pose
+        return done
+
+
+def row(motion: Motion, vehicle: int) -> VehicleMotion:
+    """The motion of one of several vehicles."""
+    names = ("yaw_rate", "duration", "path_length", "clearance", "heading_error", "touching", "at_target")
+    pose = Pose(*motion.pose[vehicle].tolist())
+    return VehicleMotion(pose, *(getattr(motion, name)[vehicle].item() for name in names))
+
+
+def begun(navigation: Navigation, world: WorldSpec) -> Observation:
+    """The first observation of an episode of one vehicle."""
+    navigation.reset({0: world})
+    return navigation.observation
+
+
+def step(navigation: Navigation, action: int) -> Transition:
+    """A step of one vehicle."""
+    return navigation.step(np.array([action]))
+
+
+def ending(transition: Transition) -> str | None:
+    """How the episode of one vehicle ended, or None."""
+    (end,) = transition.ending.tolist()
+    return None if end == NO_ENDING else ENDINGS[end]
+
+
+def observed(*vehicles: Iterable[Any]) -> Observation:
+    """An observation of n vehicles, each given as the values of the record's fields in their order."""
+    return Observation(*(np.array(column) for column in zip(*vehicles, strict=True)))

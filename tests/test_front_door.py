@@ -1,0 +1,222 @@
+"""The library as `import nnql_bullet` gives it: quick to import, silent, and open to objects of the caller."""
+
+import ast
+import doctest
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nnql_bullet as nb
+from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.run_config import RunConfig
+
+EXAMPLES = [name for name in nb.__all__ if "Example:" in (getattr(nb, name).__doc__ or "")]
+WITHOUT_EXAMPLE = {"Conditions", "Progress", "Recording", "UserError", "Vehicle", "WorkFailed", "envelope", "load_run"}
+SLOW = {"check_fidelity"}
+
+
+def fresh(code: str) -> str:
+    """What a new Python prints."""
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+
+
+class TestImport:
+    def test_brings_nothing_heavy_along(self) -> None:
+        heavy = "{'numpy', 'torch', 'gymnasium', 'numba', 'pydantic', 'matplotlib'}"
+        assert fresh(f"import nnql_bullet, sys; print({heavy} & sys.modules.keys())") == "set()"
+
+    @pytest.mark.parametrize("order", ["nnql_bullet, gymnasium", "gymnasium, nnql_bullet"])
+    def test_makes_the_environment_known_in_either_order(self, order: str) -> None:
+        assert fresh(f"import {order}; print('nnql_bullet/Tricycle-v0' in gymnasium.registry)") == "True"
+
+    def test_every_name_is_there_typed_and_listed(self) -> None:
+        (checked,) = [node for node in ast.parse(Path(nb.__file__).read_text()).body if isinstance(node, ast.If)]
+        typed = {
+            alias.asname or alias.name: f"{line.module}.{alias.name}"
+            for line in checked.body
+            if isinstance(line, ast.ImportFrom)
+            for alias in line.names
+        }
+        assert sorted(typed) == sorted(nb.__all__)
+        for name, full in typed.items():
+            module, _, inside = full.rpartition(".")
+            assert getattr(nb, name) is getattr(import_module(module), inside)
+        assert set(nb.__all__) < set(dir(nb))
+        with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+            nb.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in SLOW else []) for n in EXAMPLES])
+def test_the_example_of_a_docstring_runs(name: str, here: Path) -> None:
+    (example, *_) = doctest.DocTestFinder(recurse=False).find(getattr(nb, name), name, globs={})
+    assert example.examples
+    result = doctest.DocTestRunner().run(example)
+    assert result.failed == 0
+
+
+def test_every_function_has_an_example() -> None:
+    assert set(nb.__all__) - set(EXAMPLES) == WITHOUT_EXAMPLE
+
+
+class Constant:
+    """Always does the same."""
+
+    def __init__(self, action: int) -> None:
+        self.action = action
+        self.resets: list[tuple[int, int]] = []
+
+    def reset(self, vehicle: int, world_seed: int) -> None:
+        self.resets.append((vehicle, world_seed))
+
+    def act(self, observations: Any) -> Any:
+        return np.full(len(observations.readings), self.action)
+
+
+class TestOwnPolicy:
+    def test_drives_as_the_rule_that_does_the_same(self, here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+        own = Constant(5)
+        mine = nb.drive(own, world="cover_10", seed=3, simulator="kinematic")
+        rule = nb.drive("straight", world="cover_10", seed=3, simulator="kinematic")
+        assert mine.summary == rule.summary
+        assert (mine.about["policy"], own.resets) == ("Constant", [(0, 3)])
+        assert not list(here.iterdir()), "a drive writes nothing by itself"
+        assert capfd.readouterr().out == ""
+
+    def test_is_evaluated_beside_others(self, here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+        arguments: dict[str, Any] = {"worlds": ["cover_10"], "n_worlds": 3, "simulator": "kinematic"}
+        seen: list[nb.Progress] = []
+        results = nb.evaluate([Constant(5), Constant(0), "straight"], **arguments, on_progress=seen.append)
+        by_method = {row["method"]: row for row in results.rows}
+        assert list(by_method) == ["Constant", "Constant 2", "straight"]
+        assert by_method["Constant"]["goal"] == by_method["straight"]["goal"]
+        assert seen[0].done == 0 and seen[-1].done == seen[-1].total == 9
+        assert not list(here.iterdir()) and capfd.readouterr().out == ""
+
+    def test_is_driven_anew_where_results_are_kept(self, here: Path) -> None:
+        arguments: dict[str, Any] = {"worlds": ["cover_10"], "n_worlds": 2, "simulator": "kinematic", "out": "out"}
+        own = Constant(5)
+        nb.evaluate(own, **arguments)
+        before = len(own.resets)
+        nb.evaluate(own, **arguments)
+        assert len(own.resets) > before
+
+    def test_cannot_leave_this_process(self) -> None:
+        with pytest.raises(nb.UserError, match="'Constant' is an object of this process"):
+            nb.evaluate(Constant(5), worlds=["cover_10"], n_worlds=1, simulator="kinematic", executor="processes")
+
+    def test_has_to_act(self) -> None:
+        with pytest.raises(nb.UserError, match=r"no policy: it has no method act\(observations\)"):
+            nb.drive(object(), simulator="kinematic")  # type: ignore[arg-type]
+
+
+class TestOwnWorld:
+    WALL = ((50.0, 50.0, 30.0, 4.0, 135.0),)
+
+    def test_is_driven_in_trained_in_and_resumed(self, here: Path) -> None:
+        world = nb.World.from_boxes(self.WALL, name="wall")
+        assert nb.drive("straight", world=world, simulator="kinematic").summary.ending == "collision"
+        few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 2, "out": "run"}
+        nb.train("paper", world=world, episodes=2, **few)
+        run = nb.resume("run", 4)
+        assert run.config.world == world
+        assert nb.drive(run.policy, simulator="kinematic", physics="fast").world.name == "wall"
+
+    def test_is_the_same_as_from_toml(self, here: Path) -> None:
+        text = '[layout]\nkind = "boxes"\nboxes = [{ x = 50, y = 50, length = 30, width = 4, yaw_degrees = 135 }]\n'
+        Path("wall.toml").write_text(text)
+        world = nb.World.from_boxes(self.WALL, name="wall")
+        assert nb.World.from_toml("wall.toml") == world == nb.World.load(world)
+        world.plot("wall.png")
+        assert Path("wall.png").read_bytes()[:4] == b"\x89PNG"
+
+    def test_default_room_is_that_of_the_shipped_vehicle(self) -> None:
+        world = nb.World.load("traps")
+        assert world.draw(5).digest == Experiment(RunConfig(world="traps")).world(5).digest
+        assert all(world.draw(seed) == world.draw(seed, Experiment(RunConfig()).room) for seed in range(20))
+
+    def test_mistakes_are_named(self) -> None:
+        with pytest.raises(nb.UserError, match=r"'layout\.boxes\.0\.width'"):
+            nb.World.from_boxes([(1.0, 1.0, 2.0, -1.0)])
+
+
+class TestOwnReward:
+    def test_is_what_the_environments_give(self) -> None:
+        def twice(transition: Any) -> Any:
+            return 2.0 + np.arange(len(transition.r_t))
+
+        env = nb.make_env(simulator="kinematic", reward=twice)
+        env.reset(seed=0)
+        assert env.step(np.int64(0))[1] == 2.0
+        env.close()
+        several = nb.make_env(simulator="kinematic", n_envs=3, reward=twice)
+        several.reset(seed=0)
+        assert several.step(np.zeros(3, np.int64))[1].tolist() == [2.0, 3.0, 4.0]
+        several.close()
+
+    def test_changes_what_is_learned_but_not_what_is_logged(self, here: Path) -> None:
+        few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 4, "episodes": 8}
+        plain = nb.train("paper", out="plain", **few)
+        same = nb.train("paper", out="same", reward=lambda t: t.terms.sum(axis=1), **few)
+        other = nb.train("paper", out="other", reward=lambda t: -t.terms.sum(axis=1), **few)
+        weights = [run.policy.experiment.trainable.state_dict() for run in (plain, same, other)]
+        assert all(np.array_equal(weights[0][key], weights[1][key]) for key in weights[0])
+        assert not all(np.array_equal(weights[0][key], weights[2][key]) for key in weights[0])
+        first = plain.episodes[0].summary, other.episodes[0].summary
+        assert all(summary.episode_return == sum(summary.terms.values()) for summary in first)
+
+
+def test_an_agent_of_ones_own_learns(here: Path) -> None:
+    few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 4, "episodes": 8, "seed": 3}
+    own = Nnql(NnqlOptions(), 3)
+    nb.train("paper", agent=own, out="own", **few)
+    run = nb.train("paper", out="shipped", **few)
+    shipped = run.policy.experiment.trainable.state_dict()
+    assert all(np.array_equal(values, shipped[name]) for name, values in own.state_dict().items())
+
+
+class TestVehicle:
+    def test_stands_where_its_file_may(self) -> None:
+        vehicle = nb.Vehicle.load("tricycle")
+        by_name = nb.drive("straight", vehicle="tricycle", simulator="kinematic", world="empty")
+        assert nb.drive("straight", vehicle=vehicle, simulator="kinematic", world="empty").summary == by_name.summary
+
+    def test_changed_in_code_is_refused(self) -> None:
+        slippery = nb.Vehicle.load("tricycle").gripping(0.1)
+        with pytest.raises(nb.UserError, match="differs from its file"):
+            nb.drive("straight", vehicle=slippery, simulator="kinematic")
+
+
+def test_a_policy_that_learned_on_is_loaded_again(here: Path) -> None:
+    few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 4, "out": "run"}
+    before = nb.train("paper", episodes=4, **few).policy
+    nb.resume("run", 8)
+    with pytest.raises(nb.UserError, match="run: is not what is saved there; load it again"):
+        nb.evaluate(before, worlds=["cover_10"], n_worlds=1, simulator="kinematic")
+
+
+def test_a_recording_is_saved_loaded_and_drawn(here: Path) -> None:
+    recording = nb.drive("straight", world="empty", simulator="kinematic", conditions=nb.Conditions(sensor_noise=0.1))
+    assert recording.about["conditions"]["sensor_noise"] == 0.1
+    recording.save("drive.npz")
+    assert nb.Recording.load("drive.npz").summary == recording.summary
+    recording.plot("drive.png")
+    recording.render("drive.gif", size=(160, 90), fps=5, end=1.0, renderer="tiny")
+    assert (Path("drive.png").read_bytes()[:4], Path("drive.gif").read_bytes()[:3]) == (b"\x89PNG", b"GIF")
+    with pytest.raises(nb.UserError, match="fps: must be between 1 and 240"):
+        recording.render("drive.mp4", fps=0)
