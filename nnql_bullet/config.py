@@ -209,13 +209,17 @@ def type_text(annotation: Any) -> str:
 
 
 def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
-    """The names that a wrong dotted name may have meant: their last part is the same or spelt alike."""
+    """The names that a wrong dotted name may have meant: their last part is the same or spelt alike.
+
+    If some of them are in the same table, only these are given.
+    """
     by_last: dict[str, list[str]] = {}
     for one in dict.fromkeys(names):
         by_last.setdefault(one.rpartition(".")[2], []).append(one)
-    last = name.rpartition(".")[2]
+    table, _, last = name.rpartition(".")
     close = [last] if last in by_last else get_close_matches(last, by_last, most, cutoff=0.75)
-    return [one for its in close for one in by_last[its]][:most]
+    found = [one for its in close for one in by_last[its]]
+    return ([one for one in found if one.rpartition(".")[0] == table] or found)[:most]
 
 
 def _first_mistake(cls: type, error: ValidationError) -> str:

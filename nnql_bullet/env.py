@@ -14,6 +14,7 @@ from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import (
+    RewardTerm,
     StateProperty,
     TaskOptions,
     ending,
@@ -96,7 +97,7 @@ class Transition:
     """(n,)"""
     s_t: Observation
     terms: Array
-    """Reward terms (n, 6) in the order of `task.REWARD_TERMS`."""
+    """Terms of the reward (n, number of terms), in the order of `Navigation.terms`."""
     ending: NDArray[np.int64]
     """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     heading_command: Array
@@ -113,11 +114,20 @@ Reward = Callable[[Transition], Array]
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
-    def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
+    def __init__(
+        self, simulator: Simulator, task: TaskOptions, reward: tuple[RewardTerm, ...] | Reward | None = None
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            simulator: The simulator of n vehicles.
+            task: Options of states, rewards and endings.
+            reward: Terms whose sum is the reward, or a function that gives it; by default the paper's terms.
+        """
         self.simulator = simulator
         self.task = task
-        self._terms = paper_reward(task)
-        self._reward = reward
+        self.terms = reward if isinstance(reward, tuple) else paper_reward(task)
+        self._reward = None if isinstance(reward, tuple) else reward
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -173,7 +183,7 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
-        terms = reward_terms(s_tm1, s_t, self.task, self._terms)
+        terms = reward_terms(s_tm1, s_t, self.task, self.terms)
         t = Transition(
             s_tm1=s_tm1,
             a_tm1=actions,

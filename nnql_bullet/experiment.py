@@ -4,9 +4,7 @@ from contextlib import closing
 from functools import cached_property, partial
 from os import cpu_count
 
-from nnql_bullet.agents import Agent, LearningAgent, Trainable, make_agent
-from nnql_bullet.agents.learning.genetic import Genetic
-from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
+from nnql_bullet.agents import Agent, LearningAgent, Trainable
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
@@ -19,7 +17,7 @@ from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
-from nnql_bullet.training.base import Trainer
+from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
 from nnql_bullet.vehicle.urdf import load_vehicle
@@ -146,7 +144,7 @@ class Experiment:
     @cached_property
     def agent(self) -> Agent:
         """The agent that was given, or the untrained one that the configuration describes."""
-        return self._given or make_agent(self.config.agent, self.config.seed, self.vehicle, self.config.drive)
+        return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Agent:
@@ -183,18 +181,8 @@ class Experiment:
             UserError: If it is a rule, or what its training needs is not installed.
         """
         agent, world_of, seed = self.trainable, self.training_world, self.config.seed
-        if isinstance(agent, Genetic):
-            try:
-                from nnql_bullet.training.evolution import Evolution
-            except ImportError:
-                raise _missing("DEAP", "baselines") from None
-            return Evolution(agent, navigation, world_of, seed)
-        if isinstance(agent, Sb3Dqn):
-            try:
-                from nnql_bullet.training.sb3 import DqnTraining
-            except ImportError:
-                raise _missing("stable-baselines3", "sb3") from None
-            return DqnTraining(agent, navigation, world_of, seed)
+        if isinstance(agent, TrainsItself):
+            return agent.make_trainer(navigation, world_of, seed)
         return Training(self.learning_agent, navigation, world_of, seed)
 
     def try_out(self, candidates: Candidates, workers: int | None = None) -> dict[int, int]:
@@ -209,7 +197,3 @@ class Experiment:
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
         with closing(kinematic.new_simulator(workers)) as simulator:
             return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.config.task), worlds)
-
-
-def _missing(library: str, extra: str) -> UserError:
-    return UserError(f"{library} is not installed; install it with: pip install 'nnql-bullet[{extra}]'")

@@ -9,7 +9,7 @@ from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,12 @@ from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import EpisodeSummary, overridden
+from nnql_bullet.rollout import Agent, EpisodeSummary, overridden
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
-
-if TYPE_CHECKING:  # agents bring along torch, which those that only read recordings do without
-    from nnql_bullet.agents import Agent
 
 FORMAT = "nnql-bullet recording 1"
 
@@ -182,7 +179,7 @@ def load_recording(path: Path) -> Recording:
 class Recorder:
     """Watches an episode and turns it into a `Recording`."""
 
-    def __init__(self, vehicle: VehicleSpec, agent: "Agent") -> None:
+    def __init__(self, vehicle: VehicleSpec, agent: Agent) -> None:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
         self._agent = agent

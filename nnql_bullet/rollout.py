@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.env import STOP, Navigation, Observation, Transition
+from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -21,6 +22,13 @@ class Policy(Protocol):
 
     def act(self, observations: Observation) -> NDArray[np.int64]:
         """The best actions (n,) for vehicles 0 to n - 1, as the policy judges them."""
+
+
+class Agent(Policy, Protocol):
+    """A policy that can also tell how good it holds the paper's turns to be."""
+
+    def action_values(self, observations: Observation) -> Array:
+        """Values of the five turns (n, 5); NaN where they are not computed, for example by a rule."""
 
 
 @runtime_checkable
@@ -90,9 +98,10 @@ STANDSTILL_DISTANCE = 0.05
 
 
 class Tally:
-    """Adds up the steps of the present episodes of n vehicles."""
+    """Adds up the steps of the present episodes of the vehicles of an environment."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, navigation: Navigation) -> None:
+        size = navigation.simulator.size
         self._world_seed = np.zeros(size, np.int64)
         self._ending = np.full(size, NO_ENDING)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
@@ -104,7 +113,8 @@ class Tally:
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
-        self._terms = np.zeros((size, len(REWARD_TERMS)))
+        self._term_names = [term.name for term in navigation.terms]
+        self._terms = np.zeros((size, len(navigation.terms)))
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -167,7 +177,7 @@ class Tally:
             heading_error=float(np.sqrt(self._squared_errors[v] / self._steps[v])),
             non_safe_steps=int(self._non_safe[v]),
             episode_return=sum(terms),
-            terms=dict(zip(REWARD_TERMS, terms, strict=True)),
+            terms=dict(zip(self._term_names, terms, strict=True)),
             overridden_steps=int(self._overridden[v]),
             stop_steps=int(self._stops[v]),
             standing_time=float(self._standing[v]),
@@ -231,7 +241,7 @@ def finished_episodes(
         The place in `worlds` of each episode that finishes, and its result.
     """
     n, watchers = navigation.simulator.size, watchers or {}
-    tally, place = Tally(n), np.full(n, -1)
+    tally, place = Tally(navigation), np.full(n, -1)
     watched: dict[int, Watcher] = {}
     waiting = iter(range(len(worlds)))
     while True:

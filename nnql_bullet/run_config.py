@@ -28,11 +28,17 @@ SimulatorName = Literal[EngineName, "kinematic"]
 RENAMED_KEYS = {
     "training.disturbances": "training.domain_randomization",
     "agent.seen_map": "agent.grid_map",
+    "agent.steps": "agent.n_step",
+    "agent.updates": "agent.gradient_steps",
+    "agent.target_rate": "agent.tau",
+    "agent.exploration": "agent.exploration_final",
     "shield.leads": "shield.recovers",
     "conditions.sensors.noise": "conditions.sensor_noise",
     "conditions.sensors.dead_sector": "conditions.dead_sector",
 }
 """Keys that version 0.1 wrote into configurations, and their names now."""
+REMOVED_KEYS = {"agent.paper_share": 0.0}
+"""Keys that version 0.1 wrote and that have gone, with the value at which they changed nothing."""
 RENAMED_SIMULATORS = {"twin": "kinematic"}
 """Simulators as version 0.1 named them, and their names now."""
 
@@ -131,12 +137,15 @@ def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
 
 
 def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Renames the keys of a configuration that version 0.1 wrote."""
+    """Renames keys of a configuration that version 0.1 wrote, and drops those that have gone and changed nothing."""
     new = copy.deepcopy(dict(values))
     if "simulator" in new:
         new["simulator"] = RENAMED_SIMULATORS.get(new["simulator"], new["simulator"])
     for old in outdated_keys(new):
         _table(new, RENAMED_KEYS[old])[_leaf(RENAMED_KEYS[old])] = _table(new, old).pop(_leaf(old))
+    for old, unused in REMOVED_KEYS.items():
+        if _table(new, old).get(_leaf(old)) == unused:
+            del _table(new, old)[_leaf(old)]
     if not _table(new, "conditions.sensors.*"):
         new.get("conditions", {}).pop("sensors", None)
     return new

@@ -1,6 +1,4 @@
-"""From rays to the paper's eight sensors: pure functions of distances."""
-
-from dataclasses import dataclass
+"""The paper's eight sensors: rays in the vehicle frame, and readings of the sectors from ray distances."""
 
 import numpy as np
 
@@ -11,17 +9,7 @@ from nnql_bullet.jit import njit
 RAYS_PER_SECTOR = 9
 RAYS = paper.SECTORS * RAYS_PER_SECTOR
 FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
-"""Sectors: sector 0 is centred straight ahead, the others follow counter-clockwise, 45 degrees each."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """What the sensors read at one instant."""
-
-    distances: Array
-    """Of the rays (72,) [m], from the right edge of the front sector counter-clockwise."""
-    readings: Array
-    """Of the sectors (8,) [m]: d1..d8 of eq. (1)."""
+"""Indices of sectors: sector 0 is centred straight ahead, the others follow counter-clockwise."""
 
 
 def ray_angles() -> Array:
@@ -30,13 +18,8 @@ def ray_angles() -> Array:
     return np.asarray((np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step)
 
 
-def scan_from(distances: Array) -> Scan:
-    """The scan of ray distances (72,) [m]."""
-    return Scan(distances, sector_readings(distances))
-
-
 def middle_readings(distances: Array) -> Array:
-    """Readings (..., 8) [m] of ray distances (..., 72) [m] where a sector has but the ray in its middle."""
+    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the ray in its middle."""
     return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
 
 

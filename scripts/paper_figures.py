@@ -187,7 +187,7 @@ def draw_moment(axes: Axes, recording: Recording) -> None:
     half = 1.15 * paper.SENSOR_RANGE
     inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44))
     without_ticks(inset)
-    draw_world(inset, recording, recording.state_time[step])
+    draw_world(inset, recording.world, recording.state_time[step])
     draw_path(inset, recording)
     for sector, reading in enumerate(recording.readings[step]):
         middle = np.degrees(yaw + sector * paper.SECTOR_ANGLE)

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from nnql_bullet.env import Observation
+from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.contact import VehicleMotion
+from nnql_bullet.task import ENDINGS, NO_ENDING
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -51,6 +52,23 @@ def row(motion: Motion, vehicle: int) -> VehicleMotion:
     names = ("yaw_rate", "duration", "path_length", "clearance", "heading_error", "touching", "at_target")
     pose = Pose(*motion.pose[vehicle].tolist())
     return VehicleMotion(pose, *(getattr(motion, name)[vehicle].item() for name in names))
+
+
+def begun(navigation: Navigation, world: WorldSpec) -> Observation:
+    """The first observation of an episode of one vehicle."""
+    navigation.reset({0: world})
+    return navigation.observation
+
+
+def step(navigation: Navigation, action: int) -> Transition:
+    """A step of one vehicle."""
+    return navigation.step(np.array([action]))
+
+
+def ending(transition: Transition) -> str | None:
+    """How the episode of one vehicle ended, or None."""
+    (end,) = transition.ending.tolist()
+    return None if end == NO_ENDING else ENDINGS[end]
 
 
 def observed(*vehicles: Iterable[Any]) -> Observation:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable, make_agent
+from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.env import ACTIONS, Navigation, Observation
 from nnql_bullet.errors import UserError
@@ -50,7 +50,7 @@ def options_of(kind: str, **changes: object) -> AgentOptions:
 @pytest.fixture
 def make(vehicle: VehicleSpec) -> Make:
     """Makes agents by kind."""
-    return lambda kind: make_agent(options_of(kind), 3, vehicle, DriveOptions())
+    return lambda kind: options_of(kind).make_agent(3, vehicle, DriveOptions())
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ class TestEveryRule:
         assert (config.agent.kind, config.world, policy.episodes) == (kind, "cover_15", 0)
 
     def test_what_it_does_is_no_function_of_the_runs_seed(self, kind: str, vehicle: VehicleSpec, drive: Drive) -> None:
-        one, other = (make_agent(options_of(kind), seed, vehicle, DriveOptions()) for seed in (0, 1))
+        one, other = (options_of(kind).make_agent(seed, vehicle, DriveOptions()) for seed in (0, 1))
         assert np.array_equal(decided(one, drive, [0, 1]), decided(other, drive, [0, 1]))
 
 

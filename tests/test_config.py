@@ -69,8 +69,7 @@ def refusal(cls, values):
         ({"front": {"radius": 1, "width": 2}}, "unknown key 'front.width'; valid keys: colour, radius"),
         (
             {"front": {"raduis": 1}},
-            "unknown key 'front.raduis' (did you mean 'front.radius' or 'spares.radius' or 'drive.wheel.radius'?); "
-            "valid keys: colour, radius",
+            "unknown key 'front.raduis' (did you mean 'front.radius'?); valid keys: colour, radius",
         ),
         ({"drive": {"kind": "engine", "length": 2}}, "unknown key 'drive.length'; valid keys: kind, power"),
         ({"drive": {"kind": "pedals", "power": 2}}, "unknown key 'drive.power'; valid keys: kind, length, wheel"),
@@ -211,8 +210,7 @@ def test_preset_paper_is_the_defaults():
     [
         (
             {"episode": 3},
-            "unknown key 'episode' (did you mean 'episodes'?); valid keys: agent, conditions, "
-            "drive, episodes, physics, robot,",
+            "unknown key 'episode' (did you mean 'episodes'?); valid keys: agent, conditions, drive,",
         ),
         ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: closer, front_distance, front_side_distance,"),
         (

@@ -11,13 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from helpers import observed
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent
-from nnql_bullet.agents.learning.double_dqn import DoubleDqn, DoubleDqnOptions, DuelingNetwork, double_q_targets, follow
-from nnql_bullet.agents.learning.frames import MIRRORED_ACTIONS, FrameMaker, as_bytes
-from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
+from nnql_bullet.agents.learning.double_dqn import (
+    DoubleDqn,
+    DoubleDqnOptions,
+    DuelingNetwork,
+    double_q_targets,
+    soft_update,
+    td_errors,
+)
+from nnql_bullet.agents.learning.frames import FrameMaker, as_bytes
+from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Replay
+from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import parse
 from nnql_bullet.env import (
     MANOEUVRES,
@@ -25,7 +33,6 @@ from nnql_bullet.env import (
     Navigation,
     Observation,
     heading_change,
-    stacked,
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -33,9 +40,10 @@ from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -95,7 +103,7 @@ class TestNetwork:
     def test_one_chooses_and_the_other_values(self) -> None:
         online, target, after = random_network(seed=1), random_network(seed=2), some_bytes(9, 6)
         returns, discounts = np.linspace(-1, 1, 9), np.array([0.0, 0.9, 0.81] * 3)
-        found = double_q_targets(online, target, after, returns, discounts).numpy()
+        found = double_q_targets(online, target, returns, discounts, after).numpy()
         for i in range(9):
             with torch.no_grad():
                 mine, theirs = (net(torch.from_numpy(after[i : i + 1])).numpy()[0] for net in (online, target))
@@ -106,12 +114,12 @@ class TestNetwork:
         expected = [
             0.9 * a.detach() + 0.1 * b.detach() for a, b in zip(one.parameters(), other.parameters(), strict=True)
         ]
-        follow(one, other, 0.1)
+        soft_update(one, other, 0.1)
         for parameter, value in zip(one.parameters(), expected, strict=True):
             assert torch.allclose(parameter, value, atol=1e-6)
 
 
-EPISODES = [(4, FOR_GOOD), (2, FOR_GOOD), (7, CUT_OFF), (1, FOR_GOOD), (9, CUT_OFF), (30, GOES_ON)]
+EPISODES = [(4, TERMINATED), (2, TERMINATED), (7, TRUNCATED), (1, TERMINATED), (9, TRUNCATED), (30, CONTINUES)]
 """Length and end of the episodes of each vehicle, one after the other; the second begins with the third."""
 
 
@@ -134,7 +142,7 @@ class Story:
                             "action": int(generator.integers(6)),
                             "reward": float(np.float32(generator.normal())),
                             "later": float(np.float32(generator.normal())),
-                            "ends": end if age == length - 1 else GOES_ON,
+                            "ends": end if age == length - 1 else CONTINUES,
                         }
                     )
         for t in range(decisions):
@@ -154,9 +162,9 @@ class Story:
         """Return, discount of what comes after, and whether it counts."""
         total, factor = 0.0, 1.0
         for step in self.steps[vehicle][t : t + steps]:
-            if step["ends"] == FOR_GOOD:
+            if step["ends"] == TERMINATED:
                 return total + factor * step["reward"], 0.0, True
-            if step["ends"] == CUT_OFF:
+            if step["ends"] == TRUNCATED:
                 return 0.0, 0.0, False
             total += factor * (step["reward"] + step["later"])
             factor *= discount
@@ -178,12 +186,12 @@ class TestReplay:
             for i, t in enumerate(choices):
                 total, factor, counts = story.expected(vehicle, t, steps, 0.8)
                 assert batch.counts[i] == counts
-                assert batch.actions[i] == story.steps[vehicle][t]["action"]
-                assert batch.seen[i].tolist() == story.stack(vehicle, t)
+                assert batch.a_tm1[i] == story.steps[vehicle][t]["action"]
+                assert batch.s_tm1[i].tolist() == story.stack(vehicle, t)
                 if counts:
-                    assert (batch.returns[i], batch.discounts[i]) == pytest.approx((total, factor), abs=1e-5)
+                    assert (batch.r_t[i], batch.discount_t[i]) == pytest.approx((total, factor), abs=1e-5)
                     if factor > 0:
-                        assert batch.after[i].tolist() == story.stack(vehicle, t + steps)
+                        assert batch.s_t[i].tolist() == story.stack(vehicle, t + steps)
 
     @pytest.mark.parametrize("decisions", [0, 7, 20, 33])
     def test_it_is_the_same_after_saving_and_loading(self, decisions: int) -> None:
@@ -334,14 +342,14 @@ def kinematic_drive(vehicle: VehicleSpec) -> list[tuple[Any, Any, Any]]:
     poses, drive = np.tile([world.start.x, world.start.y, world.start.yaw], (4, 1)), []
     for actions in random_manoeuvres(25):
         drive.append((poses, navigation.observation, np.array(world.target)))
-        poses = navigation.step(actions).motions.pose.copy()
+        poses = navigation.step(actions).motion.pose.copy()
     fleet.close()
     return drive
 
 
 def mirrored(observation: Observation) -> Observation:
     """What a vehicle sees whose left is right."""
-    rays = np.array([observation.ray_distances[(8 - i) % RAYS] for i in range(RAYS)])
+    rays = observation.ray_distances[:, (8 - np.arange(RAYS)) % RAYS]
     return replace(
         observation,
         readings=sector_readings(rays),
@@ -364,12 +372,12 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = Observation(sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen)
+            one = observed((sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen))
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
-                looks.append(maker.look(memories[i], stacked([o])))
-                memories[i] = maker.after(looks[i], stacked([o]), np.array([a]))
+                looks.append(maker.look(memories[i], o))
+                memories[i] = maker.after(looks[i], o, np.array([a]))
             expected = maker.mirrored(looks[0].stacked).astype(int)
             assert np.abs(expected - looks[1].stacked.astype(int)).max() <= (12 if with_map else 1)
             assert np.array_equal(maker.mirrored(maker.mirrored(looks[0].stacked)), looks[0].stacked)
@@ -401,8 +409,7 @@ class TestFrames:
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            stacked([Observation(np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))])
-            for d in (40.0, 39.2)
+            observed((np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))) for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
         assert maker.look(memory, seen[1]).progress == pytest.approx([0.8], abs=1e-9)
@@ -411,7 +418,7 @@ class TestFrames:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any]]]:
     """Makes trainings in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any]:
         task = TaskOptions(max_steps=40)
@@ -528,7 +535,8 @@ class TestLearning:
                 agent.load_state_dict(weights | change)
 
     @pytest.mark.parametrize(
-        "values", [{"rays": 9}, {"frames": 0}, {"exploration": []}, {"exploration": [1.1]}, {"discount": 2.0}]
+        "values",
+        [{"rays": 9}, {"frames": 0}, {"exploration_final": []}, {"exploration_final": [1.1]}, {"discount": 2.0}],
     )
     def test_options_that_make_no_sense_are_refused(self, values: dict[str, Any]) -> None:
         with pytest.raises(UserError, match=r"agent\."):
@@ -537,11 +545,10 @@ class TestLearning:
     def test_it_is_a_learner(self, parts: Callable[..., Any]) -> None:
         assert isinstance(parts()[0].agent, LearningAgent)
 
-    def test_exploration_falls_to_shares_taken_by_turns(self, vehicle: VehicleSpec) -> None:
-        options = DoubleDqnOptions(exploration=(0.0, 0.2), exploration_episodes=100)
-        agent = DoubleDqn(options, 0, vehicle, DriveOptions())
-        assert agent.exploration(np.array([0, 50, 51, 100, 101, 1000])) == pytest.approx([1, 0.5, 0.592, 0, 0.2, 0])
-        assert [agent.learning_rate(e) for e in (0, 6000, 9000, 12000, 99999)] == pytest.approx(
+    def test_exploration_falls_to_shares_taken_by_turns(self) -> None:
+        options = DoubleDqnOptions(exploration_final=(0.0, 0.2), exploration_episodes=100)
+        assert options.exploration(np.array([0, 50, 51, 100, 101, 1000])) == pytest.approx([1, 0.5, 0.592, 0, 0.2, 0])
+        assert [options.learning_rate_at(e) for e in (0, 6000, 9000, 12000, 99999)] == pytest.approx(
             [5e-4, 5e-4, 2.75e-4, 5e-5, 5e-5]
         )
 
@@ -556,22 +563,18 @@ class TestLearning:
         for _ in range(3000):
             actions = generator.integers(6, size=4)
             after = np.maximum(at + np.where(actions % 2 == 1, 1, -1), 0)
-            ends = np.where(after == places, FOR_GOOD, GOES_ON)
+            ends = np.where(after == places, TERMINATED, CONTINUES)
             seen = (255 * (at[:, None] == np.arange(places))).astype(np.uint8)
             replay.add(seen, age, actions, np.where(after == places, 1.0, 0.0), ends, np.zeros(4))
             at, age = np.where(after == places, 0, after), np.where(after == places, 0, age + 1)
         online, target = DuelingNetwork(places, (32,)), DuelingNetwork(places, (32,))
         optimizer = torch.optim.Adam(online.parameters(), lr=3e-3)
         for _ in range(600):
-            choices = replay.choices(1)
-            times = generator.integers(choices.start, choices.stop, 64)
-            batch = replay.batch(times, generator.integers(4, size=64), 1, discount)
-            goals = double_q_targets(online, target, batch.after, batch.returns, batch.discounts)
-            q = online(torch.from_numpy(batch.seen)).gather(1, torch.from_numpy(batch.actions)[:, None])[:, 0]
+            batch = replay.sample(64, 1, discount, generator)
             optimizer.zero_grad()
-            (goals - q).square().mean().backward()
+            td_errors(online, target, batch).square().mean().backward()
             optimizer.step()
-            follow(target, online, 0.05)
+            soft_update(target, online, 0.05)
         with torch.no_grad():
             values = target(torch.from_numpy(255 * np.eye(places, dtype=np.uint8))).numpy()
         right = discount ** np.arange(places - 1, -1, -1.0)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from helpers import ending, step
 
 import nnql_bullet  # noqa: F401 (registers the environment)
 from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Navigation, Transition, heading_change
@@ -23,7 +24,7 @@ from nnql_bullet.sensing import sector_readings
 from nnql_bullet.sim.base import Motion, no_motion
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.task import ENDINGS, GOES_ON, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.task import REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -74,15 +75,6 @@ def navigation_of(empty_world: WorldSpec) -> Callable[..., Navigation]:
         return made
 
     return make
-
-
-def step(navigation: Navigation, action: int) -> Transition:
-    return navigation.step(np.array([action]))
-
-
-def ending(transition: Transition) -> str | None:
-    (end,) = transition.ending.tolist()
-    return None if end == GOES_ON else ENDINGS[end]
 
 
 TOWARD = [(0.0, 0.0), (20.0, 20.0), (-35.0, -35.0), (60.0, 60.0), (61.0, 60.0), (180.0, 60.0), (-90.0, -60.0)]

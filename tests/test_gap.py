@@ -22,11 +22,12 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 RunCli = Callable[..., tuple[int, str, str]]
@@ -34,19 +35,20 @@ RunCli = Callable[..., tuple[int, str, str]]
 
 def recorded(simulator: Simulator, world: WorldSpec, actions: list[int]) -> Recording:
     """A drive that takes these decisions, then goes straight on."""
+    vehicle = simulator.engines[0].vehicle if isinstance(simulator, ContactSimulator) else load_vehicle("tricycle")
     waiting = iter(actions)
 
     def policy(observations: Observation) -> np.ndarray[Any, Any]:
         return np.array([next(waiting, STRAIGHT)])
 
-    recorder = Recorder(simulator.vehicle, Nnql(NnqlOptions(), 0))
+    recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
     run_episode(Navigation(simulator, TaskOptions(max_steps=len(actions))), world, Reflex(policy), watcher=recorder)
     simulator.close()
     return recorder.recording()
 
 
-def contact(vehicle: VehicleSpec) -> BulletEngine:
-    return BulletEngine(vehicle, DriveOptions(), PHYSICS["reference"])
+def contact(vehicle: VehicleSpec) -> ContactSimulator:
+    return contact_simulator("bullet", "reference", vehicle, DriveOptions(), 1)
 
 
 def slippery(vehicle: VehicleSpec, friction: float) -> VehicleSpec:
@@ -75,7 +77,9 @@ class TestStatistics:
 
 class TestPeriodErrors:
     def test_the_ideal_vehicle_neither_lags_nor_slips(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = period_errors(recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES), vehicle, 2.0)
+        parts = period_errors(
+            recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, SWERVES), vehicle, 2.0
+        )
         assert parts.lag.max() < 1e-3
         assert parts.slip.max() < 1e-3
         assert parts.distance == pytest.approx(1.0)
@@ -113,7 +117,7 @@ class TestPeriodErrors:
 class TestCauses:
     @pytest.fixture
     def ideal(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> Recording:
-        return recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, SWERVES)
+        return recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, SWERVES)
 
     def test_slip(self, vehicle: VehicleSpec, empty_world: WorldSpec, ideal: Recording) -> None:
         icy = slippery(vehicle, 0.25)
@@ -127,7 +131,7 @@ class TestCauses:
         self, vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
         icy = slippery(vehicle, 0.25)
-        straight = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [STRAIGHT] * 10)
+        straight = recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, [STRAIGHT] * 10)
         swerving = recorded(contact(icy), empty_world, [STRAIGHT, STRAIGHT, *SWERVES])
         found = explain(straight, swerving, icy, 2.0)
         assert found.slip < 0.03
@@ -159,7 +163,7 @@ class TestCauses:
         half_width = vehicle.footprint.half_width
         hit, missed = (
             recorded(
-                KinematicSimulator(vehicle, DriveOptions()),
+                KinematicSimulator(vehicle, DriveOptions(), 1),
                 world_of(OrientedBox(104.0, 100.0 + half_width + 0.1 + off, 0.1, 0.1)),
                 [STRAIGHT] * 8,
             )
@@ -172,8 +176,8 @@ class TestCauses:
             assert found.miss == pytest.approx(0.01, abs=2e-3)
 
     def test_a_close_call_of_the_network_is_measured(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        first = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 1])
-        second = recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [2, 2, 3])
+        first = recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, [2, 2, 1])
+        second = recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, [2, 2, 3])
         q = np.zeros((3, 5))
         q[2] = [0.0, 0.5, 0.0, 0.2, 0.0]
         first, second = replace(first, q_values=q), replace(second, q_values=q[:, ::-1])
@@ -185,7 +189,7 @@ class TestCauses:
 
     def test_how_far_apart_two_arcs_get(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         straight, turning = (
-            recorded(KinematicSimulator(vehicle, DriveOptions()), empty_world, [action] * 6)
+            recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, [action] * 6)
             for action in (STRAIGHT, LEFT_60)
         )
         times, distances = apart(straight, turning)

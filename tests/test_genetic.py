@@ -9,12 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import helpers
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent, Trainable
 from nnql_bullet.agents.learning.genetic import (
     GENES,
     Genetic,
@@ -25,19 +25,19 @@ from nnql_bullet.agents.learning.genetic import (
 )
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.config import parse
-from nnql_bullet.env import Navigation, Observation, stacked
+from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
-from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
 
-evolution = pytest.importorskip("nnql_bullet.training.evolution", reason="needs the extra [baselines]")
+evolution = pytest.importorskip("nnql_bullet.agents.learning.evolution", reason="needs the extra [baselines]")
 
 Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
@@ -52,7 +52,7 @@ def same(one: Arrays, other: Arrays) -> bool:
 
 
 def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
-    return stacked([Observation(row, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for row in readings])
+    return helpers.observed(*((row, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for row in readings))
 
 
 def by_hand(genome: NDArray[np.float64], readings: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -82,7 +82,7 @@ class Parts:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
     """Makes searches in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 4, seed: int = 5, options: GeneticOptions = SMALL) -> Parts:
         config = RunConfig(
@@ -175,7 +175,7 @@ class TestSearch:
         made = parts(seed=7)
         record = np.zeros((5, 2))  # summed fitness and tries of each genome, in all generations that it lived through
         ever = set()
-        with closing(KinematicSimulator(made.experiment.vehicle, made.experiment.config.drive)) as simulator:
+        with closing(KinematicSimulator(made.experiment.vehicle, made.experiment.config.drive, 1)) as simulator:
             for generation in range(3):
                 genomes = made.training.state_dict()["genomes"]
                 episodes = sorted(islice(made.training.episodes(), SIZE), key=lambda episode: episode.episode)
@@ -407,7 +407,7 @@ class TestCommandLine:
     def test_without_deap_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setitem(sys.modules, "nnql_bullet.training.evolution", None)
+        monkeypatch.setitem(sys.modules, "nnql_bullet.agents.learning.evolution", None)
         code, _, err = run_cli("train", "--config", "genetic", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[baselines]'" in err

@@ -4,14 +4,14 @@ from math import hypot, pi, radians
 
 import numpy as np
 import pytest
+from helpers import Alone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nnql_bullet.env import stacked
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at, ray_distances
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sensing import ray_angles, sector_readings
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
 from nnql_bullet.sim.kinematic import KinematicSimulator, _caster_rates, cast_rays
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -24,7 +24,10 @@ EMPTY = WorldSpec("empty", 0, 100.0, 100.0, (), Pose(50.0, 50.0, 0.0), (95.0, 95
 @pytest.fixture(scope="module")
 def pair(vehicle):
     drive = DriveOptions(decision_period=1.0)
-    kinematic, contact = KinematicSimulator(vehicle, drive), BulletEngine(vehicle, drive, PHYSICS["reference"])
+    kinematic, contact = (
+        Alone(KinematicSimulator(vehicle, drive, 1)),
+        BulletEngine(vehicle, drive, PHYSICS["reference"]),
+    )
     yield kinematic, contact
     contact.close()
 
@@ -60,13 +63,13 @@ def test_the_joints_turn_as_in_contact_physics(pair):
 def test_readings_agree_with_contact_physics_on_random_worlds(vehicle, seed):
     world = load_world("cover_20").draw(seed, 0.8)
     kinematic, contact = (
-        KinematicSimulator(vehicle, DriveOptions()),
+        Alone(KinematicSimulator(vehicle, DriveOptions(), 1)),
         BulletEngine(vehicle, DriveOptions(), PHYSICS["fast"]),
     )
     for simulator in (kinematic, contact):
         simulator.reset(world)
     for _ in range(4):
-        assert np.abs(kinematic.scan().readings - contact.scan().readings).max() < 0.002
+        assert np.abs(sector_readings(kinematic.rays) - sector_readings(contact.scan())).max() < 0.002
         if contact.advance(0.0).touching:
             break
         kinematic.advance(0.0)
@@ -111,7 +114,7 @@ def test_it_stops_at_a_wall_within_the_stride_of_one_command(vehicle):
     ahead = vehicle.footprint.x + vehicle.footprint.half_length
     wall = OrientedBox(50.0 + ahead + 0.7 + 0.5, 50.0, 0.5, 3.0)
     world = WorldSpec("wall", 0, 100.0, 100.0, (wall,), Pose(50.0, 50.0, 0.0), (95.0, 95.0), 1.0, 1.5)
-    kinematic = KinematicSimulator(vehicle, DriveOptions())
+    kinematic = Alone(KinematicSimulator(vehicle, DriveOptions(), 1))
     kinematic.reset(world)
     motion = kinematic.advance(0.0)
     assert motion.touching and motion.clearance == 0.0
@@ -120,7 +123,7 @@ def test_it_stops_at_a_wall_within_the_stride_of_one_command(vehicle):
 
 def test_it_ends_inside_the_target(vehicle):
     world = WorldSpec("target", 0, 100.0, 100.0, (), Pose(50.0, 50.0, 0.0), (51.5, 50.0), 1.0, 1.5)
-    kinematic = KinematicSimulator(vehicle, DriveOptions())
+    kinematic = Alone(KinematicSimulator(vehicle, DriveOptions(), 1))
     kinematic.reset(world)
     motion = kinematic.advance(0.0)
     assert motion.at_target and 0.5 <= motion.path_length < 0.5 + 2.0 / 120 + 1e-9
@@ -139,7 +142,8 @@ def test_a_caster_in_a_steady_turn_settles_at_the_angle_of_the_circle():
 
 def test_a_run_can_be_trained_in_it():
     experiment = Experiment(RunConfig(simulator="kinematic"))
-    observation = experiment.navigation.reset(experiment.world(0))
-    assert isinstance(experiment.simulator, KinematicSimulator)
-    (action,) = experiment.agent.act(stacked([observation])).tolist()
-    assert experiment.navigation.step(action).motion.speed == 2.0
+    navigation = experiment.navigation
+    assert isinstance(navigation.simulator, KinematicSimulator)
+    navigation.reset({0: experiment.world(0)})
+    step = navigation.step(experiment.agent.act(navigation.observation))
+    assert step.motion.path_length == pytest.approx(1.0)

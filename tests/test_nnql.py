@@ -1,6 +1,7 @@
 from dataclasses import fields, replace
 from math import nextafter, radians
 
+import helpers
 import numpy as np
 import pytest
 import torch
@@ -11,11 +12,11 @@ from scipy.special import softmax
 from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.agents.learning.nnql import Nnql, encode
 from nnql_bullet.agents.learning.q_learning import boltzmann
-from nnql_bullet.env import Observation, Transition, stacked
+from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Motion
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty
+from nnql_bullet.sim.base import no_motion
+from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty
 
 NAMES = ("0.weight", "0.bias", "2.weight", "2.bias")
 TOWARD = 5
@@ -27,7 +28,7 @@ all_readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 
 def observed(readings=BEFORE, state=StateProperty.NON_SAFE, target_bearing=0.3):
     """What one vehicle sees."""
-    return stacked([Observation(np.array(readings), 50.0, target_bearing, 0.0, state, np.full(RAYS, 10.0))])
+    return helpers.observed((readings, 50.0, target_bearing, 0.0, state, np.full(RAYS, 10.0)))
 
 
 def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
@@ -39,8 +40,9 @@ def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
         discount_t=np.array([discount]),
         s_t=after or observed(AFTER),
         terms=np.zeros((1, len(REWARD_TERMS))),
-        ending=np.array([GOES_ON]),
-        motions=Motion(np.zeros((1, 3)), *np.zeros((5, 1)), *np.zeros((2, 1), np.bool_)),
+        ending=np.array([NO_ENDING]),
+        heading_command=np.zeros(1),
+        motion=no_motion(1),
         active=np.ones(1, np.bool_),
     )
 
@@ -497,18 +499,20 @@ def test_safe_state_asks_no_network_and_turns_toward_the_target():
 
 def test_temperature_falls_linearly_from_0_8_to_0_01_over_1000_episodes():
     agent = Nnql(NnqlOptions(), 0)
-    assert agent.temperature(np.arange(1000)) == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
+    assert agent.options.temperature(np.arange(1000)) == pytest.approx(np.linspace(0.8, 0.01, 1000), abs=1e-12)
 
 
 def test_temperature_stays_at_its_end():
     agent = Nnql(NnqlOptions(schedule_episodes=11), 0)
     episodes = np.array([0, 5, 10, 11, 5000, 0])
-    assert agent.temperature(episodes) == pytest.approx(np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12)
+    assert agent.options.temperature(episodes) == pytest.approx(
+        np.array([0.8, 0.405, 0.01, 0.01, 0.01, 0.8]), abs=1e-12
+    )
 
 
 def test_temperature_may_fall_by_the_same_factor_every_episode():
     agent = Nnql(NnqlOptions(schedule="exponential", schedule_episodes=11), 0)
-    temperatures = agent.temperature(np.arange(11))
+    temperatures = agent.options.temperature(np.arange(11))
     assert (temperatures[0], temperatures[-1]) == pytest.approx((0.8, 0.01))
     assert temperatures[1:] / temperatures[:-1] == pytest.approx(np.full(10, (0.01 / 0.8) ** 0.1))
 

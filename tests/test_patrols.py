@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from helpers import Alone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
@@ -22,10 +23,11 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, ray_distances
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sim.base import Motion, Sample, Simulator
+from nnql_bullet.sensing import sector_readings
+from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
-from nnql_bullet.sim.contact import ContactSimulator
-from nnql_bullet.sim.engines import contact_simulator
+from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
+from nnql_bullet.sim.engines import contact_engine, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -54,19 +56,19 @@ WorldOf = Callable[..., WorldSpec]
 
 
 @pytest.fixture(scope="module", params=["kinematic", *ENGINES], ids=str)
-def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
+def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Alone]:
     made: Simulator
     if request.param == "kinematic":
-        made = KinematicSimulator(vehicle, DriveOptions())
+        made = KinematicSimulator(vehicle, DriveOptions(), 1)
     else:
-        made = contact_simulator(*request.param, vehicle, DriveOptions())
-    with closing(made):
-        yield made
+        made = contact_simulator(*request.param, vehicle, DriveOptions(), 1)
+    with Alone(made) as alone:
+        yield alone
 
 
 @pytest.fixture(scope="module", params=ENGINES, ids=str)
-def contact(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[ContactSimulator]:
-    with closing(contact_simulator(*request.param, vehicle, DriveOptions())) as made:
+def contact(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[ContactEngine]:
+    with closing(contact_engine(*request.param, vehicle, DriveOptions())) as made:
         yield made
 
 
@@ -243,7 +245,7 @@ def head_on(gap: float, speed: float, ahead: float = 30.0) -> Patrol:
     return Patrol(OrientedBox(x, 100.0, 0.5, 1.0), (end, 100.0), abs(speed), 0.0)
 
 
-def drive(simulator: Simulator, world: WorldSpec, turns: Sequence[float]) -> list[Motion]:
+def drive(simulator: Alone | ContactEngine, world: WorldSpec, turns: Sequence[float]) -> list[VehicleMotion]:
     """Motion up to the first contact, or the target."""
     simulator.reset(world)
     motions = []
@@ -254,12 +256,12 @@ def drive(simulator: Simulator, world: WorldSpec, turns: Sequence[float]) -> lis
     return motions
 
 
-def duration(motions: Sequence[Motion]) -> float:
+def duration(motions: Sequence[VehicleMotion]) -> float:
     return sum(motion.duration for motion in motions)
 
 
 class TestContact:
-    def test_head_on_it_comes_at_the_closing_speed(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_head_on_it_comes_at_the_closing_speed(self, simulator: Alone, world_of: WorldOf) -> None:
         for gap, speed in product((0.3, 4.1), (9.0, 5.0, 1.0, 0.4, -0.5, -1.0)):
             motions = drive(simulator, with_patrols(world_of(), head_on(gap, speed)), [0.0] * 12)
             assert motions[-1].touching
@@ -267,7 +269,7 @@ class TestContact:
             late = duration(motions) - gap / (SPEED + speed)
             assert -2e-3 < late < 0.018  # two steps, in which an engine comes to feel it
 
-    def test_one_that_turns_back_is_hit_later(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_one_that_turns_back_is_hit_later(self, simulator: Alone, world_of: WorldOf) -> None:
         """For 2 s it comes at 1 m/s, then it goes at 1 m/s: 8 m are 6 m at 3 m/s and 2 m at 1 m/s."""
         patrol = head_on(8.0, 1.0, ahead=2.0)
         motions = drive(simulator, with_patrols(world_of(), patrol), [0.0] * 12)
@@ -275,9 +277,7 @@ class TestContact:
         assert duration(motions) == pytest.approx(4.0, abs=0.02)
 
     @pytest.mark.parametrize("yaw", [0.0, 0.5])
-    def test_one_that_crosses_just_hits_or_just_misses(
-        self, simulator: Simulator, world_of: WorldOf, yaw: float
-    ) -> None:
+    def test_one_that_crosses_just_hits_or_just_misses(self, simulator: Alone, world_of: WorldOf, yaw: float) -> None:
         """Against all distances in steps of 4 ms, along the straight way ahead."""
         times = np.arange(0.0, 3.0, 4e-3)
         footprints = [footprint_at(MIDDLE.x + SPEED * t, 100.0, 0.0) for t in times]
@@ -297,7 +297,7 @@ class TestContact:
         assert min(hits, misses) >= 2
 
     def test_a_vehicle_that_stands_is_touched_when_it_is_reached(
-        self, contact: ContactSimulator, world_of: WorldOf
+        self, contact: ContactEngine, world_of: WorldOf
     ) -> None:
         """Whoever runs into whom."""
         centre = moved(VEHICLE.footprint, MIDDLE)
@@ -312,9 +312,7 @@ class TestContact:
                 contact.step()
             assert contact.time() == pytest.approx(1.0, abs=2.5 * contact.time_step)
 
-    def test_patrols_pass_through_one_another_and_what_stands(
-        self, contact: ContactSimulator, world_of: WorldOf
-    ) -> None:
+    def test_patrols_pass_through_one_another_and_what_stands(self, contact: ContactEngine, world_of: WorldOf) -> None:
         """They are where they are at that time, as if nothing were there."""
         box = OrientedBox(104.0, 104.0, 0.5, 0.5)
         some = (Patrol(box, (110.0, 104.0), 1.0, 0.0), Patrol(replace(box, x=110.0), (104.0, 104.0), 1.0, 0.0))
@@ -366,26 +364,24 @@ OBSTACLE = OrientedBox(104.0, 108.0, 1.0, 0.5, 0.4)
 
 
 class TestRays:
-    def test_they_see_boxes_where_they_are_at_the_end_of_each_period(
-        self, simulator: Simulator, world_of: WorldOf
-    ) -> None:
+    def test_they_see_boxes_where_they_are_at_the_end_of_each_period(self, simulator: Alone, world_of: WorldOf) -> None:
         assert min(self.rays_compared(simulator, world_of(OBSTACLE), seed) for seed in range(4)) > 20
 
     @staticmethod
-    def rays_compared(simulator: Simulator, world: WorldSpec, seed: int) -> int:
+    def rays_compared(simulator: Alone, world: WorldSpec, seed: int) -> int:
         generator = np.random.default_rng(seed)
         world = with_patrols(world, *traffic(generator))
         simulator.reset(world)
         compared, time, turn = 0, 0.0, 0.0
         for _ in range(8):
-            pose = simulator.pose()
+            pose = simulator.pose
             solids, (x, y) = world.solids_at(time), eye(pose)
             if ray_distances((x, y), ANGLES, solids, 10.0).min() < 0.05:
                 break  # a ray that starts within a box reads nothing in some engines
             beside = [ray_distances((x, y), ANGLES + pose.yaw + nudge, solids, 10.0) for nudge in (-1e-3, 0.0, 1e-3)]
             # In a turn the chassis leans by less than a milliradian; a ray that slips past a corner is not compared.
             steady = np.ptp(beside, axis=0) < 0.2
-            assert simulator.scan()[steady] == pytest.approx(beside[1][steady], abs=4e-3)
+            assert simulator.rays[steady] == pytest.approx(beside[1][steady], abs=4e-3)
             compared += int(np.sum(beside[1][steady] < 9.9))
             motion = simulator.advance(turn)
             time, turn = time + motion.duration, float(generator.uniform(-1.0, 1.0))
@@ -393,7 +389,7 @@ class TestRays:
                 break
         return compared
 
-    def test_a_box_that_comes_is_read_nearer_each_time(self, contact: ContactSimulator, world_of: WorldOf) -> None:
+    def test_a_box_that_comes_is_read_nearer_each_time(self, contact: ContactEngine, world_of: WorldOf) -> None:
         """Read while standing, between single steps."""
         x, y = eye(MIDDLE)
         patrol = Patrol(OrientedBox(x + 5.5, y, 0.5, 1.0), (x + 2.5, y), 1.0, 0.0)
@@ -401,7 +397,7 @@ class TestRays:
         for _ in range(30):
             for _ in range(5):
                 contact.step()
-            assert contact.scan().readings[0] == pytest.approx(5.0 - contact.time(), abs=2e-3)
+            assert sector_readings(contact.scan())[0] == pytest.approx(5.0 - contact.time(), abs=2e-3)
 
 
 class TestKinematicModelAndPhysics:
@@ -412,14 +408,14 @@ class TestKinematicModelAndPhysics:
         world = load_world("moving").draw(seed, ROOM)
         drives = []
         with (
-            closing(KinematicSimulator(vehicle, DriveOptions())) as kinematic,
-            closing(BulletEngine(vehicle, DriveOptions(), PHYSICS["reference"])) as bullet,
+            Alone(KinematicSimulator(vehicle, DriveOptions(), 1)) as kinematic,
+            Alone(contact_simulator("bullet", "reference", vehicle, DriveOptions(), 1)) as bullet,
         ):
             for simulator in (kinematic, bullet):
                 simulator.reset(world)
                 seen = []
                 for _ in range(95):
-                    seen.append((simulator.scan().readings, motion := simulator.advance(0.0)))
+                    seen.append((sector_readings(simulator.rays), motion := simulator.advance(0.0)))
                     if motion.touching:
                         break
                 drives.append(seen)
@@ -438,8 +434,8 @@ class TestKinematicModelAndPhysics:
         world = with_patrols(world_of(), *traffic(np.random.default_rng(8)))
         motions = []
         with (
-            closing(KinematicSimulator(vehicle, DriveOptions(decision_period=1.0))) as kinematic,
-            closing(BulletEngine(vehicle, DriveOptions(decision_period=1.0), PHYSICS["reference"])) as bullet,
+            Alone(KinematicSimulator(vehicle, DriveOptions(decision_period=1.0), 1)) as kinematic,
+            Alone(contact_simulator("bullet", "reference", vehicle, DriveOptions(decision_period=1.0), 1)) as bullet,
         ):
             for simulator in (kinematic, bullet):
                 motions.append(drive(simulator, world, np.radians([60.0, -60.0, 30.0]).tolist()))
@@ -453,20 +449,20 @@ class TestKinematicModelAndPhysics:
 class TestFreshStart:
     TURNS = (0.4, -0.8, 0.3, 0.0, 1.0, -0.2)
 
-    def test_a_reset_takes_them_back_to_where_they_began(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_a_reset_takes_them_back_to_where_they_began(self, simulator: Alone, world_of: WorldOf) -> None:
         world = with_patrols(world_of(), *traffic(np.random.default_rng(3), 4))
 
         def seen(world: WorldSpec) -> list[Any]:
             simulator.reset(world)
-            first = simulator.scan().tolist()
-            return [first, *((simulator.advance(turn), simulator.scan().tolist()) for turn in self.TURNS)]
+            first = simulator.rays.tolist()
+            return [first, *((simulator.advance(turn), simulator.rays.tolist()) for turn in self.TURNS)]
 
         once = seen(world)
         for other in (world_of(), with_patrols(world_of(), *traffic(np.random.default_rng(4))), world):
             seen(other)
         assert seen(world) == once != seen(world_of())
 
-    def test_looking_changes_nothing(self, contact: ContactSimulator, world_of: WorldOf) -> None:
+    def test_looking_changes_nothing(self, contact: ContactEngine, world_of: WorldOf) -> None:
         """Where nothing can be touched, patrols are moved at every step only for who looks."""
         world = with_patrols(world_of(), *traffic(np.random.default_rng(1), 6))
         plain = drive(contact, world, self.TURNS)
@@ -479,7 +475,7 @@ class TestFreshStart:
         assert [contact.advance(turn, look=look) for turn in self.TURNS[: len(plain)]] == plain
         assert len(looks) == round(duration(plain) / contact.time_step)
 
-    def test_clearance_is_the_smallest_along_the_way(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_clearance_is_the_smallest_along_the_way(self, simulator: Alone, world_of: WorldOf) -> None:
         compared = 0
         for seed in range(4):
             world = with_patrols(world_of(), *traffic(np.random.default_rng(seed), 8))
@@ -487,7 +483,7 @@ class TestFreshStart:
             time = 0.0
             for turn in self.TURNS:
                 trace: list[Sample] = []
-                before = simulator.pose()
+                before = simulator.pose
                 motion = simulator.advance(turn, trace)
                 if motion.touching:
                     break

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import observed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -17,16 +18,17 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import LearningAgent, NoMemory, NoTrainingState
+from nnql_bullet.agents.base import NoMemory, NoTrainingState
 from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
-from nnql_bullet.env import Navigation, Observation, Transition, stacked
+from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Motion
-from nnql_bullet.task import GOES_ON, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.sim.base import no_motion
+from nnql_bullet.task import NO_ENDING, REWARD_TERMS, StateProperty, TaskOptions
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.training.loop import Training
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -43,7 +45,7 @@ def agent_of(**options: Any) -> QTable:
 
 def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
     """What vehicles see that read so much."""
-    return stacked([Observation(np.array(r), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings])
+    return observed(*((r, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings))
 
 
 def steps(
@@ -57,8 +59,9 @@ def steps(
         discount_t=np.full(n, discount),
         s_t=after,
         terms=np.zeros((n, len(REWARD_TERMS))),
-        ending=np.full(n, GOES_ON),
-        motions=Motion(np.zeros((n, 3)), *np.zeros((5, n)), *np.zeros((2, n), np.bool_)),
+        ending=np.full(n, NO_ENDING),
+        heading_command=np.zeros(n),
+        motion=no_motion(n),
         active=np.ones(n, np.bool_),
     )
 

@@ -21,7 +21,7 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_learning_curve, draw_trajectory
 from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
-from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import TrainingEpisode
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -39,7 +39,7 @@ def record(vehicle: VehicleSpec) -> Record:
     """Records one episode of a fixed series of actions, over and over until it ends."""
 
     def make(world: WorldSpec, *actions: int, max_steps: int = 500) -> tuple[Recording, EpisodeSummary]:
-        simulator = BulletEngine(vehicle, DriveOptions(), PHYSICS["fast"])
+        simulator = contact_simulator("bullet", "fast", vehicle, DriveOptions(), 1)
         recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
         script = cycle(actions)
 

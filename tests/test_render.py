@@ -50,7 +50,7 @@ Run = Callable[..., tuple[int, str, str]]
 
 def record(vehicle: VehicleSpec, world: WorldSpec, action: int, max_steps: int = 500, **about: object) -> Recording:
     """A drive of one action over and over, by an ideal vehicle."""
-    simulator = KinematicSimulator(vehicle, DriveOptions())
+    simulator = KinematicSimulator(vehicle, DriveOptions(), 1)
     recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
 
     def policy(observations: Observation) -> NDArray[np.int64]:

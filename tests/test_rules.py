@@ -2,9 +2,11 @@
 
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from importlib.util import find_spec
 from math import asin, atan2, cos, degrees, pi, radians, sin
 
+import helpers
 import numpy as np
 import pytest
 import shapely
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from nnql_bullet import paper
-from nnql_bullet.agents import Agent, make_agent
+from nnql_bullet.agents import Agent
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import repulsion
@@ -26,7 +28,7 @@ from nnql_bullet.agents.rules.vfh import (
     turning_limits,
 )
 from nnql_bullet.agents.turns import nearest_actions, nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, heading_change, stacked
+from nnql_bullet.env import ACTIONS, TOWARD_TARGET, Observation, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, moved, wrap_angle
 from nnql_bullet.mapping.point_cloud import point_cloud
@@ -58,7 +60,7 @@ def make(vehicle: VehicleSpec) -> Make:
     """Makes a rule that has begun with vehicle 0 in world 0."""
 
     def made(kind: str, **options: object) -> Agent:
-        agent = make_agent(load_config("paper", {"agent": {"kind": kind, **options}}).agent, 0, vehicle, DRIVE)
+        agent = load_config("paper", {"agent": {"kind": kind, **options}}).agent.make_agent(0, vehicle, DRIVE)
         agent.reset(0, 0)
         return agent
 
@@ -69,7 +71,7 @@ def observed(
     rays: Array = NOTHING, bearing: float = 0.0, yaw_rate: float = 0.0, state: StateProperty = StateProperty.NON_SAFE
 ) -> Observation:
     """What one vehicle sees."""
-    return stacked([Observation(sector_readings(rays), 50.0, bearing, yaw_rate, state, rays)])
+    return helpers.observed((sector_readings(rays), 50.0, bearing, yaw_rate, state, rays))
 
 
 def action(agent: Agent, observations: Observation) -> int:
@@ -123,9 +125,8 @@ class TestTurns:
 
 def test_scan_points_are_on_what_the_rays_met(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
     box, start = OrientedBox(105.0, 102.0, 2.0, 1.0, 0.4), Pose(100.0, 100.0, 0.3)
-    simulator = KinematicSimulator(vehicle, DRIVE)
-    simulator.reset(world_of(box, start=start))
-    distances = simulator.scan()
+    with closing(KinematicSimulator(vehicle, DRIVE, 1)) as simulator:
+        _, (distances,) = simulator.reset({0: world_of(box, start=start)})
     points = point_cloud(distances, vehicle.sensor)
     assert points.shape == (RAYS, 2)
     assert np.array_equal(np.isnan(points).all(axis=1), distances == paper.SENSOR_RANGE)
@@ -134,7 +135,6 @@ def test_scan_points_are_on_what_the_rays_met(vehicle: VehicleSpec, world_of: Ca
     places = shapely.points(seen @ np.array([[c, s], [-s, c]]) + (start.x, start.y))
     assert 3 < len(seen) < RAYS
     assert shapely.distance(places, polygon(box).boundary).max() < 1e-9
-    simulator.close()
 
 
 class TestRandom:
@@ -212,13 +212,10 @@ class TestLookAhead:
         turns = offered_turns(np.array([bearing]))
         foreseen = agent.predicted_poses(np.zeros(1), turns)
         assert foreseen.shape == (1, ACTIONS, round(horizon / PREDICTION_STEP), 3)
-        simulator = KinematicSimulator(vehicle, DriveOptions(decision_period=horizon))
-        for turn, poses in zip(turns[0], foreseen[0], strict=True):
-            simulator.reset(empty_world)
-            reached = simulator.advance(float(turn)).pose
-            start = empty_world.start
-            assert poses[-1] == pytest.approx([reached.x - start.x, reached.y - start.y, reached.yaw], abs=0.005)
-        simulator.close()
+        with closing(KinematicSimulator(vehicle, DriveOptions(decision_period=horizon), ACTIONS)) as simulator:
+            start, _ = simulator.reset(dict.fromkeys(range(ACTIONS), empty_world))
+            reached = simulator.advance(turns[0])[0].pose - start
+        assert foreseen[0, :, -1] == pytest.approx(reached, abs=0.005)
 
     @given(distances, bearings, st.floats(-1.5, 1.5), st.floats(0.1, 0.8))
     @settings(max_examples=40, deadline=None)

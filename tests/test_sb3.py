@@ -9,26 +9,26 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import helpers
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.base import LearningAgent, Trainable
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
-from nnql_bullet.env import Navigation, Observation, stacked
+from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Fleet, WorkerDied
+from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.task import StateProperty, TaskOptions
-from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
 
-sb3 = pytest.importorskip("nnql_bullet.training.sb3", reason="needs the extra [sb3]")
+sb3 = pytest.importorskip("nnql_bullet.agents.learning.sb3_training", reason="needs the extra [sb3]")
 
 Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
@@ -42,7 +42,7 @@ def same(one: Arrays, other: Arrays) -> bool:
 
 def observed(rows: NDArray[np.float64]) -> Observation:
     """Vehicles of which the environment tells these numbers (n, 11)."""
-    return stacked([Observation(r[:8], r[8], r[9], r[10], StateProperty.NON_SAFE, np.full(RAYS, 10.0)) for r in rows])
+    return helpers.observed(*((r[:8], r[8], r[9], r[10], StateProperty.NON_SAFE, np.full(RAYS, 10.0)) for r in rows))
 
 
 def numbers(count: int) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def numbers(count: int) -> NDArray[np.float64]:
 @pytest.fixture
 def parts(small_world: Path) -> Iterator[Callable[..., tuple[Experiment, Any, Navigation]]]:
     """Makes trainings in the small world, on the kinematic model."""
-    fleets: list[Fleet] = []
+    fleets: list[Simulator] = []
 
     def make(vehicles: int = 3, seed: int = 5) -> tuple[Experiment, Any, Navigation]:
         config = RunConfig(
@@ -97,7 +97,7 @@ class TestNetwork:
         with closing(gymnasium.make("nnql_bullet/Tricycle-v0", simulator="kinematic", world=str(small_world))) as env:
             observation, _ = env.reset(seed=3)
             seen = env.unwrapped._experiment.navigation._observation  # type: ignore[attr-defined]
-            assert inputs(stacked([seen]))[0] == pytest.approx(observation / np.array(SCALE), abs=1e-6)
+            assert inputs(seen)[0] == pytest.approx(observation / np.array(SCALE), abs=1e-6)
 
     def test_all_six_actions_are_open_in_any_state(self) -> None:
         agent = Sb3Dqn(SMALL, 0)
@@ -107,7 +107,7 @@ class TestNetwork:
             bias[action] = 1e6
             agent.load_state_dict(weights | {"4.bias": bias})
             for state in (StateProperty.SAFE, StateProperty.NON_SAFE):
-                seen = stacked([Observation(np.full(8, 9.0), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0))])
+                seen = helpers.observed((np.full(8, 9.0), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)))
                 assert agent.act(seen).tolist() == [action]
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:
@@ -291,7 +291,7 @@ class TestCommandLine:
     def test_without_the_library_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setitem(sys.modules, "nnql_bullet.training.sb3", None)
+        monkeypatch.setitem(sys.modules, "nnql_bullet.agents.learning.sb3_training", None)
         code, _, err = run_cli("train", "--config", "sb3_dqn", "--sim", "kinematic", "--out", tmp_path / "run")
         assert code == 2
         assert "pip install 'nnql-bullet[sb3]'" in err

@@ -128,7 +128,7 @@ def contents(folder: Path) -> dict[str, Any]:
 def driven(policy: Path, world: str | None, seeds: range) -> list[str]:
     """How a policy's drives end in the kinematic model, one vehicle after the other."""
     experiment = load_policy(policy, {"world": world}).experiment
-    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive), experiment.config.task)
+    navigation = Navigation(KinematicSimulator(experiment.vehicle, experiment.config.drive, 1), experiment.config.task)
     return [run_episode(navigation, experiment.world(seed), experiment.agent).ending for seed in seeds]
 
 

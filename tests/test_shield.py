@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from helpers import Alone, begun, ending, row, step
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -26,7 +27,6 @@ from nnql_bullet.env import (
     Navigation,
     Observation,
     Transition,
-    stacked,
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
@@ -50,7 +50,7 @@ from nnql_bullet.shield.recovery import (
     Recovery,
 )
 from nnql_bullet.shield.shield import Shield, ShieldOptions
-from nnql_bullet.sim.base import Simulator
+from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -99,7 +99,7 @@ def suicidal(o: Observation) -> NDArray[np.int64]:
 
 @pytest.fixture(scope="module")
 def kinematic(vehicle: VehicleSpec) -> Iterator[KinematicSimulator]:
-    with closing(KinematicSimulator(vehicle, DRIVE)) as made:
+    with closing(KinematicSimulator(vehicle, DRIVE, 1)) as made:
         yield made
 
 
@@ -120,12 +120,12 @@ class Noting:
         self.done: list[int] = []
         self.poses: list[Pose] = []
 
-    def on_reset(self, world: WorldSpec, observation: Observation) -> None:
+    def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         self.poses.append(world.start)
 
-    def on_step(self, transition: Transition) -> None:
-        self.done.append(transition.a_tm1)
-        self.poses.append(transition.motion.pose)
+    def on_step(self, transition: Transition, vehicle: int) -> None:
+        self.done.append(int(transition.a_tm1[vehicle]))
+        self.poses.append(row(transition.motion, vehicle).pose)
 
 
 def drive(
@@ -183,7 +183,7 @@ class TestWhatPasses:
         """A long wall close on the left: left turns lead into it, straight on and right turns do not."""
         wall = OrientedBox(MIDDLE.x + 10.0, MIDDLE.y + 1.6, 20.0, 0.5)
         navigation = Navigation(kinematic, TaskOptions())
-        observed = stacked([navigation.reset(world_of(wall))])
+        observed = begun(navigation, world_of(wall))
         for values, expected in (
             ([0.0, 5.0, 9.0, 3.0, 1.0], 3),
             ([4.0, 5.0, 9.0, 3.0, 1.0], 0),
@@ -202,7 +202,7 @@ class TestWhatPasses:
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         wall = OrientedBox(MIDDLE.x + 10.0, MIDDLE.y + 1.6, 20.0, 0.5)
-        observed = stacked([Navigation(kinematic, TaskOptions()).reset(world_of(wall, target=(190.0, 100.0)))])
+        observed = begun(Navigation(kinematic, TaskOptions()), world_of(wall, target=(190.0, 100.0)))
         shield = around(always(2))
         shield.reset(0, 0)
         assert shield.act(observed)[0] in (0, TOWARD_TARGET)
@@ -217,22 +217,22 @@ class TestWhatPasses:
         navigation, behind = Navigation(kinematic, TaskOptions()), [0] * (5 + 3 * seed)
         admitted = refused = 0
         for wanted in range(len(paper.TURNS)):
-            observed = navigation.reset(world)
+            observed = begun(navigation, world)
             for action in behind:
-                transition = navigation.step(action)
-                if transition.ending:
+                transition = step(navigation, action)
+                if ending(transition):
                     return
                 observed = transition.s_t
             shield = around(always(wanted))
             shield.reset(0, 0)
-            passes = int(shield.act(stacked([observed]))[0]) == wanted
-            trace: list[object] = []
-            first = kinematic.advance(paper.TURNS[wanted], trace)  # type: ignore[arg-type]
+            passes = int(shield.act(observed)[0]) == wanted
+            trace: list[Sample] = []
+            first = Alone(kinematic).advance(paper.TURNS[wanted], trace)
             if not first.touching:
-                kinematic.advance(first.heading_error, trace)  # type: ignore[arg-type]
+                Alone(kinematic).advance(first.heading_error, trace)
             corners = [(0.9, 0.325), (-0.2, 0.325), (-0.2, -0.325), (0.9, -0.325)]
             nearest = inf
-            for p in (sample.pose for sample in trace):  # type: ignore[attr-defined]
+            for p in (sample.pose for sample in trace):
                 c, s = cos(p.yaw), sin(p.yaw)
                 footprint = shapely.Polygon([(p.x + c * x - s * y, p.y + s * x + c * y) for x, y in corners])
                 nearest = min(nearest, footprint.distance(solids))
@@ -256,9 +256,9 @@ class TestStops:
         self, vehicle: VehicleSpec, around: Callable[..., Shield], world_of: WorldOf, engine: str
     ) -> None:
         made = (
-            KinematicSimulator(vehicle, DRIVE)
+            KinematicSimulator(vehicle, DRIVE, 1)
             if engine == "kinematic"
-            else contact_simulator("bullet", "fast", vehicle, DRIVE)
+            else contact_simulator("bullet", "fast", vehicle, DRIVE, 1)
         )
         with closing(made) as simulator:
             summary, done, _ = drive(simulator, self.pocket(world_of), around(always(TOWARD_TARGET)), steps=200)
@@ -279,18 +279,18 @@ class TestStops:
         laden = loaded(vehicle.gripping(friction), deck_load(vehicle, load))
         for its in (vehicle, laden):
             shield = Shield(ShieldOptions(recovers=False), always(0), its, DRIVE, TaskOptions())
-            with closing(KinematicSimulator(its, DRIVE)) as simulator:
+            with closing(KinematicSimulator(its, DRIVE, 1)) as simulator:
                 passes = []
                 for gap in np.arange(1.5, 6.0, 0.1):
                     wall = world_of(OrientedBox(MIDDLE.x + 0.9 + gap + 1.0, MIDDLE.y, 1.0, 60.0))
                     shield.reset(0, 0)
-                    observed = Navigation(simulator, TaskOptions()).reset(wall)
-                    passes.append(shield.act(stacked([observed]))[0] == 0)
+                    observed = begun(Navigation(simulator, TaskOptions()), wall)
+                    passes.append(shield.act(observed)[0] == 0)
             assert passes == sorted(passes)
             deceleration = min(its.limits.acceleration, 0.9 * turning_deceleration(its, DRIVE.speed))
             needed = max(2.0, DRIVE.speed * 0.5 + DRIVE.speed**2 / (2 * deceleration)) + 0.3
             assert 1.5 + 0.1 * passes.index(True) == pytest.approx(needed, abs=0.3)
-        with closing(contact_simulator("bullet", "fast", laden, DRIVE)) as simulator:
+        with closing(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as simulator:
             world = load_world("cover_10").draw(9, 0.8)
             assert drive(simulator, world, shield, steps=120)[0].ending == "timeout"
 
@@ -312,17 +312,16 @@ class TestMemory:
         wanted = iter([0, 1, 2, 4, TOWARD_TARGET, 3, 0, 2])
         shield = around(Wilful(lambda o: np.array([next(wanted)])))
         navigation = Navigation(kinematic, TaskOptions())
-        observed = navigation.reset(empty_world)
+        observed, before = begun(navigation, empty_world), empty_world.start
         shield.reset(0, 0)
         for _ in range(8):
-            before = kinematic.pose()
-            action = int(shield.act(stacked([observed]))[0])
-            motion = navigation.step(action).motion
-            observed = navigation._observation
-            memory, dx, dy = shield._memories[0], motion.pose.x - before.x, motion.pose.y - before.y
+            transition = navigation.step(shield.act(observed))
+            pose, observed = row(transition.motion, 0).pose, transition.s_t
+            memory, dx, dy = shield._memories[0], pose.x - before.x, pose.y - before.y
             c, s = cos(before.yaw), sin(before.yaw)
             assert memory.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
-            assert memory.speed == motion.speed
+            assert memory.speed == DRIVE.speed
+            before = pose
 
     def test_an_agent_that_remembers_is_told_what_was_done(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
@@ -348,14 +347,16 @@ class TestMemory:
         """Against the simulator's, though the shield turns it, at speed and on the spot."""
         agent = Vfh(VfhOptions(), vehicle, DRIVE)
         shield, navigation = around(agent), Navigation(kinematic, TaskOptions())
-        observed = navigation.reset(load_world("traps").draw(0, 0.8))
+        world = load_world("traps").draw(0, 0.8)
+        observed = begun(navigation, world)
         shield.reset(0, 0)
-        start, instead = kinematic.pose().yaw, []
+        instead = []
         for _ in range(150):
-            action = int(shield.act(stacked([observed]))[0])
-            instead += [action] if shield.overridden[0] else []
-            observed = navigation.step(action).s_t
-            assert wrap_angle(float(agent._headings[0]) - kinematic.pose().yaw + start) == pytest.approx(0.0, abs=1e-6)
+            actions = shield.act(observed)
+            instead += actions.tolist() if shield.overridden[0] else []
+            transition = navigation.step(actions)
+            observed, turned = transition.s_t, float(transition.motion.pose[0, 2]) - world.start.yaw
+            assert wrap_angle(float(agent._headings[0]) - turned) == pytest.approx(0.0, abs=1e-6)
         assert min(instead) < STOP < max(instead)
 
     def test_vehicles_of_a_fleet_are_driven_as_each_alone(
@@ -423,16 +424,15 @@ class TestReckoning:
     ) -> None:
         """A vehicle that cannot follow what is asked of it, in contact physics, among boxes of which none moves."""
         laden, shares = loaded(vehicle.gripping(friction), deck_load(vehicle, load)), []
-        with closing(contact_simulator("bullet", "fast", laden, DRIVE)) as simulator:
+        with closing(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as simulator:
             for seed in (1, 8, 16):
                 shield = Shield(ShieldOptions(), always(TOWARD_TARGET), laden, DRIVE, TaskOptions())
                 navigation = Navigation(simulator, TaskOptions())
-                observed, moving = navigation.reset(load_world("cover_20").draw(seed, 0.8)), 0
+                observed, moving = begun(navigation, load_world("cover_20").draw(seed, 0.8)), 0
                 shield.reset(0, 0)
                 for _ in range(80):
-                    o = stacked([observed])
-                    moving += int(shield._at_worst(o, deepcopy(shield._memories))[1].any())
-                    transition = navigation.step(int(shield.act(o)[0]))
+                    moving += int(shield._at_worst(observed, deepcopy(shield._memories))[1].any())
+                    transition = navigation.step(shield.act(observed))
                     assert not transition.motion.touching
                     observed = transition.s_t
                 shares.append(moving / 80)
@@ -443,13 +443,14 @@ class TestNewcomers:
     @pytest.mark.parametrize("seed", range(6))
     def test_nothing_that_stands_has_come(self, kinematic: KinematicSimulator, seed: int) -> None:
         world = load_world("cover_20").draw(seed, 0.8)
-        kinematic.reset(world)
+        alone = Alone(kinematic)
+        alone.reset(world)
         chance = np.random.default_rng(seed)
-        before, then, found = kinematic.scan(), kinematic.pose(), 0
+        before, then, found = alone.rays, alone.pose, 0
         for _ in range(40):
-            if kinematic.advance(float(chance.choice(paper.TURNS))).touching:
+            if alone.advance(float(chance.choice(paper.TURNS))).touching:
                 break
-            now, rays = kinematic.pose(), kinematic.scan()
+            now, rays = alone.pose, alone.rays
             c, s = cos(then.yaw), sin(then.yaw)
             dx, dy = now.x - then.x, now.y - then.y
             moved = np.array([c * dx + s * dy, c * dy - s * dx, now.yaw - then.yaw])
@@ -533,13 +534,13 @@ class TestSectorFaults:
         for seed in range(4):
             shield = around(always(TOWARD_TARGET))
             navigation = Navigation(kinematic, TaskOptions())
-            observed = navigation.reset(load_world("cover_10").draw(seed, 0.8))
+            observed = begun(navigation, load_world("cover_10").draw(seed, 0.8))
             shield.reset(0, 0)
             for _ in range(90):
-                transition = navigation.step(int(shield.act(stacked([observed]))[0]))
+                transition = navigation.step(shield.act(observed))
                 doubted += int((shield._memories[0].against >= ENOUGH).any())
                 decisions += 1
-                if transition.ending:
+                if ending(transition):
                     break
                 observed = transition.s_t
         assert doubted < 0.03 * decisions

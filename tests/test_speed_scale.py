@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from math import cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
 import pytest
-from nnql_bullet.sim.local import local_fleet
+from helpers import Alone, row
 from scipy.integrate import solve_ivp
 
 from nnql_bullet.env import (
@@ -22,8 +22,8 @@ from nnql_bullet.env import (
     speed_scale,
 )
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
-from nnql_bullet.sim.base import Motion, Sample, Simulator
-from nnql_bullet.sim.contact import ContactSimulator
+from nnql_bullet.sim.base import Sample, Simulator
+from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
@@ -37,6 +37,8 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 SPEED, RATE = 2.0, 2.5
 """Of the drive [m/s], and the shipped vehicle's limit [m/s2]."""
+RADIUS = 0.125
+"""Of the drive wheels [m]."""
 STOPPING = SPEED**2 / (2 * RATE)
 """Way to a stand [m]."""
 FRONT = 0.9
@@ -50,19 +52,25 @@ NAMES = ("kinematic", "bullet", pytest.param("mujoco", marks=NEEDS_MUJOCO))
 WorldOf = Callable[..., WorldSpec]
 
 
-def maker(name: str, vehicle: VehicleSpec) -> Callable[[], Simulator]:
+def make(name: str, vehicle: VehicleSpec, size: int = 1) -> Simulator:
     if name == "kinematic":
-        return partial(KinematicSimulator, vehicle, DriveOptions())
-    return partial(contact_simulator, "mujoco" if name == "mujoco" else "bullet", "fast", vehicle, DriveOptions())
+        return KinematicSimulator(vehicle, DriveOptions(), size)
+    if name == "workers":
+        return WorkerSimulator(partial(contact_simulator, "bullet", "fast", vehicle, DriveOptions()), size, 2)
+    return contact_simulator("mujoco" if name == "mujoco" else "bullet", "fast", vehicle, DriveOptions(), size)
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Simulator]:
-    with closing(maker(request.param, vehicle)()) as made:
+def simulator(request: pytest.FixtureRequest, vehicle: VehicleSpec) -> Iterator[Alone]:
+    with Alone(make(request.param, vehicle)) as made:
         yield made
 
 
-def drive(simulator: Simulator, world: WorldSpec, commands: list[tuple[float, float]]) -> list[Motion]:
+def speed(sample: Sample) -> float:
+    return sum(sample.wheel_speeds) / 2 * RADIUS
+
+
+def drive(simulator: Alone, world: WorldSpec, commands: list[tuple[float, float]]) -> list[VehicleMotion]:
     """Motion of commands (turn in degrees, speed_scale), up to the first contact."""
     simulator.reset(world)
     motions = []
@@ -73,59 +81,55 @@ def drive(simulator: Simulator, world: WorldSpec, commands: list[tuple[float, fl
     return motions
 
 
-def way(motions: list[Motion]) -> float:
+def way(motions: list[VehicleMotion]) -> float:
     return sum(motion.path_length for motion in motions)
 
 
 class TestStopping:
-    def test_it_stands_after_the_braking_distance(self, simulator: Simulator, empty_world: WorldSpec) -> None:
-        first, second, third = motions = drive(simulator, empty_world, [(0, 0)] * 3)
+    def test_it_stands_after_the_braking_distance(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        first, _, third = motions = drive(simulator, empty_world, [(0, 0)] * 3)
         assert way(motions) == pytest.approx(STOPPING, rel=0.01)
-        assert simulator.pose().x - MIDDLE.x == pytest.approx(STOPPING, rel=0.01)
-        assert first.speed == pytest.approx(SPEED - RATE * 0.5, rel=0.02)
-        assert [second.speed, third.speed] == pytest.approx([0.0, 0.0], abs=0.01)
+        assert simulator.pose.x - MIDDLE.x == pytest.approx(STOPPING, rel=0.01)
+        assert first.path_length == pytest.approx(SPEED * 0.5 - RATE * 0.5**2 / 2, rel=0.01)
         assert third.path_length < 0.002
-        assert third.wheel_speeds == pytest.approx((0.0, 0.0), abs=0.05)
+        assert simulator.end.wheel_speeds == pytest.approx((0.0, 0.0), abs=0.05)
         assert [motion.duration for motion in motions] == pytest.approx([0.5] * 3)
 
-    def test_it_goes_again_within_the_same_limit(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_it_goes_again_within_the_same_limit(self, simulator: Alone, empty_world: WorldSpec) -> None:
         first, second, third = drive(simulator, empty_world, [(0, 0)] * 2 + [(0, 1)] * 3)[2:]
         assert first.path_length == pytest.approx(RATE * 0.5**2 / 2, rel=0.02)
-        assert first.speed == pytest.approx(RATE * 0.5, rel=0.02)
         assert first.path_length + second.path_length == pytest.approx(SPEED * 1.0 - STOPPING, rel=0.02)
-        assert (third.speed, third.path_length) == pytest.approx((SPEED, SPEED * 0.5), rel=0.01)
+        assert (speed(simulator.end), third.path_length) == pytest.approx((SPEED, SPEED * 0.5), rel=0.01)
 
-    def test_any_pace_is_kept(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_any_pace_is_kept(self, simulator: Alone, empty_world: WorldSpec) -> None:
         motions = drive(simulator, empty_world, [(0, 0.5)] * 3)
-        assert motions[-1].speed == pytest.approx(SPEED / 2, rel=0.01)
+        assert speed(simulator.end) == pytest.approx(SPEED / 2, rel=0.01)
         assert motions[-1].path_length == pytest.approx(SPEED / 4, rel=0.01)
 
-    def test_the_drives_own_speed_is_the_pace_if_none_is_given(
-        self, simulator: Simulator, empty_world: WorldSpec
-    ) -> None:
+    def test_the_drives_own_speed_is_the_pace_if_none_is_given(self, simulator: Alone, empty_world: WorldSpec) -> None:
         turns = (0.4, -0.8, 0.3)
         simulator.reset(empty_world)
         plain = [simulator.advance(turn) for turn in turns]
         simulator.reset(empty_world)
         assert [simulator.advance(turn, speed_scale=1.0) for turn in turns] == plain
 
-    def test_a_reset_has_it_at_speed_again(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_a_reset_has_it_at_speed_again(self, simulator: Alone, empty_world: WorldSpec) -> None:
         (plain,) = drive(simulator, empty_world, [(0, 1)])
         drive(simulator, empty_world, [(60, 0)] * 3)
         assert drive(simulator, empty_world, [(0, 1)]) == [plain]
 
-    def test_a_trace_shows_it_slow_down(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_a_trace_shows_it_slow_down(self, simulator: Alone, empty_world: WorldSpec) -> None:
         trace: list[Sample] = []
         simulator.reset(empty_world)
         for _ in range(2):
             simulator.advance(0.0, trace, 0.0)
-        speeds = np.array([sum(sample.wheel_speeds) / 2 * 0.125 for sample in trace])
+        speeds = np.array([speed(sample) for sample in trace])
         times = np.array([sample.time for sample in trace])
         assert speeds == pytest.approx(np.maximum(SPEED - RATE * times, 0.0), abs=0.05)
 
     @pytest.mark.parametrize("short", [0.02, 0.3, 0.6])
     def test_a_wall_too_near_is_hit_at_what_is_left_of_the_speed(
-        self, simulator: Simulator, world_of: WorldOf, short: float
+        self, simulator: Alone, world_of: WorldOf, short: float
     ) -> None:
         gap = STOPPING - short
         wall = OrientedBox(MIDDLE.x + FRONT + gap + 0.5, MIDDLE.y, 0.5, 2.0)
@@ -136,7 +140,7 @@ class TestStopping:
 
     @pytest.mark.parametrize("spare", [0.05, 0.3])
     def test_a_wall_beyond_the_braking_distance_is_not_touched(
-        self, simulator: Simulator, world_of: WorldOf, spare: float
+        self, simulator: Alone, world_of: WorldOf, spare: float
     ) -> None:
         wall = OrientedBox(MIDDLE.x + FRONT + STOPPING + spare + 0.5, MIDDLE.y, 0.5, 2.0)
         motions = drive(simulator, world_of(wall), [(0, 0)] * 4)
@@ -147,36 +151,36 @@ class TestStopping:
 class TestPivot:
     @pytest.mark.parametrize("turn", [60, -60, 30])
     def test_on_the_spot_it_turns_by_what_is_asked_for(
-        self, simulator: Simulator, empty_world: WorldSpec, turn: float
+        self, simulator: Alone, empty_world: WorldSpec, turn: float
     ) -> None:
         drive(simulator, empty_world, [(0, 0)] * 3)
-        before, trace = simulator.pose(), list[Sample]()
+        before, trace = simulator.pose, list[Sample]()
         simulator.advance(radians(turn), trace, 0.0)
-        left = radians(turn) - (simulator.pose().yaw - before.yaw)
+        left = radians(turn) - (simulator.pose.yaw - before.yaw)
         simulator.advance(left, trace, 0.0)
         simulator.advance(0.0, trace, 0.0)
-        assert degrees(simulator.pose().yaw - before.yaw) == pytest.approx(turn, abs=0.5)
+        assert degrees(simulator.pose.yaw - before.yaw) == pytest.approx(turn, abs=0.5)
         assert all(hypot(s.pose.x - before.x, s.pose.y - before.y) < 0.01 for s in trace)
 
-    def test_half_a_second_turns_as_far_as_on_the_way(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_half_a_second_turns_as_far_as_on_the_way(self, simulator: Alone, empty_world: WorldSpec) -> None:
         (rolling,) = drive(simulator, empty_world, [(60, 1)])
         standing = drive(simulator, empty_world, [(0, 0)] * 3 + [(60, 0)])[-1]
         assert standing.pose.yaw == pytest.approx(rolling.pose.yaw, abs=radians(1.0))
         assert standing.heading_error == pytest.approx(rolling.heading_error, abs=radians(1.0))
 
-    def test_then_it_goes_where_it_points(self, simulator: Simulator, empty_world: WorldSpec) -> None:
+    def test_then_it_goes_where_it_points(self, simulator: Alone, empty_world: WorldSpec) -> None:
         drive(simulator, empty_world, [(0, 0)] * 3 + [(60, 0)] * 3)
-        before = simulator.pose()
+        before = simulator.pose
         for _ in range(3):
             simulator.advance(0.0)
-        after = simulator.pose()
+        after = simulator.pose
         assert before.yaw > radians(90)
         gone = np.array([after.x - before.x, after.y - before.y])
         ahead = np.array([cos(after.yaw), sin(after.yaw)])
         assert gone @ ahead == pytest.approx(SPEED * 1.5 - STOPPING, abs=0.12)
 
     @pytest.mark.parametrize(("beside", "touches"), [(0.36, True), (0.41, False)])
-    def test_its_tail_swings_out(self, simulator: Simulator, world_of: WorldOf, beside: float, touches: bool) -> None:
+    def test_its_tail_swings_out(self, simulator: Alone, world_of: WorldOf, beside: float, touches: bool) -> None:
         """The vehicle's side is 0.325 m from its axle's centre; its rear corner goes round that at 0.382 m."""
         post = OrientedBox(MIDDLE.x + STOPPING, MIDDLE.y + beside, 0.01, 0.01)
         motions = drive(simulator, world_of(post), [(0, 0)] * 3 + [(-60, 0)] * 2)
@@ -192,7 +196,7 @@ def test_turns_while_the_speed_changes_follow_the_unicycle(
     commands = [(60, 0), (60, 0), (-30, 1), (0, 1), (30, 0.4), (-60, 0), (0, 0), (60, 1)]
     most_rate, slope = vehicle.limits.yaw_rate, 3.0
     gentle = replace(vehicle, limits=replace(vehicle.limits, yaw_acceleration=slope))
-    with closing(maker(name, gentle)()) as simulator:
+    with Alone(make(name, gentle)) as simulator:
         motions = drive(simulator, empty_world, commands)
     state = np.array([MIDDLE.x, MIDDLE.y, 0.0, SPEED, 0.0])
     for motion, (turn, wanted) in zip(motions, commands, strict=True):
@@ -212,7 +216,7 @@ def test_turns_while_the_speed_changes_follow_the_unicycle(
 
 
 class TestPatrols:
-    def test_a_standing_vehicle_is_hit_when_the_box_is_there(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_a_standing_vehicle_is_hit_when_the_box_is_there(self, simulator: Alone, world_of: WorldOf) -> None:
         """The box comes at 1 m/s from 3 m ahead of where the front comes to stand."""
         x = MIDDLE.x + STOPPING + FRONT + 3.0 + 0.5
         patrol = Patrol(OrientedBox(x, 100.0, 0.5, 1.0), (x - 20.0, 100.0), 1.0, 0.0)
@@ -220,7 +224,7 @@ class TestPatrols:
         assert motions[-1].touching
         assert sum(motion.duration for motion in motions) == pytest.approx(3.0, abs=0.03)
 
-    def test_one_that_turns_back_leaves_what_was_left(self, simulator: Simulator, world_of: WorldOf) -> None:
+    def test_one_that_turns_back_leaves_what_was_left(self, simulator: Alone, world_of: WorldOf) -> None:
         x = MIDDLE.x + STOPPING + FRONT + 3.0 + 0.5
         patrol = Patrol(OrientedBox(x, 100.0, 0.5, 1.0), (x - 2.7, 100.0), 1.0, 0.0)
         motions = drive(simulator, replace(world_of(), patrols=(patrol,)), [(0, 0)] * 12)
@@ -256,29 +260,16 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
 
 
 @pytest.mark.parametrize("kind", [*NAMES, "workers"])
-def test_vehicles_of_a_fleet_go_at_their_own_paces(vehicle: VehicleSpec, world_of: WorldOf, kind: str) -> None:
-    make = maker("bullet" if kind == "workers" else kind, vehicle)
-    if kind == "kinematic":
-        fleet = KinematicSimulator(vehicle, DriveOptions(), 3)
-    elif kind == "workers":
-        fleet = WorkerSimulator(partial(local_fleet, make), 3, 2)
-    else:
-        fleet = local_fleet(make, 3)
+def test_several_vehicles_go_at_their_own_speeds(vehicle: VehicleSpec, world_of: WorldOf, kind: str) -> None:
     chance = np.random.default_rng(4)
     commands = [(chance.uniform(-1, 1, 3), chance.choice([0.0, 0.5, 1.0], 3)) for _ in range(8)]
-    with closing(fleet), closing(make()) as alone:
-        fleet.reset({i: world_of() for i in range(3)})
-        together = []
-        for turns, speed_scales in commands:
-            motions, _ = fleet.advance(turns, np.ones(3, np.bool_), speed_scales)
-            together.append(replace(motions, **{f.name: getattr(motions, f.name).copy() for f in fields(Motion)}))
+    with closing(make(kind, vehicle, 3)) as several, Alone(make(kind.replace("workers", "bullet"), vehicle)) as alone:
+        several.reset({i: world_of() for i in range(3)})
+        together = [several.advance(turns, speed_scales=scales)[0] for turns, scales in commands]
         for i in range(3):
             alone.reset(world_of())
-            for (turns, speed_scales), motions in zip(commands, together, strict=True):
-                motion = alone.advance(float(turns[i]), speed_scale=float(speed_scales[i]))
-                assert motions.pose[i].tolist() == [motion.pose.x, motion.pose.y, motion.pose.yaw]
-                assert motions.path_length[i] == motion.path_length
-                assert motions.yaw_rate[i] == motion.yaw_rate
+            for (turns, scales), motion in zip(commands, together, strict=True):
+                assert row(motion, i) == alone.advance(float(turns[i]), speed_scale=float(scales[i]))
 
 
 class TestManoeuvres:
@@ -291,27 +282,17 @@ class TestManoeuvres:
         assert MANOEUVRES == 2 * ACTIONS
         assert heading_change(TOWARD_TARGET + STOP, 0.3) == pytest.approx(0.3)
 
-    def test_one_and_many_vehicles_carry_them_out(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
+    def test_vehicles_carry_them_out(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
         actions = [STOP, STOP, TOWARD_TARGET + STOP, TOWARD_TARGET + STOP, TOWARD_TARGET, 1]
-        with (
-            closing(KinematicSimulator(vehicle, DriveOptions())) as one,
-            closing(KinematicSimulator(vehicle, DriveOptions(), 2)) as two,
-        ):
-            navigation, many = Navigation(one, TaskOptions()), Navigation(two, TaskOptions())
-            navigation.reset(world_of())
-            many.reset({i: world_of() for i in range(2)})
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 2)) as simulator:
+            navigation = Navigation(simulator, TaskOptions())
+            navigation.reset({i: world_of() for i in range(2)})
             for action in actions:
-                transition = navigation.step(action)
-                both = many.step(np.array([action, 0]))
-                assert both.motions.pose[0].tolist() == [
-                    transition.motion.pose.x,
-                    transition.motion.pose.y,
-                    transition.motion.pose.yaw,
-                ]
-                assert both.motions.path_length[1] == pytest.approx(1.0)
+                path_length, other = navigation.step(np.array([action, 0])).motion.path_length.tolist()
+                assert other == pytest.approx(1.0)
                 if action == TOWARD_TARGET + STOP:
-                    assert transition.motion.path_length < 1e-9
-            assert transition.motion.path_length == pytest.approx(RATE * (1.0**2 - 0.5**2) / 2 - 0.5 * RATE * 0.2**2)
+                    assert path_length < 1e-9
+        assert path_length == pytest.approx(RATE * (1.0**2 - 0.5**2) / 2 - 0.5 * RATE * 0.2**2)
 
 
 class TestTheLimit:
@@ -327,8 +308,7 @@ class TestTheLimit:
         self, vehicle: VehicleSpec, empty_world: WorldSpec, friction: float, payload: float
     ) -> None:
         carrying = loaded(vehicle.gripping(friction), deck_load(vehicle, payload))
-        simulator: ContactSimulator = contact_simulator("bullet", "fast", carrying, DriveOptions())
-        with closing(simulator):
+        with Alone(make("bullet", carrying)) as simulator:
             motions = drive(simulator, empty_world, [(0, 0)] * 3)
             assert way(motions) == pytest.approx(STOPPING, rel=0.03)
-            assert abs(degrees(simulator.pose().yaw)) < 1.0
+            assert abs(degrees(simulator.pose.yaw)) < 1.0

@@ -6,7 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nnql_bullet.config import parse
+from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
+from nnql_bullet.rollout import Tally
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import (
     ENDINGS,
     NO_ENDING,
@@ -21,6 +24,7 @@ from nnql_bullet.task import (
     reward_terms,
     state_property,
 )
+from nnql_bullet.vehicle.controller import DriveOptions
 
 SS, NS, WS, FS = StateProperty.SAFE, StateProperty.NON_SAFE, StateProperty.WINNING, StateProperty.FAILURE
 FREE = np.full(8, 10.0)
@@ -50,11 +54,10 @@ def sensed(values, task):
 
 @dataclass(frozen=True)
 class State:
-    """What a reward term sees of a state, and a part of an observation that only a term of one's own uses."""
+    """What the paper's terms need of an observation."""
 
     state_property: int
     readings: np.ndarray
-    yaw_rate: float = 0.0
 
 
 def rewarded(before, after, readings_before, readings_after, task=DEFAULT):
@@ -204,19 +207,21 @@ def turning(s_tm1, s_t, task):
     return np.abs(s_t.yaw_rate)
 
 
-def test_a_reward_takes_a_term_of_ones_own_without_touching_the_papers():
+def test_a_reward_takes_a_further_term_and_an_episode_sums_it_up(vehicle, empty_world):
     reward = (*paper_reward(DEFAULT), RewardTerm(turning, -0.1))
-    s_tm1, s_t = (
-        State(np.array([SS, NS]), np.stack([FAR, FAR])),
-        State(np.array([NS, NS]), np.stack([NEAR, FAR]), np.array([0.5, -2.0])),
-    )
-    terms = reward_terms(s_tm1, s_t, DEFAULT, reward)
-    assert [term.name for term in reward] == [*REWARD_TERMS, "turning"]
-    assert (
-        terms[:, :-1].tolist()
-        == rewarded(s_tm1.state_property, s_t.state_property, s_tm1.readings, s_t.readings).tolist()
-    )
-    assert terms[:, -1] == pytest.approx([-0.05, -0.2])
+    navigation = Navigation(KinematicSimulator(vehicle, DriveOptions(), 1), DEFAULT, reward)
+    navigation.reset({0: empty_world})
+    tally, rewards, turned = Tally(navigation), 0.0, 0.0
+    tally.reset(0, 0)
+    while not tally.over[0]:
+        transition = navigation.step(np.array([1]))
+        tally.add(transition)
+        rewards, turned = rewards + transition.r_t[0], turned + abs(transition.s_t.yaw_rate[0])
+    summary = tally.summary(0)
+    assert list(summary.terms) == [*REWARD_TERMS, "turning"]
+    assert turned > 1
+    assert summary.terms["turning"] == pytest.approx(-0.1 * turned)
+    assert summary.episode_return == pytest.approx(rewards)
 
 
 def ended(after, steps, task=DEFAULT):

@@ -19,23 +19,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nnql_bullet.sim.local import as_motions
+from helpers import begun, ending
+from helpers import row as of_vehicle
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
 from nnql_bullet.agents import LearningAgent
 from nnql_bullet.agents.learning.nnql import Nnql
-from nnql_bullet.env import Navigation, Observation, Transition, stacked
+from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
-from nnql_bullet.sim.base import Fleet, Motion, WorkerDied
+from nnql_bullet.sim.base import Motion, Simulator, Traces, WorkerDied
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.task import REWARD_TERMS, TaskOptions
+from nnql_bullet.task import REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.training.loop import Training, TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -51,7 +52,7 @@ class Parts:
 
     experiment: Experiment
     agent: LearningAgent
-    fleet: Fleet
+    simulator: Simulator
     training: Training
 
 
@@ -59,12 +60,12 @@ class Parts:
 def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
     """Makes trainings in the small world, on the kinematic model unless told otherwise; what it wraps may be looked
     into."""
-    fleets: list[Fleet] = []
+    made: list[Simulator] = []
 
     def make(
         vehicles: int,
         agent: Callable[[LearningAgent], LearningAgent] = lambda agent: agent,
-        fleet: Callable[[Fleet], Fleet] = lambda fleet: fleet,
+        around: Callable[[Simulator], Simulator] = lambda simulator: simulator,
         max_steps: int = 40,
         simulator: str = "kinematic",
         world: Path = small_world,
@@ -77,14 +78,14 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
             task=TaskOptions(max_steps=max_steps),
         )
         experiment = Experiment(config)
-        fleets.append(experiment.new_simulator(1))
-        inner, learner = fleet(fleets[-1]), agent(experiment.learning_agent)
+        made.append(experiment.new_simulator(1))
+        inner, learner = around(made[-1]), agent(experiment.learning_agent)
         navigation = Navigation(inner, config.task)
         return Parts(experiment, learner, inner, Training(learner, navigation, experiment.training_world, config.seed))
 
     yield make
-    for fleet in fleets:
-        fleet.close()
+    for one in made:
+        one.close()
 
 
 def same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:
@@ -120,11 +121,11 @@ class Spy:
 
 
 class Mortal:
-    """A fleet that dies at one of its calls."""
+    """A simulator that dies at one of its calls."""
 
-    def __init__(self, fleet: Fleet, verb: str, call: int) -> None:
-        self._fleet, self._verb, self._left = fleet, verb, call
-        self.size = fleet.size
+    def __init__(self, simulator: Simulator, verb: str, call: int) -> None:
+        self._simulator, self._verb, self._left = simulator, verb, call
+        self.size = simulator.size
 
     def _count(self, verb: str) -> None:
         self._left -= verb == self._verb
@@ -133,30 +134,20 @@ class Mortal:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         self._count("reset")
-        return self._fleet.reset(worlds)
+        return self._simulator.reset(worlds)
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         self._count("advance")
-        return self._fleet.advance(heading_changes, active, speed_scales)
+        return self._simulator.advance(heading_changes, active, speed_scales, traces)
 
     def close(self) -> None:
-        self._fleet.close()
-
-
-def batch_of_one(t: Transition) -> Transition:
-    return Transition(
-        s_tm1=stacked([t.s_tm1]),
-        a_tm1=np.array([t.a_tm1]),
-        r_t=np.array([t.r_t]),
-        discount_t=np.array([t.discount_t]),
-        s_t=stacked([t.s_t]),
-        terms=np.array([[t.terms[name] for name in REWARD_TERMS]]),
-        ending=np.array([-1]),
-        motions=as_motions({0: t.motion}, 1),
-        active=np.ones(1, np.bool_),
-    )
+        self._simulator.close()
 
 
 def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode], Arrays]:
@@ -164,18 +155,17 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
     config = experiment.config
     agent = Nnql(config.agent, config.seed)
     found = []
-    with closing(KinematicSimulator(experiment.vehicle, config.drive)) as simulator:
+    with closing(KinematicSimulator(experiment.vehicle, config.drive, 1)) as simulator:
         navigation = Navigation(simulator, config.task)
         for episode in range(episodes):
             world = experiment.world(training_world_seed(config.seed, episode))
             uniforms = rng(config.seed, Stream.POLICY, episode).random(config.task.max_steps)
-            observation = navigation.reset(world)
+            observation = begun(navigation, world)
             steps, errors = [], []
-            while not steps or steps[-1].ending is None:
+            while not steps or ending(steps[-1]) is None:
                 chance = uniforms[len(steps) : len(steps) + 1]
-                action = agent.act_exploring(stacked([observation]), np.array([episode]), chance)
-                steps.append(navigation.step(int(action[0])))
-                errors += agent.learn(batch_of_one(steps[-1])).tolist()
+                steps.append(navigation.step(agent.act_exploring(observation, np.array([episode]), chance)))
+                errors += agent.learn(steps[-1]).tolist()
                 observation = steps[-1].s_t
             learned = [error for error in errors if error == error]
             diagnostics = agent.diagnostics(episode)
@@ -185,19 +175,20 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
 
 
 def summed_up(world_seed: int, steps: list[Transition]) -> EpisodeSummary:
+    motions = [of_vehicle(t.motion, 0) for t in steps]
     return EpisodeSummary(
         world_seed=world_seed,
-        ending=str(steps[-1].ending),
+        ending=str(ending(steps[-1])),
         steps=len(steps),
-        duration=sum(t.motion.duration for t in steps),
-        path_length=sum(t.motion.path_length for t in steps),
-        clearance=min(t.motion.clearance for t in steps),
-        mean_clearance=sum(t.motion.clearance for t in steps) / len(steps),
-        lateral_acceleration=max(abs(t.motion.path_length / t.motion.duration * t.motion.yaw_rate) for t in steps),
-        heading_error=sqrt(sum(t.motion.heading_error**2 for t in steps) / len(steps)),
-        non_safe_steps=sum(t.s_tm1.state_property.label == "NS" for t in steps),
-        episode_return=sum(t.r_t for t in steps),
-        terms={name: sum(t.terms[name] for t in steps) for name in REWARD_TERMS},
+        duration=sum(m.duration for m in motions),
+        path_length=sum(m.path_length for m in motions),
+        clearance=min(m.clearance for m in motions),
+        mean_clearance=sum(m.clearance for m in motions) / len(steps),
+        lateral_acceleration=max(abs(m.path_length / m.duration * m.yaw_rate) for m in motions),
+        heading_error=sqrt(sum(m.heading_error**2 for m in motions) / len(steps)),
+        non_safe_steps=sum(t.s_tm1.state_property[0] == StateProperty.NON_SAFE for t in steps),
+        episode_return=sum(t.r_t.item() for t in steps),
+        terms={name: sum(t.terms[0, k].item() for t in steps) for k, name in enumerate(REWARD_TERMS)},
     )
 
 
@@ -258,15 +249,13 @@ class TestOrder:
         driven: list[list[bool]] = []
 
         class Watched(Mortal):
-            def advance(
-                self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
-            ) -> tuple[Motion, Array]:
-                driven.append(active.tolist())
-                return super().advance(heading_changes, active, speed_scales)
+            def advance(self, heading_changes: Array, active: NDArray[np.bool_] | None = None, *more: Any) -> Any:
+                driven.append(active)
+                return super().advance(heading_changes, active, *more)
 
-        made = parts(5, fleet=lambda fleet: Watched(fleet, "", 1))
+        made = parts(5, around=lambda simulator: Watched(simulator, "", 1))
         finished = sum(episode.summary.steps for episode in islice(made.training.episodes(), 15))
-        assert all(active == [True] * 5 for active in driven)
+        assert all(active is None for active in driven)  # which is everybody
         arrays = made.training.state_dict()
         under_way = (arrays["actions"] != -1).sum()  # the vehicle whose episode was given out last has none
         assert finished + under_way == 5 * len(driven)
@@ -334,9 +323,9 @@ class TestGoingOn:
 
     def test_with_noisy_sensors(self, parts: Callable[..., Parts]) -> None:
         noisy = partial(FaultySimulator, faults=SensorFaults(noise=0.2))
-        whole = stops(parts(3, fleet=noisy), 8)
+        whole = stops(parts(3, around=noisy), 8)
         for stop in whole[0], whole[3]:
-            assert_same(going_on(parts(3, fleet=noisy), stop, 8), whole[-1])
+            assert_same(going_on(parts(3, around=noisy), stop, 8), whole[-1])
         assert whole[-1].done != stops(parts(3), 8)[-1].done
 
     @pytest.mark.parametrize("simulator", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
@@ -363,7 +352,7 @@ class TestGoingOn:
         self, parts: Callable[..., Parts], verb: str, call: int
     ) -> None:
         whole = stops(parts(5), 12)
-        made = parts(5, fleet=lambda fleet: Mortal(fleet, verb, call))
+        made = parts(5, around=lambda simulator: Mortal(simulator, verb, call))
         done = []
         with pytest.raises(WorkerDied):
             done += iter_into(done, made.training.episodes())
@@ -670,10 +659,10 @@ class TestDeathBeforeTheFirstEpisode:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        real = Experiment.fleet
+        real = Experiment.new_simulator
         arguments = ("--config", small_config, "--episodes", 6, "--vehicles", 4, "--sim", "kinematic")
         with monkeypatch.context() as patch:
-            patch.setattr(Experiment, "fleet", lambda self, workers: Mortal(real(self, workers), "advance", 2))
+            patch.setattr(Experiment, "new_simulator", lambda self, workers: Mortal(real(self, workers), "advance", 2))
             code, _, err = run_cli("train", *arguments, "--out", tmp_path / "run")
         assert code == 1
         assert "worker 1 of 1 died; stopped after episode 0 of 6; go on with: nnql-bullet train --resume" in err
@@ -690,9 +679,9 @@ class TestDeathBeforeTheFirstEpisode:
     ) -> None:
         train(tmp_path / "run", 6, "--sim", "kinematic")
         before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
-        real = Experiment.fleet
+        real = Experiment.new_simulator
         with monkeypatch.context() as patch:
-            patch.setattr(Experiment, "fleet", lambda self, workers: Mortal(real(self, workers), "advance", 1))
+            patch.setattr(Experiment, "new_simulator", lambda self, workers: Mortal(real(self, workers), "advance", 1))
             code, _, err = run_cli("train", "--resume", tmp_path / "run", "--episodes", 9)
         assert code == 1
         assert "worker 1 of 1 died" in err

@@ -22,7 +22,7 @@ from nnql_bullet.render.renderers import make_renderer
 from nnql_bullet.render.solids import BOX, MOVING, WALL, BulletRenderer, Renderer, Solids
 from nnql_bullet.render.timeline import Moment, Timeline
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -44,7 +44,7 @@ def recording(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> Recor
     moves = Patrol(OrientedBox(9.0, 13.0, 0.5, 0.7, 0.3), (12.0, 15.0), 1.0, 0.1)
     boxes = OrientedBox(13.0, 8.0, 1.0, 0.6, 0.5), OrientedBox(17.0, 15.0, 1.5, 1.0)
     world = world_of(*boxes, side=28.0, start=Pose(6.0, 9.0, 0.25), target=(25.0, 25.0))
-    simulator = BulletEngine(vehicle, DriveOptions(), PHYSICS["fast"])
+    simulator = contact_simulator("bullet", "fast", vehicle, DriveOptions(), 1)
     agent = Straight()
     recorder = Recorder(vehicle, agent)
     navigation = Navigation(simulator, TaskOptions(max_steps=4))

@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from nnql_bullet.sim.local import as_motions, local_fleet
 from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
-from nnql_bullet.sim.base import Motion, WorkerDied
+from nnql_bullet.sim.base import Motion, Sample, Traces, WorkerDied, no_motion
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -36,7 +35,7 @@ MEGABYTE = 1024
 """In the kilobytes of /proc."""
 
 
-class FakeFleet:
+class FakeSimulator:
     """Vehicles that turn on the spot, in a process that can be made to hang, to fail or to end."""
 
     def __init__(self, size: int) -> None:
@@ -53,14 +52,19 @@ class FakeFleet:
         return poses, self._rays()[chosen]
 
     def advance(
-        self, heading_changes: Array, active: NDArray[np.bool_], speed_scales: Array | None = None
+        self,
+        heading_changes: Array,
+        active: NDArray[np.bool_] | None = None,
+        speed_scales: Array | None = None,
+        traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
+        active = np.ones(self.size, np.bool_) if active is None else active
         if np.isnan(heading_changes).any():
             _misbehave("hang")
         if np.isinf(heading_changes).any():
             _misbehave("fail")
         self._yaws += np.where(active, heading_changes, 0.0)
-        motions = as_motions({}, self.size)
+        motions = no_motion(self.size)
         for k, field in enumerate(fields(Motion)):
             values = getattr(motions, field.name)
             values[active] = values.dtype.type(1)
@@ -68,6 +72,8 @@ class FakeFleet:
                 -1, *[1] * (values.ndim - 1)
             )
         motions.pose[:, 2] = np.where(active, self._yaws, 0.0)
+        for i, trace in (traces or {}).items():
+            trace.append(Sample(0.0, Pose(0.0, 0.0, float(self._yaws[i])), (0.0,) * 4, (0.0, 0.0)))
         return motions, np.where(active[:, None], self._rays(), 0.0)
 
     def _rays(self) -> Array:
@@ -89,11 +95,11 @@ def _misbehave(how: str) -> None:
         os._exit(3)
 
 
-def fails_to_begin(size: int) -> FakeFleet:
+def fails_to_begin(size: int) -> FakeSimulator:
     raise ValueError("no such vehicle")
 
 
-def refuses(size: int) -> FakeFleet:
+def refuses(size: int) -> FakeSimulator:
     raise UserError(f"no room for {size} vehicles")
 
 
@@ -153,14 +159,14 @@ def worlds_named(world_of: Callable[..., WorldSpec], *names: str) -> dict[int, W
 @pytest.fixture
 def five() -> Iterator[WorkerSimulator]:
     """Five vehicles in two processes: 0, 2, 4 and 1, 3."""
-    with closing(WorkerSimulator(FakeFleet, 5, 2)) as fleet:
+    with closing(WorkerSimulator(FakeSimulator, 5, 2)) as fleet:
         yield fleet
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[WorkerSimulator]:
     """The same, for tests that let them live."""
-    with closing(WorkerSimulator(FakeFleet, 5, 2)) as fleet:
+    with closing(WorkerSimulator(FakeSimulator, 5, 2)) as fleet:
         yield fleet
 
 
@@ -178,8 +184,8 @@ class TestSharing:
         for active in ([1, 1, 1, 1, 1], [1, 0, 1, 1, 0], [0, 1, 0, 0, 0], [0, 0, 0, 0, 0], [1, 1, 1, 1, 1]):
             calls.append(("advance", (generator.uniform(-1, 1, 5), np.array(active, np.bool_))))
             calls.append(("reset", ({3: worlds[0], 0: worlds[1], 2: worlds[4]},)))
-        here = FakeFleet(5)
-        fleet = shared if count == 2 else WorkerSimulator(FakeFleet, 5, count)
+        here = FakeSimulator(5)
+        fleet = shared if count == 2 else WorkerSimulator(FakeSimulator, 5, count)
         try:
             for verb, arguments in calls:
                 assert numbers(getattr(fleet, verb)(*arguments)) == numbers(getattr(here, verb)(*arguments))
@@ -204,13 +210,23 @@ class TestSharing:
         assert motions.pose[[0, 4], 2].tolist() == [0.5, 0.9]
         os.kill(pids(shared)[1], signal.SIGCONT)
 
+    def test_samples_come_back_to_the_vehicles_they_are_of(
+        self, shared: WorkerSimulator, world_of: Callable[..., WorldSpec]
+    ) -> None:
+        shared.reset(worlds_named(world_of, *"abcde"))
+        traces: dict[int, list[Sample]] = {3: [], 0: []}
+        for _ in range(2):
+            shared.advance(np.full(5, 0.25), traces=traces)
+        assert [sample.pose.yaw for sample in traces[0]] == [0.25, 0.5]
+        assert [sample.pose.yaw for sample in traces[3]] == pytest.approx([0.55, 0.8])
+
     @pytest.mark.slow
     def test_a_worker_with_a_vehicle_in_contact_physics_is_small(
         self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
     ) -> None:
         from nnql_bullet.sim.engines import contact_simulator
 
-        make = partial(local_fleet, partial(contact_simulator, "bullet", "fast", vehicle, DriveOptions()))
+        make = partial(contact_simulator, "bullet", "fast", vehicle, DriveOptions())
         with closing(WorkerSimulator(make, 1, 1)) as fleet:
             fleet.reset({0: world_of()})
             fleet.advance(np.zeros(1), np.ones(1, np.bool_))
@@ -256,7 +272,7 @@ class TestDeath:
 
     @pytest.mark.slow
     def test_the_signal_is_named_and_not_all_of_many_vehicles(self) -> None:
-        with closing(WorkerSimulator(FakeFleet, 21, 2)) as fleet:
+        with closing(WorkerSimulator(FakeSimulator, 21, 2)) as fleet:
             os.kill(pids(fleet)[0], signal.SIGTERM)
             wait_for(lambda: state(pids(fleet)[0]) in ("Z", ""))
             expected = r"\(killed by SIGTERM; process \d+, vehicles 0, 2, 4, 6, 8, 10, 12, 14, \.\.\.\)$"
@@ -289,14 +305,14 @@ class TestBeginning:
 
     def test_the_mask_of_signals_is_as_it_was(self) -> None:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-        with closing(WorkerSimulator(FakeFleet, 1, 1)):
+        with closing(WorkerSimulator(FakeSimulator, 1, 1)):
             assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
 @pytest.mark.usefixtures("leaves_none")
 class TestEnd:
     def test_close_ends_the_processes_and_takes_notice_of_their_ends(self) -> None:
-        fleet = WorkerSimulator(FakeFleet, 5, 2)
+        fleet = WorkerSimulator(FakeSimulator, 5, 2)
         assert all(state(pid) in ("S", "R") for pid in pids(fleet))
         fleet.close()
         assert all(gone(pid) for pid in pids(fleet))
@@ -305,8 +321,8 @@ class TestEnd:
     def test_who_does_not_end_by_itself_is_killed(
         self, monkeypatch: pytest.MonkeyPatch, world_of: Callable[..., WorldSpec]
     ) -> None:
-        monkeypatch.setattr(workers, "PATIENCE", 0.2)
-        fleet = WorkerSimulator(FakeFleet, 2, 2)
+        monkeypatch.setattr(workers, "EXIT_TIMEOUT", 0.2)
+        fleet = WorkerSimulator(FakeSimulator, 2, 2)
         fleet._send(0, ("reset", worlds_named(world_of, "hang")))
         os.kill(pids(fleet)[1], signal.SIGSTOP)
         fleet.close()
@@ -316,10 +332,10 @@ class TestEnd:
 
 PROGRAM = """
 import sys
-from test_workers import ALL_FIVE, FakeFleet, WorkerSimulator, np, pids
+from test_workers import ALL_FIVE, FakeSimulator, WorkerSimulator, np, pids
 
 if __name__ == "__main__":
-    fleet = WorkerSimulator(FakeFleet, 5, 2)
+    fleet = WorkerSimulator(FakeSimulator, 5, 2)
     print(*pids(fleet), flush=True)
     for line in sys.stdin:
         fleet.advance(np.zeros(5), ALL_FIVE)
@@ -335,7 +351,8 @@ def program(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], list[int]]]
     Each line that it is sent makes the vehicles drive.
     """
     (tmp_path / "program.py").write_text(PROGRAM)
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    path = os.pathsep.join((str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")))
+    environment = os.environ | {"PYTHONPATH": path}
     with subprocess.Popen(
         [sys.executable, str(tmp_path / "program.py")],
         env=environment,

@@ -1,25 +1,28 @@
-"""Agents: each a module with its own options, told apart by their `kind`."""
+"""Agents: each is a module whose options, told apart by their `kind`, build it.
 
-from typing import Annotated, TypeAlias
+The two unions are the registry: an agent or a rule is added by its module and one line there.
+"""
+
+from typing import Annotated, TypeAlias, get_args
 
 from pydantic import Field
 
-from nnql_bullet.agents.base import Agent, LearningAgent, Trainable
-from nnql_bullet.agents.learning.double_dqn import DoubleDqn, DoubleDqnOptions
-from nnql_bullet.agents.learning.genetic import Genetic, GeneticOptions
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
-from nnql_bullet.agents.learning.q_table import QTable, QTableOptions
-from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions
-from nnql_bullet.agents.rules.fuzzy import Fuzzy, FuzzyOptions
-from nnql_bullet.agents.rules.hand_rule import HandRule, HandRuleOptions
-from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
-from nnql_bullet.agents.rules.potential_field import PotentialField, PotentialFieldOptions
-from nnql_bullet.agents.rules.random_turns import RandomTurns, RandomTurnsOptions
-from nnql_bullet.agents.rules.straight import Straight, StraightOptions
-from nnql_bullet.agents.rules.vfh import Vfh, VfhOptions
-from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.q_table import QTableOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
+from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
+from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
+from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
+from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
+from nnql_bullet.agents.rules.straight import StraightOptions
+from nnql_bullet.agents.rules.vfh import VfhOptions
+from nnql_bullet.rollout import Agent
+from nnql_bullet.training.base import LearningAgent, Trainable
 
+LearnerOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions
 RuleOptions: TypeAlias = (
     StraightOptions
     | RandomTurnsOptions
@@ -29,51 +32,20 @@ RuleOptions: TypeAlias = (
     | VfhOptions
     | LookAheadOptions
 )
-AgentOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions | RuleOptions
+AgentOptions: TypeAlias = LearnerOptions | RuleOptions
 AnyAgentOptions = Annotated[AgentOptions, Field(discriminator="kind")]
 
-RULES = ("straight", "random", "hand_rule", "potential_field", "fuzzy", "vfh", "look_ahead")
+RULES: tuple[str, ...] = tuple(options.kind for options in get_args(RuleOptions))
 """Kinds of agents that have nothing to learn."""
-KINDS = ("nnql", "q_table", "genetic", "double_dqn", "sb3_dqn", *RULES)
+KINDS: tuple[str, ...] = tuple(options.kind for options in get_args(AgentOptions))
 
-
-def make_agent(options: AgentOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> Agent:
-    """The untrained agent that `options` describe, a function of its arguments.
-
-    Args:
-        options: Its kind and numbers.
-        seed: Of all the chance in it.
-        vehicle: What it drives; rules that foresee where a turn leads go by it.
-        drive: How its decisions reach the wheels; likewise.
-
-    Raises:
-        UserError: If it needs a library that is not installed.
-    """
-    match options:
-        case NnqlOptions():
-            return Nnql(options, seed)
-        case QTableOptions():
-            return QTable(options)
-        case GeneticOptions():
-            return Genetic(options, seed)
-        case DoubleDqnOptions():
-            return DoubleDqn(options, seed, vehicle, drive)
-        case Sb3DqnOptions():
-            return Sb3Dqn(options, seed)
-        case StraightOptions():
-            return Straight()
-        case RandomTurnsOptions():
-            return RandomTurns()
-        case HandRuleOptions():
-            return HandRule(options)
-        case PotentialFieldOptions():
-            return PotentialField(options, vehicle)
-        case FuzzyOptions():
-            return Fuzzy(options)
-        case VfhOptions():
-            return Vfh(options, vehicle, drive)
-        case LookAheadOptions():
-            return LookAhead(options, vehicle, drive)
-
-
-__all__ = ["KINDS", "RULES", "Agent", "AgentOptions", "AnyAgentOptions", "LearningAgent", "Trainable", "make_agent"]
+__all__ = [
+    "KINDS",
+    "RULES",
+    "Agent",
+    "AgentOptions",
+    "AnyAgentOptions",
+    "LearningAgent",
+    "RuleOptions",
+    "Trainable",
+]

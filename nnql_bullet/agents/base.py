@@ -1,4 +1,4 @@
-"""What an agent is to those that run it: one that drives, one that was taught, one that learns step by step."""
+"""The parts that agents share."""
 
 from abc import ABC, abstractmethod
 from typing import Any, Protocol, runtime_checkable
@@ -7,22 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import TOWARD_TARGET, Observation, Transition
+from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.geometry import Array
 from nnql_bullet.task import StateProperty
-
-
-class Agent(Protocol):
-    """Chooses among the environment's six actions for each of n vehicles. It is a `rollout.Policy`."""
-
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """A vehicle is put into a world: what was remembered of it is forgotten, and its chance begins anew."""
-
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The actions (n,) that the agent holds best for vehicles 0 to n - 1."""
-
-    def action_values(self, observations: Observation) -> Array:
-        """What it expects of the paper's five turns (n, 5); NaN where it did not ask itself."""
 
 
 @runtime_checkable
@@ -33,80 +20,29 @@ class Overridable(Protocol):
         """Vehicles 0 to n - 1 do this instead of what was last chosen for them: manoeuvres of `env` (n,)."""
 
 
-@runtime_checkable
-class Trainable(Agent, Protocol):
-    """An agent that drives by what it was taught, however that came about."""
-
-    def state_dict(self) -> dict[str, Array]:
-        """Everything that learning changes, by name: what a checkpoint keeps."""
-
-    def load_state_dict(self, arrays: dict[str, Array]) -> None:
-        """Takes back what `state_dict` gave.
-
-        Raises:
-            UserError: If these are not arrays of such an agent.
-        """
-
-
-@runtime_checkable
-class LearningAgent(Trainable, Protocol):
-    """An agent that learns from every step, as Q-learning does."""
-
-    def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
-    ) -> NDArray[np.int64]:
-        """Actions (n,) for learning.
-
-        Args:
-            observations: Of n vehicles.
-            episodes: Which training episode each is in (n,), counted from 0.
-            uniforms: All the chance there is: a number in [0, 1) for each (n,).
-        """
-
-    def learn(self, transitions: Transition) -> Array:
-        """Learns from one step of n vehicles, at once.
-
-        Returns:
-            Temporal-difference errors (n,); NaN where there was nothing to learn.
-        """
-
-    def diagnostics(self, episode: int) -> dict[str, float]:
-        """Named numbers of a training episode for the log."""
-
-    def training_state(self) -> dict[str, NDArray[Any]]:
-        """What it needs beside `state_dict` to go on learning as if it had never stopped, by name."""
-
-    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `under_way` gave.
-
-        Raises:
-            UserError: If it is not of such an agent.
-        """
-
-
 class NoTrainingState:
-    """The part of a learner that needs nothing but what it has learned to go on."""
+    """The part of a learning agent whose training resumes from its `state_dict` alone."""
 
     def training_state(self) -> dict[str, NDArray[Any]]:
         """Nothing."""
         return {}
 
     def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """There is nothing to take back."""
+        """Does nothing."""
 
 
 class NoMemory:
-    """The part of an agent that remembers nothing of a vehicle."""
+    """The part of an agent without memory of vehicles."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
-        """There is nothing to forget."""
+        """Does nothing."""
 
 
 class Rule(NoMemory):
-    """The parts that agents share which compare no values of turns, and by default remember nothing."""
+    """The parts of an agent that computes no action values; without memory unless it defines `reset`."""
 
     def action_values(self, observations: Observation) -> Array:
-        """It has none: NaN (n, 5)."""
+        """NaN (n, 5): it computes none."""
         return np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
 
 

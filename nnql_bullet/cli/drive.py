@@ -1,7 +1,7 @@
 """`nnql-bullet drive`."""
 
-import json
 from collections.abc import Mapping
+from json import dumps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -32,7 +32,7 @@ def drive(
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     video: bool = False,
     gui: bool = False,
-    json_output: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    json: bool = False,
     conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
     keys: Annotated[
         Mapping[str, Any], KeyFlags(RunConfig, ("drive", "task", "agent", "shield"), shown=lambda name: False)
@@ -68,7 +68,7 @@ def drive(
             runs/RULE/drives/WORLD-SEED, with the simulator and conditions that were asked for behind it.
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
         gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
-        json_output: Print one JSON object instead of text.
+        json: Print one JSON object instead of text.
         conditions: Conditions in place of the policy's own.
         keys: Other keys of the configuration.
     """
@@ -104,8 +104,8 @@ def drive(
         "seed": seed,
         "world": recording.world.name,
     }
-    if json_output:
-        say(json.dumps(result | {what: str(path) for what, path in files.items()}))
+    if json:
+        say(dumps(result | {what: str(path) for what, path in files.items()}))
         return 0
     say(
         f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "

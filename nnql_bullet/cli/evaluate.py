@@ -35,7 +35,7 @@ def evaluate(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
-    json_output: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    json: bool = False,
     conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
 ) -> int:
     """Drive several policies through the same worlds, and say how good each is and how sure that is.
@@ -68,7 +68,7 @@ def evaluate(
         clips: Videos of the last seconds of failures, one of each method in each kind of world, that are left in
             DIR/clips; at most so many, default none.
         out: Where the report goes; default runs/evaluate.
-        json_output: Print results.json instead of the table.
+        json: Print results.json instead of the table.
         conditions: Conditions in place of each policy's own.
     """
     files = _files(cover, world)
@@ -93,7 +93,7 @@ def evaluate(
     except KeyboardInterrupt:
         complain(f"interrupted; what is driven so far is kept in {out / 'parts'}: the same command goes on")
         return 130
-    if json_output:
+    if json:
         say((out / "results.json").read_text(encoding="utf-8").rstrip())
         return 0
     e = results.evaluation

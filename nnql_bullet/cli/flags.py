@@ -1,7 +1,7 @@
 """Verbs as tyro parses them: every key of a configuration is a flag, and a mistake is one line."""
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from inspect import Parameter, signature
 from itertools import takewhile
@@ -36,6 +36,10 @@ class KeyFlags:
     shown: Callable[[str], bool] = lambda name: True
     """Whether `--help` shows a key."""
 
+    def table(self, parameter: str) -> str:
+        """The table that the keys are in, with a dot: the parameter's name where it names the options class."""
+        return f"{parameter}." if self.cls.__name__.lower() == parameter else ""
+
     def keys(self, for_help: bool) -> list[Key]:
         """The keys that have a flag."""
         tables = tuple(f"{table}." for table in self.tables)
@@ -56,7 +60,7 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
     noting = _noting(verb, for_help=not {"-h", "--help"}.isdisjoint(arguments))
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
-        raise UserError(f"{_mistake(event, noting, arguments)}; see: {prog} --help")
+        raise UserError(f"{_mistake(event, verb, arguments)}; see: {prog} --help")
 
     with tyro_errors.on_parse_error(refuse):
         return tyro.cli(noting, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
@@ -81,11 +85,10 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
 
 def _parameter(its: Parameter, hint: Any, about: str, for_help: bool) -> Parameter:
     """A parameter of a verb as tyro takes it."""
-    marks = [mark for mark in get_args(hint) if isinstance(mark, KeyFlags)]
-    if not marks:
+    mark = _mark(hint)
+    if not mark:
         return its.replace(annotation=Annotated[hint, tyro.conf.arg(help=about, help_behavior_hint=_default)])
-    table = its.name if marks[0].cls.__name__.lower() == its.name else ""
-    taken = tyro.conf.arg(name=table, constructor=_flags_class(tuple(marks[0].keys(for_help))))
+    taken = tyro.conf.arg(name=mark.table(its.name).rstrip("."), constructor=_flags_class(tuple(mark.keys(for_help))))
     return its.replace(annotation=Annotated[Any, taken], default=None)
 
 
@@ -149,11 +152,11 @@ def _given(value: object) -> object:
     return found
 
 
-def _mistake(event: tyro_errors.ParseErrorEvent, noting: Callable[..., Any], arguments: Sequence[str]) -> str:
+def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], arguments: Sequence[str]) -> str:
     """What is wrong with the arguments, in a sentence."""
     match event:
         case tyro_errors.UnrecognizedArgs():
-            return _unknown(event.tokens[0], noting)
+            return _unknown(event.tokens[0], verb)
         case tyro_errors.InvalidChoice():
             where = _flag_of(event.argument)
             if event.value in RENAMED_SIMULATORS:
@@ -171,7 +174,7 @@ def _mistake(event: tyro_errors.ParseErrorEvent, noting: Callable[..., Any], arg
             return "the arguments are wrong"
 
 
-def _unknown(token: str, noting: Callable[..., Any]) -> str:
+def _unknown(token: str, verb: Callable[..., int]) -> str:
     """What is said of a token that is no flag."""
     name = token.partition("=")[0]
     for old, new in RENAMED_FLAGS.items():
@@ -179,14 +182,22 @@ def _unknown(token: str, noting: Callable[..., Any]) -> str:
             return f"{name} is now {new}{name.removeprefix(old)}"
     if not token.startswith("-"):
         return f"unexpected argument '{token}'"
-    known = {its.replace("-", "_").lstrip("_"): its for its in _flags_of(noting)}
+    known = {its.replace("-", "_").lstrip("_"): its for its in _flags_of(verb)}
     close = [known[one] for one in nearest(name.replace("-", "_").lstrip("_"), known)]
     return f"unknown flag '{name}'" + (f" (did you mean {' or '.join(close)}?)" if close else "")
 
 
-def _flags_of(noting: Callable[..., Any]) -> Iterable[str]:
-    parser = tyro.extras.get_parser(noting, config=(tyro.conf.FlagCreatePairsOff,))
-    return [option for action in parser._actions for option in action.option_strings if option.startswith("--")]
+def _flags_of(verb: Callable[..., int]) -> Iterator[str]:
+    for name, hint in get_type_hints(verb, include_extras=True).items():
+        mark = _mark(hint)
+        if mark:
+            yield from (flag(mark.table(name) + key.name) for key in mark.keys(for_help=False))
+        elif name != "return" and signature(verb).parameters[name].kind is not Parameter.POSITIONAL_ONLY:
+            yield flag(name)
+
+
+def _mark(hint: Any) -> KeyFlags | None:
+    return next((mark for mark in get_args(hint) if isinstance(mark, KeyFlags)), None)
 
 
 def _flag_of(argument: Any) -> str:

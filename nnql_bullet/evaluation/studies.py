@@ -335,8 +335,6 @@ _TUNED = (
     ),
 )
 
-_UNDISTURBED = {"start_yaw": False, "noise": 0.0, "dead_sector": 0.0, "turn_scale": 0.0, "turn_noise_degrees": 0.0}
-
 _DOUBLE_DQN = (
     Factor(
         "map",
@@ -345,46 +343,10 @@ _DOUBLE_DQN = (
         _variants(("kept", _DEFAULT), ("none", _agent(grid_map=False))),
     ),
     Factor(
-        "rays",
-        "readings that the 72 rays are told as",
-        "-",
-        _variants(("8", _agent(rays=8)), ("24", _DEFAULT), ("72", _agent(rays=72))),
-    ),
-    Factor(
         "frames",
         "moments seen at once",
         "-",
         _variants(("1", _agent(frames=1)), ("3", _DEFAULT)),
-    ),
-    Factor(
-        "worlds",
-        "worlds of training",
-        "-",
-        _variants(("a mix of all kinds", _DEFAULT), ("10 % cover", {"training": {"worlds": ["cover_10"]}})),
-    ),
-    Factor(
-        "domain_randomization",
-        "noise, dead sectors, turns that miss, any start heading",
-        "-",
-        _variants(("in training", _DEFAULT), ("none", {"training": {"domain_randomization": _UNDISTURBED}})),
-    ),
-    Factor(
-        "returns",
-        "steps of returns",
-        "-",
-        _variants(("1", _agent(steps=1)), ("3", _DEFAULT)),
-    ),
-    Factor(
-        "mirror",
-        "left for right in half of what is learned from",
-        "-",
-        _variants(("yes", _DEFAULT), ("no", _agent(mirrored=False))),
-    ),
-    Factor(
-        "reward",
-        "reward",
-        "-",
-        _variants(("progress, steps, turns, nearness", _DEFAULT), ("that and the paper's", _agent(paper_share=1.0))),
     ),
 )
 

@@ -1,4 +1,4 @@
-"""The paper's five actions, watched at every physics step beside the vehicle that neither slips nor lags."""
+"""The paper's five actions in contact physics, compared with the ideal vehicle that neither slips nor lags."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -14,18 +14,18 @@ from nnql_bullet.vehicle.profiles import Turn, plan_turn, rolled_path, sample_tu
 
 @dataclass(frozen=True, slots=True)
 class WatchedTurn:
-    """One action in contact physics, from running straight."""
+    """An action in contact physics that begins straight ahead."""
 
     heading_change: float
     """[rad]"""
     turn: Turn
-    """Its yaw-rate profile."""
+    """The yaw-rate profile."""
     times: Array
-    """After each physics step (n,) [s]."""
+    """Ends of the physics steps (n,) [s]."""
     path: Array
-    """x, y of the rear-axle centre from where it began (n, 2) [m]."""
+    """x, y of the rear-axle centre relative to the start (n, 2) [m]."""
     ideal: Array
-    """Where the profile leads without slip or lag (n, 2) [m]."""
+    """x, y of a vehicle that follows the profile without slip or lag (n, 2) [m]."""
     forces: WheelForces
 
     @property
@@ -35,7 +35,7 @@ class WatchedTurn:
 
 
 def watch_actions(bench: Bench) -> list[WatchedTurn]:
-    """Drives the five actions, each on a fresh plain and with time to end it."""
+    """Drives the five actions, each from the start on open ground, in a period long enough for the longest."""
     limits = bench.vehicle.limits
     turns = {change: plan_turn(0.0, change, limits) for change in paper.TURNS}
     longest = max(turn.duration for turn in turns.values())
@@ -52,12 +52,12 @@ def watch_actions(bench: Bench) -> list[WatchedTurn]:
 
 
 def tightest(turns: list[WatchedTurn]) -> WatchedTurn:
-    """The largest change of heading to the left."""
+    """The turn with the largest heading change to the left."""
     return max(turns, key=lambda turn: turn.heading_change)
 
 
 def _ideal(turn: Turn, times: Array, speed: float) -> Array:
-    """Of the rear-axle centre, at each instant (n, 2) [m]."""
+    """Places of the rear-axle centre of the ideal vehicle (n, 2) [m]."""
     begins = np.concatenate([[0.0], times])
     _, headings = sample_turn(turn, begins)
     return rolled_path(0.0, np.diff(begins) * speed, np.diff(headings))

@@ -1,7 +1,7 @@
-"""What a vehicle can follow: turns through the space of speed, period, heading change, friction and payload.
+"""The envelope: which turns a vehicle can follow, over speed, period, heading change, friction and payload.
 
 A turn goes from straight to straight in exactly one control period. Its yaw rate rises for a third of the period, holds
-for a third and falls for a third, whatever the vehicle's own limits say: here they are what is asked about.
+for a third and falls for a third; the vehicle's own limits do not apply.
 """
 
 from collections.abc import Sequence
@@ -24,41 +24,45 @@ from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 RAMP = 1 / 3
-"""Share of the period in which the yaw rate rises; it falls in another."""
+"""Share of the period in which the yaw rate rises, and share in which it falls."""
 HEADINGS = (0.0, radians(60.0), radians(75.0))
-"""From which a turn is tried; the worst counts [rad]. Friction with axes fixed in the world grips worse in some
-directions than in others: PyBullet's worst at the last two, for a turn to the left."""
+"""Start headings of each turn, of which the worst counts [rad].
+
+Grip depends on the heading in an engine whose friction directions are fixed in the world.
+"""
 SETTLE_TIME = 0.25
-"""Run straight before the turn [s]."""
+"""Time straight ahead before the turn [s]."""
 
 HEADING_TOLERANCE = radians(1.0)
-"""What may be left of a heading change [rad]. At the end of the sensors' 10 m it is 0.17 m, about the free way that
-worlds leave on either side of the vehicle (0.15 m). A turn that grips ends fifty times closer."""
+"""Largest heading error of a turn that the vehicle follows [rad].
+
+At the sensors' range it is about the room that worlds leave on either side of the vehicle.
+"""
 SLIP_TOLERANCE = 0.05
-"""Of the speed. Rolling wheels creep by less than 1 % of it, so this is sliding."""
+"""Largest slip of a turn that the vehicle follows, over its speed; more is sliding, not creep."""
 
 Quantity = Literal["speed", "heading_change", "friction", "payload"]
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A turn to be followed, and under which conditions."""
+    """A turn to follow, and its conditions."""
 
     speed: float
     """[m/s]"""
     period: float
-    """From straight to straight [s]."""
+    """Time from straight to straight [s]."""
     heading_change: float
     """[rad]"""
     friction: float
-    """Of the wheels, against ground of friction 1."""
+    """Friction of the wheels on ground of coefficient 1."""
     payload: float
-    """On the middle of the deck [kg]."""
+    """Load on the middle of the deck [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """A quantity against the control period, all else as in a base case."""
+    """Cases that vary a quantity and the control period of a base case."""
 
     quantity: Quantity
     values: tuple[float, ...]
@@ -71,45 +75,45 @@ class Slice:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """All of them, period by period for each value."""
+        """All cases, by value and then by period."""
         return tuple(self.case(value, period) for value in self.values for period in self.periods)
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """How a turn was followed, at the worst of all headings."""
+    """Measures of a turn, each at its worst start heading."""
 
     heading_error: float
-    """Heading change less the one reached, at the end of the period [rad]."""
+    """Commanded less reached heading change at the end of the period [rad]."""
     slip: float
     """Largest speed of a drive wheel's contact point over the ground, over the vehicle's speed."""
     least_load: float
-    """On either drive wheel over its load at rest, mean over a look of the controller."""
+    """Smallest load on a drive wheel over its load at rest; mean over the controller's period."""
     tip_margin: float
-    """What is left until a drive wheel lifts: 1 - |N_left - N_right|/(N_left + N_right), at its least. The quotient is
-    the load transfer ratio (Rajamani, Vehicle Dynamics and Control, ch. 15)."""
+    """Smallest margin until a drive wheel lifts: 1 - |N_left - N_right|/(N_left + N_right). The quotient is the load
+    transfer ratio (Rajamani, Vehicle Dynamics and Control, ch. 15)."""
     friction_used: float
-    """Of what both drive wheels have together, largest mean over a look of the controller."""
+    """Largest share of the available friction that both wheels use together; mean over the controller's period."""
     wheel_friction_used: float
-    """The same of either drive wheel."""
+    """Largest share of the available friction that one drive wheel uses; mean over the controller's period."""
     roll: float
-    """Largest angle of the axle out of the level, in the turn and one period straight after it [rad]."""
+    """Largest roll angle of the axle, in the turn and one straight period after it [rad]."""
     fell_over: bool
-    """Whether it rolled, in that time, beyond where a vehicle comes back from."""
+    """Whether the roll angle exceeded the tip angle."""
 
     @property
     def follows(self) -> bool:
-        """Whether the vehicle did what it was told: on course, without sliding, on all its wheels."""
+        """Whether the vehicle followed the turn: on course, without sliding, on all its wheels."""
         on_course = abs(self.heading_error) <= HEADING_TOLERANCE and self.slip <= SLIP_TOLERANCE
         return on_course and self.least_load > 0 and not self.fell_over
 
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeTask:
-    """One case to be measured."""
+    """A case to measure."""
 
     bench: Bench
-    """Its vehicle carries nothing."""
+    """The bench; its vehicle carries no payload."""
     case: Case
     seed: int
     """Its number. Nothing here is random."""
@@ -117,23 +121,23 @@ class EnvelopeTask:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A case, measured and on paper."""
+    """A case as measured and as computed."""
 
     case: Case
     measured: Followed
     on_paper: TurnDemand
     torque_limit: float
-    """Of each drive [N m]."""
+    """Torque limit of each drive [N m]."""
 
     @property
     def allowed(self) -> bool:
-        """Whether the vehicle can follow it by what stands on paper: enough friction, enough torque, no wheel lifts."""
+        """Whether the vehicle can follow the turn by computation: enough friction and torque, and no wheel lifts."""
         asked = self.on_paper
         return asked.friction <= self.case.friction and asked.torque <= self.torque_limit and asked.least_load > 0
 
 
 def base_case(vehicle: VehicleSpec) -> Case:
-    """What the vehicle was made for: the largest turn of the paper, at its speed, in one second."""
+    """The base case: the paper's largest turn at its speed, in one second."""
     return Case(paper.SPEED, 1.0, max(paper.TURNS), vehicle.contact.wheel_friction, 0.0)
 
 
@@ -154,16 +158,16 @@ def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
 
 
 def envelope_tasks(bench: Bench, slices: tuple[Slice, ...]) -> list[EnvelopeTask]:
-    """Every case of these slices once."""
+    """Tasks for every case of some slices, each once."""
     cases = dict.fromkeys(chain.from_iterable(each.cases for each in slices))
     return [EnvelopeTask(bench, case, number) for number, case in enumerate(cases)]
 
 
 def vehicle_for(vehicle: VehicleSpec, case: Case) -> VehicleSpec:
-    """The vehicle under the conditions of a case, with limits that make its turn last exactly the period.
+    """The vehicle under the conditions of a case, with limits such that its turn lasts exactly the period.
 
     Raises:
-        UserError: If it carries a payload already.
+        UserError: If the vehicle already carries a payload.
     """
     peak = case.heading_change / ((1 - RAMP) * case.period)
     return replace(
@@ -173,20 +177,20 @@ def vehicle_for(vehicle: VehicleSpec, case: Case) -> VehicleSpec:
 
 
 def on_paper(vehicle: VehicleSpec, case: Case) -> TurnDemand:
-    """What a case asks for.
+    """Computes the demand of a case.
 
     Raises:
-        UserError: If the vehicle carries a payload already.
+        UserError: If the vehicle already carries a payload.
     """
     made = vehicle_for(vehicle, case)
     return turn_demand(made, case.speed, plan_turn(0.0, case.heading_change, made.limits))
 
 
 def measure_turn(task: EnvelopeTask) -> Result:
-    """Drives one case in contact physics, on open ground, from each of the headings.
+    """Measures a case in contact physics, on open ground, from each of the start headings.
 
     Raises:
-        UserError: If the period is not a whole number of wheel commands, or the vehicle carries a payload already.
+        UserError: If the period is not a whole number of wheel commands, or the vehicle already carries a payload.
     """
     case = task.case
     vehicle = vehicle_for(task.bench.vehicle, case)
@@ -196,7 +200,7 @@ def measure_turn(task: EnvelopeTask) -> Result:
 
 
 def worst_of(turns: Sequence[Followed]) -> Followed:
-    """The worst of each quantity."""
+    """The worst value of each measure over several turns."""
     return Followed(
         heading_error=max((turn.heading_error for turn in turns), key=abs),
         slip=max(turn.slip for turn in turns),
@@ -210,7 +214,7 @@ def worst_of(turns: Sequence[Followed]) -> Followed:
 
 
 def _followed(engine: ContactEngine, case: Case, heading: float) -> Followed:
-    """One turn from a heading [rad], and a control period straight after it."""
+    """Measures one turn from a start heading [rad], and a straight control period after it."""
     vehicle = engine.vehicle
     engine.reset(open_ground(start=replace(MIDDLE, yaw=heading)))
     rolling = case.speed / vehicle.wheel_radius

@@ -93,5 +93,5 @@ class Probe:
 
 
 def open_ground(*boxes: OrientedBox, start: Pose = MIDDLE) -> WorldSpec:
-    """A plain of 200 m x 200 m with these boxes on it."""
+    """An arena of 200 m x 200 m with only the boxes given."""
     return WorldSpec("open ground", 0, 200.0, 200.0, boxes, start, (190.0, 190.0), 2.0, 1.5)

@@ -1,4 +1,4 @@
-"""Every probe by name, and how they are run."""
+"""All probes by name, and the function that runs them."""
 
 from collections.abc import Iterator
 from math import nan
@@ -14,16 +14,16 @@ PROBES: dict[str, Probe] = {probe.name: probe for probe in (*BODY, *ROLLING, *CO
 
 
 def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
-    """Runs all of them, one after the other.
+    """Runs all probes one after the other.
 
-    One that breaks, because the vehicle fell over for instance, has a single measurement: NaN, which is never accepted,
-    and the reason as its name.
+    A probe that raises an error, for example because the vehicle fell over, has a single measurement: NaN, which is
+    never accepted, with the reason as its name.
 
     Yields:
-        Each probe with its measurements, as soon as it ends.
+        Each probe with its measurements.
 
     Raises:
-        UserError: If the engine is not installed, or gives no more simulators.
+        UserError: If the engine is not installed or cannot start.
     """
     for probe in PROBES.values():
         yield probe, _measured(probe, bench)
@@ -34,6 +34,6 @@ def _measured(probe: Probe, bench: Bench) -> list[Measurement]:
         return probe.measure(bench)
     except UserError:
         raise
-    except Exception as error:  # whatever an engine makes of a vehicle that is not what it should be
+    except Exception as error:  # a wrong vehicle or engine may raise anything
         reason = str(error).partition("\n")[0]
         return [Measurement(f"broke off: {type(error).__name__}: {reason}", "", nan, nan, nan, nan)]

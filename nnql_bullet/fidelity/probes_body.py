@@ -1,4 +1,4 @@
-"""Probes of the body: what the engine holds of it, how it stands, falls, turns and tips."""
+"""Probes of the vehicle's body: its masses and inertia in the engine, and how it stands, falls, turns and tips."""
 
 from math import cos, degrees, hypot, isnan, nan, sin, tan
 from xml.etree import ElementTree
@@ -15,11 +15,11 @@ from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
-"""So that no axis of the vehicle is one of the world's."""
+"""A pose in which no axis of the vehicle is parallel to one of the world."""
 
 
 def _inertials(vehicle: VehicleSpec) -> dict[str, tuple[float, Array]]:
-    """Mass [kg] and ascending principal moments (3,) [kg m2] of every link, as the URDF has them."""
+    """Mass [kg] and ascending principal moments of inertia (3,) [kg m2] of every link, from the URDF."""
     found = {}
     for link in ElementTree.fromstring(urdf_text(vehicle)).iter("link"):
         mass = float(link.find("inertial/mass").attrib["value"])  # type: ignore[union-attr]
@@ -39,7 +39,7 @@ def _read_back(bench: Bench) -> list[Measurement]:
     for name, (mass, moments) in inertials.items():
         if name in held:
             there = np.sort(held[name].inertia)
-            worst = int(np.argmax(np.abs(there / moments - 1)))  # NaN, if there is any
+            worst = int(np.argmax(np.abs(there / moments - 1)))  # the index of a NaN, if there is one
             rows += [
                 close_to(f"mass of {name}", "kg", mass, held[name].mass, relative=1e-6),
                 close_to(f"inertia of {name}", "kg m2", moments[worst], there[worst], relative=1e-6),
@@ -61,7 +61,7 @@ def _read_back(bench: Bench) -> list[Measurement]:
 
 def _settle(bench: Bench) -> list[Measurement]:
     vehicle = bench.vehicle
-    with bench.open_engine(rolling_freely(vehicle)) as engine:  # its resistance would carry a moment at rest too
+    with bench.open_engine(rolling_freely(vehicle)) as engine:  # rolling resistance would transmit a moment at rest
         engine.place(open_ground(), ASKEW, 0.0)
         engine.run(2.0)
         heights, loads = engine.wheel_heights(), engine.wheel_loads()
@@ -116,12 +116,12 @@ def _yaw_inertia(bench: Bench) -> list[Measurement]:
 
 
 def _tilted_until_it_tips(engine: ContactEngine, side: int, slope: float) -> float:
-    """The slope [rad] from which on the upper rear wheel carries nothing.
+    """Tilts gravity and measures the slope from which on the upper rear wheel carries no load [rad].
 
     Args:
-        engine: Of the vehicle.
-        side: 1 to tilt down to the left, -1 to the right.
-        slope: Where this should be [rad]. It is passed at a fifth of this a second.
+        engine: The engine with the vehicle.
+        side: 1 for a slope down to the left, -1 to the right.
+        slope: The expected slope [rad].
     """
     engine.place(open_ground(), MIDDLE, 0.0)
     engine.lock_joints()
@@ -133,7 +133,7 @@ def _tilted_until_it_tips(engine: ContactEngine, side: int, slope: float) -> flo
         tilt += slope * engine.time_step * (0.8 if tilt < 0.8 * slope else 0.2)
         engine.set_gravity((0.0, side * GRAVITY * sin(tilt), -GRAVITY * cos(tilt)))
         engine.step()
-        if engine.wheel_loads()[upper] > nothing:  # a wheel that hardly touches any more may do so now and then
+        if engine.wheel_loads()[upper] > nothing:  # a wheel that is about to lift may touch again
             lifted = nan
         elif isnan(lifted):
             lifted = tilt

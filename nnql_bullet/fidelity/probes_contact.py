@@ -1,4 +1,4 @@
-"""Probes of contact beyond rolling: locked wheels, skids, and the hit of a wall."""
+"""Probes of contact: braking with locked wheels, skids, and the impact on a wall."""
 
 from collections.abc import Callable
 from math import cos, hypot, pi, sin
@@ -14,10 +14,10 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 def _rear_braking(vehicle: VehicleSpec) -> float:
-    """Deceleration [m/s2] on locked drive wheels while the caster rolls on.
+    """Deceleration with locked drive wheels and a rolling caster [m/s2].
 
-    The load that goes to the caster, N_front L = m g a + (m h + I_c/r_c) d, is lost to the brakes, which give
-    mu (m g - N_front) = (m + I_c/r_c^2) d: the caster's spin has to be stopped too.
+    The caster takes the load N_front L = m g a + (m h + I_c/r_c) d; the rest brakes the mass and the caster's spin:
+    mu (m g - N_front) = (m + I_c/r_c^2) d.
     """
     mu, m, spin = vehicle.contact.wheel_friction, vehicle.mass, vehicle.caster_spin_inertia / vehicle.caster_radius
     shifted = mu * (m * vehicle.com_height + spin) / vehicle.wheelbase
@@ -40,22 +40,22 @@ def _locked_braking(bench: Bench) -> list[Measurement]:
 
 
 def _sliding(engine: ContactEngine) -> float:
-    """Speed [m/s]."""
+    """Horizontal speed of the vehicle [m/s]."""
     vx, vy, _ = engine.velocity()
     return hypot(vx, vy)
 
 
 def _skid(engine: ContactEngine, direction: float, until: float, look: Callable[[], None] = lambda: None) -> float:
-    """Sends the vehicle off with every joint locked, at twice the drive's speed.
+    """Lets the vehicle skid with all joints locked, from twice the drive's speed.
 
     Args:
-        engine: Of the vehicle, which faces along x.
-        direction: Of the skid [rad].
-        until: The skid ends at this share of the first speed.
+        engine: The engine with the vehicle, which faces along x.
+        direction: Direction of the skid [rad].
+        until: Share of the initial speed at which the skid ends.
         look: Called after every step.
 
     Returns:
-        The first speed [m/s].
+        The initial speed [m/s].
     """
     speed = 2 * engine.drive.speed
     engine.place(open_ground(), MIDDLE, 0.0)
@@ -97,7 +97,7 @@ def _friction_cone(bench: Bench) -> list[Measurement]:
 
 
 def _hit(engine: ContactEngine, gap: float) -> tuple[float, float, float]:
-    """Flies the locked vehicle into a wall: impulse [N s], speed after it and depth [m/s, m]."""
+    """Impact of the flying, locked vehicle on a wall: impulse [N s], speed after it [m/s], penetration [m]."""
     footprint, speed = engine.vehicle.footprint, engine.drive.speed
     front = footprint.x + footprint.half_length
     face = MIDDLE.x + front + gap
@@ -116,16 +116,16 @@ def _hit(engine: ContactEngine, gap: float) -> tuple[float, float, float]:
 
 def _wall(bench: Bench) -> list[Measurement]:
     with bench.open_engine() as engine:
-        speed, way = engine.drive.speed, engine.drive.speed * engine.time_step
-        # Where within a step it arrives makes all the difference.
-        hits = [_hit(engine, 0.1 + part * way) for part in (0.0, 0.2, 0.4, 0.6, 0.8)]
+        speed, step = engine.drive.speed, engine.drive.speed * engine.time_step
+        # The result depends on the instant of the impact within a physics step.
+        hits = [_hit(engine, 0.1 + part * step) for part in (0.0, 0.2, 0.4, 0.6, 0.8)]
     impulses, after, depths = np.array(hits).T
     taken = bench.vehicle.mass * (speed - after)
     worst = int(np.argmax(np.abs(impulses - taken)))
     return [
         close_to("impulse, worst of 5 hits", "N s", float(taken[worst]), float(impulses[worst]), relative=1e-2),
         at_most("rebound, largest", "m/s", 0.2 * speed, float(np.max(np.abs(after))), slack=0.1),
-        at_most("penetration, largest", "mm", 1e3 * way, 1e3 * float(np.max(depths)), slack=0.1),
+        at_most("penetration, largest", "mm", 1e3 * step, 1e3 * float(np.max(depths)), slack=0.1),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Probes of rolling: how the wheels drive, coast, hold a line, turn and trail."""
+"""Probes of rolling: acceleration, coasting, straight driving, turns and the trailing caster."""
 
 from math import ceil, copysign, cos, degrees, log, nan, radians, sin, sqrt, tan
 
@@ -118,7 +118,7 @@ def _actions(bench: Bench) -> list[Measurement]:
 
 
 def _slips(vehicle: VehicleSpec, motion: VehicleMotion, end: Sample) -> list[float]:
-    """How far the way and the turn that the drive wheels rolled off are from the true ones, as shares of these."""
+    """Relative errors of path length and heading change by the rotation of the drive wheels."""
     left, right, *_ = (vehicle.wheel_radius * angle for angle in end.joint_angles)
     slips = [abs((left + right) / 2 / motion.path_length - 1)]
     if abs(motion.pose.yaw) > 0.1:
@@ -127,7 +127,7 @@ def _slips(vehicle: VehicleSpec, motion: VehicleMotion, end: Sample) -> list[flo
 
 
 def _turn_steadily(engine: ContactEngine, v: float, w: float) -> Array:
-    """Loads of left, right and caster wheel [N], speed and yaw rate: means over 1 s of a turn (5,)."""
+    """Means over 1 s of a steady turn (5,): loads of the left, right and caster wheel, speed, yaw rate [SI]."""
     vehicle = engine.vehicle
     engine.place(open_ground(), MIDDLE, v)
     for rate in np.linspace(0.0, w, round(0.5 * COMMAND_RATE)):
@@ -159,7 +159,7 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
 
 
 def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
-    """When the caster, put at the angle `begin`, has come within `end` of trailing for good [rad, s]."""
+    """Time until the caster, released at the angle `begin`, trails within `end` [rad] from then on [s]."""
     engine.place(open_ground(), MIDDLE, speed)
     engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
     engine.run(0.2)
@@ -178,7 +178,7 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
 
 def _caster(bench: Bench) -> list[Measurement]:
     vehicle, begin, end = bench.vehicle, radians(30.0), radians(1.0)
-    decay = 0.08  # trail over speed [s]: slow enough for every step to be much shorter
+    decay = 0.08  # trail over speed [s]: much longer than a physics step
     slowly = vehicle.caster_trail / decay
     expected = decay * log(tan(begin / 2) / tan(end / 2))
     with bench.open_engine() as engine:

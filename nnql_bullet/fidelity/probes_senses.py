@@ -1,4 +1,4 @@
-"""Probes of the sensor's rays, and of whether the same calls give the same numbers."""
+"""Probes of the sensor's rays and of the engine's determinism."""
 
 from dataclasses import replace
 from math import cos, pi, sin
@@ -15,13 +15,13 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SIDE = 40.0
-"""Of the worlds with boxes [m]."""
+"""Side of the worlds with boxes [m]."""
 GRAZING = 1e-5
-"""What the direction of a ray is good for [rad]; it matters where a ray passes an edge."""
+"""Uncertainty of a ray's direction, which matters where a ray passes an edge [rad]."""
 
 
 def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
-    """A walled arena of 25 boxes, anywhere, overlapping or not."""
+    """A walled arena with 25 boxes at any place and yaw, which may overlap."""
     rows = np.column_stack(
         [
             generator.uniform(0.0, SIDE, (25, 2)),
@@ -35,7 +35,7 @@ def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
 
 
 def _eye(vehicle: VehicleSpec, pose: Pose) -> tuple[float, float]:
-    """Where the rays start [m], seen from above."""
+    """x, y of the rays' origin [m]."""
     ahead, left, _ = vehicle.sensor
     c, s = cos(pose.yaw), sin(pose.yaw)
     return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
@@ -54,7 +54,7 @@ def _largest_error(bench: Bench) -> Measurement:
             for x, y, yaw in generator.uniform((1.0, 1.0, -pi), (SIDE - 1.0, SIDE - 1.0, pi), (6, 3)).tolist():
                 eye = _eye(bench.vehicle, Pose(x, y, yaw))
                 if _analytic(eye, yaw, world).min() < 0.05:
-                    continue  # a ray that starts within a box reads nothing
+                    continue  # an engine does not report a box that contains the origin of a ray
                 engine.place(world, Pose(x, y, yaw), 0.0)
                 read = engine.scan()
                 beside = [_analytic(eye, yaw + nudge, world) for nudge in (-GRAZING, 0.0, GRAZING)]
@@ -63,13 +63,13 @@ def _largest_error(bench: Bench) -> Measurement:
 
 
 def _hits(engine: ContactEngine, world: WorldSpec) -> int:
-    """How many rays meet anything when the vehicle stands in the middle."""
+    """Number of rays that meet anything when the vehicle stands in the middle."""
     engine.place(world, MIDDLE, 0.0)
     return int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
 
 
 def _heights(bench: Bench) -> list[Measurement]:
-    """A box ahead that ends just below the rays, and one that ends just above them."""
+    """Compares a box that ends just below the rays with one that ends just above them."""
     x, y = _eye(bench.vehicle, MIDDLE)
     box = OrientedBox(x + 4.0, y, 1.0, 1.0)
     seen = int(np.sum(_analytic((x, y), 0.0, open_ground(box)) < paper.SENSOR_RANGE))
@@ -85,7 +85,7 @@ def _heights(bench: Bench) -> list[Measurement]:
 
 
 def _own_body(bench: Bench) -> Measurement:
-    """Rays from where the vehicle or the ground would be in the way, on a plain with nothing on it."""
+    """Counts rays that meet the vehicle or the ground, from origins close to both."""
     vehicle = bench.vehicle
     behind, axle = vehicle.footprint.x - vehicle.footprint.half_length - 0.3, 0.0
     hits = 0
@@ -98,7 +98,7 @@ def _own_body(bench: Bench) -> Measurement:
     ):
         with bench.open_engine(replace(vehicle, sensor=sensor)) as engine:
             hits += _hits(engine, open_ground())
-            engine.advance(paper.TURNS[1])  # it leans
+            engine.advance(paper.TURNS[1])  # the vehicle leans in a turn
             hits += int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
     return at_most("rays that meet the vehicle or the ground", "", 0, hits)
 
@@ -108,7 +108,7 @@ def _rays(bench: Bench) -> list[Measurement]:
 
 
 def _drive(engine: ContactEngine, world: WorldSpec) -> Array:
-    """Everything that is seen of a series of decisions, as one row of numbers."""
+    """Numbers that a series of decisions gives: motions, speeds and scans, in one row."""
     seen: list[float] = []
     engine.reset(world)
     for turn in (0.0, 0.5, -1.0, 0.3, 0.9, -0.2, 0.0, -0.7):

@@ -1,4 +1,4 @@
-"""Vehicles changed for a probe, so that it asks about one thing, and asks nothing that no vehicle could do."""
+"""Vehicles with changed properties for probes that isolate one effect, within what any vehicle can do."""
 
 from dataclasses import replace
 
@@ -10,12 +10,14 @@ from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 OWN_SHARE, EASY_SHARE = 0.95, 0.6
-"""Share of grip that a turn at the vehicle's own limits may ask for, and of a slower one if that asks for more. Towards
-the edge of grip wheels do slip, one before the other."""
+"""Largest share of grip for a turn at the vehicle's own limits, and for a slower turn that replaces it.
+
+Near the limit of grip the wheels slip, one before the other.
+"""
 TORQUE_SHARE = 0.95
-"""Share of the torque limit that either may ask for."""
+"""Largest share of the torque limit for either turn."""
 SLOWER = tuple(1 - 0.05 * n for n in range(1, 19))
-"""Shares of its yaw rate at which a vehicle may turn within its means."""
+"""Shares of the vehicle's yaw rate that are tried for the slower turn."""
 
 
 def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
@@ -24,7 +26,7 @@ def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
 
 
 def on_ice(vehicle: VehicleSpec) -> VehicleSpec:
-    """The same vehicle without any friction: the ground carries it and does nothing else."""
+    """The same vehicle without friction."""
     return rolling_freely(vehicle).gripping(0.0)
 
 
@@ -34,31 +36,31 @@ def driven_by(vehicle: VehicleSpec, torque: float) -> VehicleSpec:
 
 
 def top_heavy(vehicle: VehicleSpec) -> VehicleSpec:
-    """The vehicle under its own weight once more, which brings the centre of mass up by 0.6 of the track."""
+    """The vehicle with a payload of its own mass, which raises the centre of mass by 0.6 of the track."""
     if vehicle.payload:
         return vehicle
     return loaded(vehicle, Payload(vehicle.mass, vehicle.com_ahead, vehicle.com_height + 1.2 * vehicle.track))
 
 
 def skidding_friction(vehicle: VehicleSpec) -> float:
-    """The vehicle's own friction, or what lets it slide well before it tips, sideways or over the caster."""
+    """The vehicle's friction, or less if it would tip over before it slides."""
     sideways = tip_acceleration(vehicle) / GRAVITY
     forwards = (vehicle.wheelbase - vehicle.com_ahead) / vehicle.com_height
     return min(vehicle.contact.wheel_friction, 0.7 * sideways, 0.7 * forwards)
 
 
 def gentlest_torque(vehicle: VehicleSpec) -> float:
-    """Half of what the drives give, or of what makes the wheels spin or the caster lift [N m]."""
+    """Half the torque limit, or half the torque at which the wheels spin or the caster lifts if that is less [N m]."""
     weight = vehicle.mass * GRAVITY
     spinning, rearing = vehicle.contact.wheel_friction * vehicle.rear_share, vehicle.com_ahead / vehicle.com_height
     return min(vehicle.wheel_torque, min(spinning, rearing) * weight * vehicle.wheel_radius / 2) / 2
 
 
 def turning_within_its_means(vehicle: VehicleSpec, speed: float) -> tuple[VehicleSpec, float]:
-    """The vehicle with limits for which grip and torque suffice in the paper's turns, and their share of its yaw rate.
+    """The vehicle with limits at which the paper's turns do not exceed grip and torque.
 
-    A vehicle whose own limits ask for no more than it has keeps them: a share of 1. Another turns in the same way, but
-    slower, so that what it is compared with is still a turn without slip.
+    Returns:
+        The vehicle, and its yaw-rate limit over the original one: 1 if the original limits suffice.
     """
     if _suffices(vehicle, speed, OWN_SHARE):
         return vehicle, 1.0

@@ -1,4 +1,4 @@
-"""How far a vehicle runs until it stands, and whether that is within what its sensors see."""
+"""Stopping distances of a vehicle, and the largest speed from which it stops within the range of its sensors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,27 +21,27 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 STANDSTILL_SPEED = 0.01
 """Speed below which a vehicle stands [m/s]."""
 TIME_LIMIT_FACTOR = 10.0
-"""Times the stopping time on paper and a second, after which a vehicle is taken not to stop."""
+"""Time after which a vehicle counts as not stopping, over its computed stopping time plus one second."""
 REACTION = DriveOptions().decision_period
-"""What passes at most until the brakes act: an obstacle comes into sight just after a decision [s]."""
+"""Longest time until the brakes act, when an obstacle comes into sight just after a decision [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopConditions:
-    """What a vehicle brakes with."""
+    """Conditions of a stop."""
 
     payload: float
-    """On the middle of the deck [kg]."""
+    """Load on the middle of the deck [kg]."""
     friction: float
-    """Of the wheels, against ground of friction 1."""
+    """Friction of the wheels on ground of coefficient 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopTask:
-    """One stop to be measured."""
+    """A stop to measure."""
 
     bench: Bench
-    """Its vehicle carries nothing."""
+    """The bench; its vehicle carries no payload."""
     conditions: StopConditions
     speed: float
     """[m/s]"""
@@ -51,38 +51,39 @@ class StopTask:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """From a speed to standing, straight ahead, the wheels commanded to stand at once."""
+    """A stop from a speed, straight ahead, with wheels commanded to stand at once."""
 
     conditions: StopConditions
     speed: float
     """[m/s]"""
     distance: float
-    """From the command on, measured [m]."""
+    """Measured distance from the command on [m]."""
     distance_on_paper: float
-    """[m]"""
+    """Computed distance [m]."""
     heading_drift: float
-    """At the end [rad]."""
+    """Heading change at the end [rad]."""
     friction_used: float
-    """Of what either drive wheel has, largest mean over 1/30 s."""
+    """Largest share of the available friction that a drive wheel uses; mean over the controller's period."""
     least_load: float
-    """On either drive wheel over its load at rest, least mean over 1/30 s."""
+    """Smallest load on a drive wheel over its load at rest; mean over the controller's period."""
     least_load_on_paper: float
+    """Computed load on a drive wheel over its load at rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class SafeSpeed:
-    """The largest speed from which the vehicle stops within what it sees."""
+    """The largest speed from which the vehicle stops within the range of its sensors."""
 
     conditions: StopConditions
     measured: float | None
-    """None if it lies above every speed that was measured [m/s]."""
+    """Measured speed; None if it is above all measured speeds [m/s]."""
     on_paper: float
-    """[m/s]"""
+    """Computed speed [m/s]."""
     braking: Braking
 
 
 def stopping_tasks(bench: Bench) -> list[StopTask]:
-    """Every stop: speeds from 1 to 12 m/s, under three loads and three frictions and the vehicle's own."""
+    """Tasks for all stops: several speeds, loads and frictions, among them the vehicle's own."""
     frictions = sorted({0.4, 0.6, 0.8, bench.vehicle.contact.wheel_friction})
     conditions = [StopConditions(payload, friction) for friction in frictions for payload in (0.0, 40.0, 80.0)]
     cases = [(each, float(speed)) for each in conditions for speed in range(1, 13)]
@@ -90,19 +91,19 @@ def stopping_tasks(bench: Bench) -> list[StopTask]:
 
 
 def braking_vehicle(vehicle: VehicleSpec, conditions: StopConditions) -> VehicleSpec:
-    """The vehicle under these conditions.
+    """The vehicle under some conditions.
 
     Raises:
-        UserError: If it carries a payload already.
+        UserError: If the vehicle already carries a payload.
     """
     return loaded(vehicle, deck_load(vehicle, conditions.payload)).gripping(conditions.friction)
 
 
 def measure_stop(task: StopTask) -> Stop:
-    """Brakes once in contact physics, on open ground.
+    """Measures a stop in contact physics, on open ground.
 
     Raises:
-        UserError: If the vehicle carries a payload already, or does not stop.
+        UserError: If the vehicle already carries a payload, or does not stop.
     """
     vehicle = braking_vehicle(task.bench.vehicle, task.conditions)
     paper_says = braking(vehicle)
@@ -112,11 +113,11 @@ def measure_stop(task: StopTask) -> Stop:
         engine.command_wheels(rolling, rolling)
         engine.run(SETTLE_TIME)
         begin, began = engine.pose(), engine.time()
-        patience = TIME_LIMIT_FACTOR * (1 + task.speed / paper_says.deceleration)
+        time_limit = TIME_LIMIT_FACTOR * (1 + task.speed / paper_says.deceleration)
         times, forces = [], []
         engine.command_wheels(0.0, 0.0)
         while engine.speed() > STANDSTILL_SPEED:
-            if engine.time() - began > patience:
+            if engine.time() - began > time_limit:
                 friction = task.conditions.friction
                 raise UserError(f"the vehicle does not stop from {task.speed:g} m/s on friction {friction:g}; raise it")
             engine.step()
@@ -137,32 +138,32 @@ def measure_stop(task: StopTask) -> Stop:
 
 
 def sight(vehicle: VehicleSpec) -> float:
-    """How far ahead of its front edge a vehicle sees [m]."""
+    """Range of the sensors ahead of the vehicle's front edge [m]."""
     front = vehicle.footprint.x + vehicle.footprint.half_length
     return paper.SENSOR_RANGE - (front - vehicle.sensor[0])
 
 
 def safe_speeds(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[SafeSpeed]:
-    """The largest safe speed under each of the conditions that stops were measured under.
+    """Finds the largest safe speed under each of the conditions of some stops.
 
-    Between two measured speeds the braking distance over the speed is taken to be linear, which braking at a constant
-    rate is exactly; so is its start from nothing at speed zero.
+    Between measured speeds, and from zero to the first, the braking distance over the speed is interpolated linearly.
+    The interpolation is exact for a constant deceleration.
     """
-    way, found = sight(vehicle), []
+    visible, found = sight(vehicle), []
     for conditions in dict.fromkeys(stop.conditions for stop in stops):
         limit = braking(braking_vehicle(vehicle, conditions))
-        measured = _largest_within(way, [stop for stop in stops if stop.conditions == conditions])
-        found.append(SafeSpeed(conditions, measured, limit.largest_speed(way, REACTION), limit))
+        measured = _largest_within(visible, [stop for stop in stops if stop.conditions == conditions])
+        found.append(SafeSpeed(conditions, measured, limit.largest_speed(visible, REACTION), limit))
     return found
 
 
-def _largest_within(way: float, stops: Sequence[Stop]) -> float | None:
-    """The speed v at which v t + D(v) reaches the way, D(v)/v being linear from one measured speed to the next."""
+def _largest_within(visible: float, stops: Sequence[Stop]) -> float | None:
+    """The speed v at which v t + D(v) reaches a distance [m], where D(v)/v is linear between measured speeds."""
     ordered = sorted(stops, key=lambda stop: stop.speed)
     speeds = [0.0, *(stop.speed for stop in ordered)]
     lasting = [0.0, *(stop.distance / stop.speed for stop in ordered)]
 
     def beyond(speed: float) -> float:
-        return float(speed * (REACTION + np.interp(speed, speeds, lasting)) - way)
+        return float(speed * (REACTION + np.interp(speed, speeds, lasting)) - visible)
 
     return None if beyond(speeds[-1]) < 0 else float(brentq(beyond, 0.0, speeds[-1], xtol=1e-6))

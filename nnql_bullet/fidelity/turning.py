@@ -1,4 +1,4 @@
-"""One turn in contact physics, watched at every physics step: where the wheels slip, and with how much force."""
+"""Measures a turn in contact physics at every physics step: pose, roll, wheel forces and wheel slip."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 Forces = tuple[ContactForce, ContactForce, ContactForce]
 
 LOADED = 0.05
-"""Share of its load at rest below which a drive wheel's use of friction means nothing."""
+"""Load of a drive wheel, over its load at rest, below which its use of friction counts as zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,22 +24,22 @@ class Instant:
     """The vehicle after one physics step."""
 
     time: float
-    """Since the turn began [s]."""
+    """Time since the turn began [s]."""
     pose: Pose
     roll: float
-    """Of the drive axle out of the level, positive with the left wheel up [rad]."""
+    """Roll angle of the drive axle, positive with the left wheel up [rad]."""
     forces: Forces
-    """Of the ground on the left, right and caster wheel, during the step."""
+    """Forces of the ground on the left, right and caster wheel during the step."""
     slips: tuple[float, float]
-    """Speed of the left and right drive wheel's contact point over the ground, during the step [m/s]."""
+    """Speeds of the left and right drive wheel's contact points over the ground during the step [m/s]."""
 
 
 def follow_turn(engine: ContactEngine, heading_change: float) -> list[Instant]:
-    """Advances by one control period, and takes down the vehicle after each physics step.
+    """Advances by one control period and records the vehicle after each physics step.
 
     Args:
         engine: With the vehicle placed in its world.
-        heading_change: Wanted change from the present yaw [rad], positive to the left.
+        heading_change: Commanded change of the present yaw, positive to the left [rad].
     """
     begin, began = engine.pose(), engine.time()
     instants: list[Instant] = []
@@ -53,40 +53,39 @@ def follow_turn(engine: ContactEngine, heading_change: float) -> list[Instant]:
 
 @dataclass(frozen=True, slots=True)
 class WheelForces:
-    """Of the ground on the left, right and caster wheel: k means over one or more wheel commands each.
+    """Mean forces of the ground on the left, right and caster wheel over k intervals of wheel commands.
 
-    Commands come at a stroke, 120 a second, and an engine gives the force of a whole command in one physics step, or
-    lets a wheel drop out for one. A turn needs what lasts; single steps are that staircase.
+    An engine may apply the force of a whole wheel command in a single physics step, so means over commands count.
     """
 
     times: Array
-    """At the end of each (k,) [s]."""
+    """Ends of the intervals (k,) [s]."""
     normal: Array
-    """(k, 3) [N]"""
+    """Forces normal to the contact plane (k, 3) [N]."""
     friction: Array
-    """In the plane of contact (k, 3) [N]."""
+    """Forces in the contact plane (k, 3) [N]."""
 
     def used(self, vehicle: VehicleSpec) -> Array:
-        """Friction over what there is, of each drive wheel (k, 2); 0 where it carries next to nothing."""
+        """Friction over available friction of each drive wheel (k, 2); 0 where it carries almost no load."""
         normal, friction = self.normal[:, :2], self.friction[:, :2]
         carries = normal > LOADED * static_rear_load(vehicle)
         available = vehicle.contact.wheel_friction * np.where(carries, normal, np.inf)
         return np.asarray(friction / available)
 
     def used_by_axle(self, vehicle: VehicleSpec) -> Array:
-        """Friction over what there is, of both drive wheels together (k,)."""
+        """Friction over available friction of both drive wheels together (k,)."""
         normal, friction = self.normal[:, :2].sum(axis=1), self.friction[:, :2].sum(axis=1)
         least = LOADED * static_rear_load(vehicle)
         return np.asarray(friction / (vehicle.contact.wheel_friction * np.maximum(normal, least)))
 
 
 def mean_forces(times: Sequence[float], forces: Sequence[Forces], commands: int) -> WheelForces:
-    """Means over so many wheel commands each; the last one may be cut short.
+    """Averages forces over intervals of `commands` wheel commands; the last interval may be shorter.
 
     Args:
-        times: At the end of each physics step, from the first one on [s].
-        forces: During each physics step.
-        commands: In each mean; `SAMPLE_EVERY` of them lie between two looks of the controller.
+        times: Ends of the physics steps [s].
+        forces: Forces during the physics steps.
+        commands: Wheel commands in each interval; the controller's period has `SAMPLE_EVERY`.
     """
     steps = whole_steps(commands / COMMAND_RATE, times[0])
     begins = np.arange(0, len(times), steps)
@@ -97,19 +96,19 @@ def mean_forces(times: Sequence[float], forces: Sequence[Forces], commands: int)
 
 
 def forces_by_command(instants: Sequence[Instant], commands: int = 1) -> WheelForces:
-    """The `mean_forces` of a turn that was followed, from its first instant on."""
+    """The `mean_forces` of a turn."""
     return mean_forces([instant.time for instant in instants], [instant.forces for instant in instants], commands)
 
 
 def largest_slip(instants: Sequence[Instant], speed: float) -> float:
-    """The largest speed of a drive wheel's contact point over the ground, over the vehicle's speed [m/s]."""
+    """The largest speed of a drive wheel's contact point over the ground, over the vehicle's speed."""
     return max(max(instant.slips) for instant in instants) / speed
 
 
 def _observed(engine: ContactEngine, before: Pose, began: float) -> Instant:
-    """What a physics step did, given where it began.
+    """Measures the physics step that began at the pose `before`.
 
-    The velocity of the rear-axle centre is the way from there to here; it points along the chord.
+    The velocity of the rear-axle centre is its displacement over the step, along the chord.
     """
     vehicle, dt, pose = engine.vehicle, engine.time_step, engine.pose()
     turned = wrap_angle(pose.yaw - before.yaw)

@@ -99,15 +99,14 @@ def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch]
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def draw_world(axes: Axes, drawn: Recording | WorldSpec, time: float) -> None:
+def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
 
     Args:
         axes: Axes to draw on.
-        drawn: The world, or a recording of a drive in it.
+        world: The world.
         time: Instant at which moving boxes are shown [s].
     """
-    world = drawn if isinstance(drawn, WorldSpec) else drawn.world
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
     for box in world.obstacles:
@@ -157,7 +156,7 @@ def draw_drive(
         title: Text above the axes.
         size: Font size of the title [points].
     """
-    draw_world(axes, recording, recording.state_time[-1])
+    draw_world(axes, recording.world, recording.state_time[-1])
     draw_path(axes, recording, detail)
     frame_world(axes, recording, margin)
     finish_axes(axes, title, size, grid="none")

@@ -284,7 +284,7 @@ def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
 
 
 def _draw_end(axes: Axes, recording: Recording, features: Features) -> None:
-    draw_world(axes, recording, recording.state_time[-1])
+    draw_world(axes, recording.world, recording.state_time[-1])
     draw_path(axes, recording, 1.5 if isinstance(features.end, Contact) else 1.0, cross=False)
     if isinstance(features.end, Contact):
         axes.plot(*features.end.place, "o", mfc=COLLISION, mec="white", ms=6, zorder=8)

@@ -264,7 +264,7 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
     rows = -(-len(drives) // columns)
     figure = new_figure(4.0 * columns, 4.3 * rows + 0.4)
     for axes, (pair, first, second) in zip(figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False):
-        draw_world(axes, first, pair.explanation.time if pair.explanation else first.state_time[-1])
+        draw_world(axes, first.world, pair.explanation.time if pair.explanation else first.state_time[-1])
         for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
             axes.plot(*recording.sample_pose[:, :2].T, color=colour, lw=width, solid_capstyle="round", zorder=4)
             if recording.contact[-1]:

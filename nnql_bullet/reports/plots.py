@@ -145,7 +145,7 @@ def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
     moment = _tightest(recording)
     vehicle = moved(recording.footprint, Pose(*recording.sample_pose[moment]))
     x, y = vehicle.x, vehicle.y
-    draw_world(axes, recording, recording.sample_time[moment])
+    draw_world(axes, recording.world, recording.sample_time[moment])
     draw_path(axes, recording, detail=2.0)
     axes.add_patch(Polygon(vehicle.corners(), fc=VEHICLE, ec=INK, lw=1.6, zorder=5))
     axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal", xlabel="x [m]", ylabel="y [m]")

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents.base import Agent, Overridable
+from nnql_bullet.agents.base import Overridable
+from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import STOP, Observation, heading_change
@@ -29,6 +30,7 @@ from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions, silent_sectors
+from nnql_bullet.rollout import Agent
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.shield.recovery import Recovery
 from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
@@ -50,8 +52,6 @@ TOUCHING = 0.1
 """At this distance it may no more [m]."""
 ALL_ROUND = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less room."""
-LEFT_TURNS, RIGHT_TURNS = (1, 2), (3, 4)
-"""Of `paper.TURNS`, the smaller first."""
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 """The rear-axle centre as a footprint without size."""
 

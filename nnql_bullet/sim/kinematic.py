@@ -33,7 +33,7 @@ SHARE = 16
 STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
 
-_GOES_ON, _TOUCHING, _AT_TARGET = 0, 1, 2
+_NO_EVENT, _TOUCHING, _AT_TARGET = 0, 1, 2
 
 
 class _Constants(NamedTuple):
@@ -421,7 +421,7 @@ def _follow(
     Returns:
         Index of the last pose reached, the event that ended it, the smallest clearance, and that at the end [m].
     """
-    last, event, movers = len(path) - 1, _GOES_ON, solids[len(solids) - len(tracks) :]
+    last, event, movers = len(path) - 1, _NO_EVENT, solids[len(solids) - len(tracks) :]
     to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
     for k in range(1, len(path) if to_target <= hop * last else 0):
         if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:

@@ -42,7 +42,7 @@ OBSTACLE = 1
 IMPEDANCE = 0.9999
 """Share of a constraint that is met; the engine takes no more. What is left has the vehicle sink in by a micrometre at
 most, and creep by less than that in 10 s."""
-SETTLING = 2.0
+CONSTRAINT_STEPS = 2.0
 """Time constant of a constraint, in steps: the engine takes no less. A wrong velocity is put right in one step."""
 HIT_DAMPING = 5.0
 """Damping ratio of the chassis's contacts. With 1, critical damping, they throw the vehicle back at up to a quarter of
@@ -325,7 +325,7 @@ class MujocoEngine(ContactEngine):
 
 def _hard(damping: float, time_step: float) -> list[float]:
     """The engine's `solref` of a constraint with this damping ratio."""
-    return [SETTLING * time_step, damping]
+    return [CONSTRAINT_STEPS * time_step, damping]
 
 
 def _set_solver(spec: Any, time_step: float) -> None:

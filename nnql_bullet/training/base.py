@@ -1,12 +1,16 @@
-"""What a training is to those that run it, whatever is trained and how."""
+"""Interfaces of training: agents that can be trained, and what trains them."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.env import Navigation, Observation, Transition
+from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Agent, EpisodeSummary
+from nnql_bullet.worlds.spec import WorldSpec
 
 RECENT = 100
 """Episodes at the end of a training over which its success is shown."""
@@ -24,21 +28,89 @@ class TrainingEpisode:
 
 
 class Trainer(Protocol):
-    """A training as far as it has come. What comes out depends on the configuration and the seed alone."""
+    """A training in progress. Its result depends on the configuration and the seed alone."""
 
     def episodes(self) -> Iterator[TrainingEpisode]:
         """Trains without end, and yields each episode as it finishes; `state_dict` may be asked for in between.
 
         Raises:
-            WorkerDied: If a process that holds vehicles is gone; `state_dict` then gives a state to go on from.
+            WorkerDied: If a process that simulates vehicles is gone; `state_dict` then gives a state to resume from.
         """
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """What to go on from, beside what the agent has learned."""
+        """Copies the state of the training, without that of the agent, by name."""
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state_dict` gave, so that what follows is as if the training had never stopped.
+        """Resumes from what `state_dict` gave, with the same results as a training that never stopped.
 
         Raises:
             UserError: If these are not the arrays of such a training.
+        """
+
+
+@runtime_checkable
+class Trainable(Agent, Protocol):
+    """An agent with weights, however they are found."""
+
+    def state_dict(self) -> dict[str, Array]:
+        """Copies everything that learning changes, by name: what a checkpoint keeps."""
+
+    def load_state_dict(self, arrays: dict[str, Array]) -> None:
+        """Replaces all that by what `state_dict` gave.
+
+        Raises:
+            UserError: If these are not arrays of such an agent.
+        """
+
+
+@runtime_checkable
+class TrainsItself(Trainable, Protocol):
+    """An agent with a training of its own, in place of `training.loop`."""
+
+    def make_trainer(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> Trainer:
+        """Builds what trains the agent.
+
+        Args:
+            navigation: The vehicles to train with.
+            world_of: Gives the world of a training episode, counted from 0.
+            seed: Seed of all random numbers.
+
+        Raises:
+            UserError: If the training needs a library that is not installed.
+        """
+
+
+@runtime_checkable
+class LearningAgent(Trainable, Protocol):
+    """An agent that learns from every step, as Q-learning does; `training.loop` trains it."""
+
+    def act_exploring(
+        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
+    ) -> NDArray[np.int64]:
+        """Chooses actions for learning (n,).
+
+        Args:
+            observations: What n vehicles see.
+            episodes: Training episode of each vehicle (n,), counted from 0.
+            uniforms: A random number in [0, 1) for each vehicle (n,), the only randomness.
+        """
+
+    def learn(self, transitions: Transition) -> Array:
+        """Learns from one step of all n vehicles at once.
+
+        Returns:
+            Temporal-difference errors (n,); NaN where nothing was learned.
+        """
+
+    def diagnostics(self, episode: int) -> dict[str, float]:
+        """Named numbers of a training episode for the log."""
+
+    def training_state(self) -> dict[str, NDArray[Any]]:
+        """Copies what resumed learning needs beside `state_dict`, by name."""
+
+    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Replaces all that by what `training_state` gave.
+
+        Raises:
+            UserError: If it is not the state of such an agent.
         """

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.agents import LearningAgent
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import Tally
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
 _AGENT = "agent/"
@@ -45,7 +44,7 @@ class Training:
         self._actions = np.full((n, most), _NONE, np.int8)
         self._uniforms = np.zeros((n, most))
         self._squared_errors, self._updates = np.zeros(n), np.zeros(n, np.int64)
-        self._tally = Tally(n)
+        self._tally = Tally(navigation)
         self._worlds: dict[int, WorldSpec] = {}
 
     def episodes(self) -> Iterator[TrainingEpisode]:

@@ -14,12 +14,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from nnql_bullet.agents import Trainable
 from nnql_bullet.config import options
 from nnql_bullet.env import Navigation
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
+from nnql_bullet.training.base import Trainable
 from nnql_bullet.types import Count
 from nnql_bullet.worlds.spec import WorldSpec
 

@@ -24,16 +24,17 @@ WIDTH = 240
 """Columns that the command line's help is laid out in, so that few lines are broken."""
 
 
-def find(name: str) -> Any:
-    """The class or function of this name, wherever in the package it is defined.
+def find(*names: str) -> Any:
+    """The class or function of the first of these names that some module of the package defines.
 
     Raises:
-        LookupError: If no module defines it.
+        LookupError: If no module defines one.
     """
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if re.search(rf"^(class|def) {name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
-            return getattr(import_module(module_name(path)), name)
-    raise LookupError(f"nnql_bullet defines no {name}")
+    for name in names:
+        for path in sorted(PACKAGE.rglob("*.py")):
+            if re.search(rf"^(class|def) {name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+                return getattr(import_module(module_name(path)), name)
+    raise LookupError(f"nnql_bullet defines none of: {', '.join(names)}")
 
 
 def module_name(path: Path) -> str:
@@ -52,7 +53,7 @@ def configuration() -> str:
 
 def world_keys() -> str:
     """Markdown tables of every key of a world file."""
-    return _options_section(find("WorldFile"), "", 3)
+    return _options_section(find("World", "WorldFile"), "", 3)
 
 
 def robot_keys() -> str:
@@ -341,7 +342,9 @@ def layers() -> str:
     (layered,) = [contract["layers"] for contract in contracts if contract["type"] == "layers"]
     pages, rows = api_pages(), []
     for number, layer in enumerate(layered, 1):
-        for name in (part.strip() for part in layer.split("|")):
+        for name in (part.strip(" ()") for part in layer.split("|")):
+            if not _source(name).is_file():  # a layer in brackets may be missing
+                continue
             module = f"[`{name}`](../reference/api/{name}.md)" if name in pages else f"`{name}`"
             rows.append((str(number), module, _about(name)))
     return _table(("layer", "module", "what it is"), rows)
@@ -349,9 +352,13 @@ def layers() -> str:
 
 def _about(name: str) -> str:
     """The first sentence of a module's or folder's docstring."""
+    text = ast.get_docstring(ast.parse(_source(name).read_text(encoding="utf-8"))) or ""
+    return _sentence(text.partition("\n\n")[0])
+
+
+def _source(name: str) -> Path:
     path = PACKAGE / f"{name}.py"
-    source = path if path.is_file() else PACKAGE / name / "__init__.py"
-    return _sentence((ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").partition("\n\n")[0])
+    return path if path.is_file() else PACKAGE / name / "__init__.py"
 
 
 def api_index() -> str:

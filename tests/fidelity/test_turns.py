@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from math import copysign, cos, degrees, hypot, pi, radians, sin, sqrt
 from typing import Any
 
@@ -61,19 +62,16 @@ def turned(engine: BulletEngine, world: WorldSpec, turn: float) -> tuple[Vehicle
 # The engine's friction cone has axes fixed in the world, so grip depends on the direction of travel: near yaw 0.26 a
 # turn to the right, and near 1.30 its mirror image to the left, departs from the unicycle by up to 11.1 mm (reference)
 # and 16.4 mm (fast, whose fewer iterations add to it). The heading, which the controller closes, keeps its tolerance.
-@pytest.mark.parametrize("yaw", [0.26, pi / 4, 1.30, 2.0, pi, -1.0])
-@pytest.mark.parametrize("turn", TURNS)
-def test_heading_is_reached_from_any_yaw(
-    engine_of: Make, world_of: Callable[..., WorldSpec], physics: str, turn: int, yaw: float
-) -> None:
-    world = world_of(start=Pose(100.0, 100.0, yaw))
-    motion, trace, gap = turned(engine_of(physics, decision_period=1.0), world, radians(turn))
-    change = (degrees(motion.pose.yaw - yaw) + 180.0) % 360.0 - 180.0
-    assert change == pytest.approx(turn, abs=0.1)
-    assert degrees(motion.heading_error) == pytest.approx(turn - change, abs=1e-9)
-    assert motion.duration == pytest.approx(1.0)
-    assert len(trace) == 30
-    assert gap < GAP[physics]
+def test_heading_is_reached_from_any_yaw(engine_of: Make, world_of: Callable[..., WorldSpec], physics: str) -> None:
+    engine = engine_of(physics, decision_period=1.0)
+    for turn, yaw in product(TURNS, (0.26, pi / 4, 1.30, 2.0, pi, -1.0)):
+        motion, trace, gap = turned(engine, world_of(start=Pose(100.0, 100.0, yaw)), radians(turn))
+        change = (degrees(motion.pose.yaw - yaw) + 180.0) % 360.0 - 180.0
+        assert change == pytest.approx(turn, abs=0.1)
+        assert degrees(motion.heading_error) == pytest.approx(turn - change, abs=1e-9)
+        assert motion.duration == pytest.approx(1.0)
+        assert len(trace) == 30
+        assert gap < GAP[physics]
 
 
 def test_caster_trails_again_soon_after_a_turn(engine_of: Make, empty_world: WorldSpec, physics: str) -> None:
@@ -111,7 +109,7 @@ def test_a_control_period_of_broken_steps_is_refused_with_both_values(engine_of:
         engine_of(physics, decision_period=0.504)
 
 
-@pytest.mark.parametrize("turn", [0.0, 30.0, 60.0, -60.0])
+@pytest.mark.parametrize("turn", [0.0, -60.0])
 def test_driven_wheels_overcome_rolling_resistance(
     vehicle: VehicleSpec, empty_world: WorldSpec, physics: str, turn: float
 ) -> None:

@@ -4,7 +4,7 @@ Mnih et al. (Nature 518, 2015), with the double estimator of van Hasselt et al. 
 al. (ICML 2016), n-step returns, and a target network that follows slowly, which also drives.
 """
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.learning.frames import MIRRORED_ACTIONS, FrameMaker, Look, Memory
-from nnql_bullet.agents.learning.replay import CUT_OFF, FOR_GOOD, GOES_ON, Replay
+from nnql_bullet.agents.learning import weights
+from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
+from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
+from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
@@ -23,71 +25,84 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.task import NO_ENDING, StateProperty
-from nnql_bullet.types import Bytes, Count, NonNegative, Positive, UnitInterval
+from nnql_bullet.types import Bytes, Count, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 FRONT_DISTANCE = 5.0
-"""Nearer than this, what is in front costs [m]."""
+"""Readings of the front sensor below this cost reward [m]."""
 
 
 @options
 class DoubleDqnOptions:
-    """What the network sees, how it learns, and what it is paid for.
+    """Options of double DQN: its inputs, its learning and its reward.
 
-    `nnql-bullet ablate double_dqn` says what parts of it are worth.
+    results/ablation-double_dqn compares some of them.
     """
 
     kind: Literal["double_dqn"] = "double_dqn"
     rays: Literal[8, 24, 72] = 24
-    """Readings that the 72 rays are told as, each the nearest of its own."""
+    """Readings of the network: each is the nearest of its share of the 72 rays."""
     frames: Count = 3
     """Last moments that the network sees at once."""
     grid_map: bool = True
-    """Whether the vehicle keeps a map of what it has seen, and the network is told of the way through it."""
+    """Whether the vehicle keeps a map of what it has seen, and the network is given path lengths through it."""
     hidden: tuple[Count, ...] = (128, 128)
     """Units of the hidden layers."""
     learning_rate: Positive = 5e-4
-    """Of Adam, at first."""
+    """Learning rate of Adam in the first half of the scheduled episodes."""
     learning_rate_final: Positive = 5e-5
-    """From `schedule_episodes` on; it falls over the second half of them."""
+    """Learning rate from `schedule_episodes` on; it falls over the second half of them."""
     schedule_episodes: Count = 12_000
-    """Episodes that schedules are made for. They do not follow the number of episodes asked for, so that a run can be
-    stopped and gone on with."""
+    """Episodes that schedules are made for. They do not follow the number of training episodes, so that a run can be
+    stopped and resumed."""
     discount: UnitInterval = 0.9
     """gamma."""
-    steps: Count = 3
-    """n, of n-step returns."""
+    n_step: Count = 3
+    """Steps of a return before it is bootstrapped."""
     batch_size: Count = 256
-    """Steps that an update learns from."""
-    updates: Count = 2
-    """Each time that all vehicles took a step."""
-    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.005
-    """tau: share of the way that the target network follows in an update."""
+    """Steps that one gradient step learns from."""
+    gradient_steps: Count = 2
+    """Gradient steps after each step of all vehicles."""
+    tau: Annotated[float, Field(gt=0, le=1)] = 0.005
+    """Fraction by which the target network moves toward the online network in a gradient step."""
     buffer_size: Count = 300_000
-    """Steps that are remembered."""
+    """Steps in the replay buffer, of all vehicles together."""
     learning_starts: Annotated[int, Field(ge=0)] = 10_000
-    """Steps before the first update."""
-    exploration: Annotated[tuple[UnitInterval, ...], Field(min_length=1)] = (0.01, 0.05, 0.1, 0.2)
-    """Shares of random actions, which episodes take by turns: some get far, and some see much."""
+    """Steps of all vehicles together before the first gradient step."""
+    exploration_final: Annotated[tuple[UnitInterval, ...], Field(min_length=1)] = (0.01, 0.05, 0.1, 0.2)
+    """Probabilities of a random action, which episodes take by turns: some get far, and some see much."""
     exploration_episodes: Count = 1_000
-    """Over so many the share of random actions falls from 1 to those, linearly."""
+    """Episodes over which the probability of a random action falls from 1 to those, linearly."""
     mirrored: bool = True
-    """Whether half of the steps are learned from as if left were right, which is all the same to the vehicle."""
+    """Whether half of the steps are learned from as their mirror images, with left and right exchanged."""
     reward_progress: float = 0.03
-    """For each metre that the way to the target gets shorter."""
+    """Reward for each metre that the path to the target gets shorter."""
     reward_step: float = -0.005
-    """For each decision."""
+    """Reward for each decision."""
     reward_turn: float = -0.003
-    """For each radian that is asked for."""
+    """Reward for each radian of heading change that is asked for."""
     reward_near: float = -0.06
-    """For what touches the sensor in front; with distance it falls to nothing at 5 m."""
+    """Reward for an obstacle that touches the front sensor; it shrinks to nothing at 5 m."""
     reward_winning: float = 0.5
-    """For reaching the target."""
+    """Reward for reaching the target."""
     reward_failure: float = -2.0
-    """For touching something."""
-    paper_share: NonNegative = 0.0
-    """Of the paper's reward, which is added."""
+    """Reward for touching something."""
+
+    def exploration(self, episodes: NDArray[np.int64]) -> Array:
+        """Probability of a random action in training episodes (n,), counted from 0."""
+        final = np.array(self.exploration_final)[episodes % len(self.exploration_final)]
+        progress = np.minimum(episodes / self.exploration_episodes, 1.0)
+        return np.asarray(1.0 + (final - 1.0) * progress)
+
+    def learning_rate_at(self, episode: int) -> float:
+        """Learning rate in a training episode, counted from 0."""
+        progress = min(max(2 * episode / self.schedule_episodes - 1, 0.0), 1.0)
+        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * progress
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "DoubleDqn":
+        """Builds the untrained agent."""
+        return DoubleDqn(self, seed, vehicle, drive)
 
 
 class DuelingNetwork(torch.nn.Module):
@@ -158,9 +173,9 @@ class DoubleDqn:
         learning = self._learn_with(len(episodes))
         learning.look, learning.episode = self._look(observations), int(episodes.max())
         best = self._values(learning.online, learning.look).argmax(axis=-1)
-        shares = self.exploration(episodes)
-        drawn = (uniforms / np.maximum(shares, 1e-9) * ACTIONS).astype(np.int64)
-        return np.where(uniforms < shares, np.minimum(drawn, ACTIONS - 1), best)
+        chance = self.options.exploration(episodes)
+        drawn = (uniforms / np.maximum(chance, 1e-9) * ACTIONS).astype(np.int64)
+        return np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
 
     def learn(self, transitions: Transition) -> Array:
         """Keeps the steps, and learns from some of those that were kept.
@@ -172,45 +187,34 @@ class DoubleDqn:
         o, t = self.options, transitions
         learning = self._learn_with(len(t.a_tm1))
         look = learning.look
-        ends = np.where(t.discount_t == 0, FOR_GOOD, np.where(t.ending == NO_ENDING, GOES_ON, CUT_OFF))
+        ends = np.where(t.discount_t == 0, TERMINATED, np.where(t.ending == NO_ENDING, CONTINUES, TRUNCATED))
         learning.replay.add(
             look.memory.frames[:, 0],
             look.memory.age,
             t.a_tm1,
-            self._rewards(t),
+            reward(t, o),
             ends,
             o.reward_progress * look.progress,
         )
         self._keep(self._frames.after(look, t.s_tm1, t.a_tm1))
         return np.full(len(t.a_tm1), self._update(learning))
 
-    def exploration(self, episodes: NDArray[np.int64]) -> Array:
-        """Shares of random actions in training episodes (n,), counted from 0."""
-        last = np.array(self.options.exploration)[episodes % len(self.options.exploration)]
-        progress = np.minimum(episodes / self.options.exploration_episodes, 1.0)
-        return np.asarray(1.0 + (last - 1.0) * progress)
-
-    def learning_rate(self, episode: int) -> float:
-        """In a training episode, counted from 0."""
-        o = self.options
-        progress = min(max(2 * episode / o.schedule_episodes - 1, 0.0), 1.0)
-        return o.learning_rate + (o.learning_rate_final - o.learning_rate) * progress
-
     def diagnostics(self, episode: int) -> dict[str, float]:
-        """Share of random actions and learning rate."""
-        share = float(self.exploration(np.array([episode]))[0])
-        return {"exploration": share, "learning_rate": self.learning_rate(episode)}
+        """Probability of a random action and learning rate."""
+        o = self.options
+        return {
+            "exploration": float(o.exploration(np.array([episode]))[0]),
+            "learning_rate": o.learning_rate_at(episode),
+        }
 
     def state_dict(self) -> dict[str, Array]:
         """Weights and biases of the network that drives."""
-        return _weights(self.network)
+        return weights.state_dict(self.network)
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
-        if not _fits(self.network, arrays):
-            widths = "-".join(map(str, (self._inputs, *self.options.hidden, ACTIONS)))
-            raise UserError(f"these are not the weights of a dueling network of {widths} units")
-        _load(self.network, arrays)
+        units = self._inputs, *self.options.hidden, ACTIONS
+        weights.load_state_dict(self.network, arrays, "a dueling network", units)
 
     def training_state(self) -> dict[str, NDArray[Any]]:
         """The network that learns, its optimizer, the replay, and what is remembered of vehicles."""
@@ -223,7 +227,7 @@ class DoubleDqn:
             self._memory = Memory(*(state[f"memory/{field.name}"].copy() for field in fields(Memory)))
             if "replay/count" in state:
                 self._learn_with(len(self._memory.age)).load_state_dict(state)
-        except (KeyError, ValueError, TypeError):
+        except (KeyError, ValueError, TypeError, UserError):
             raise UserError("this is not the state of such a double_dqn") from None
 
     def _look(self, observations: Observation) -> Look:
@@ -255,64 +259,81 @@ class DoubleDqn:
             values: Array = network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
         return values
 
-    def _rewards(self, t: Transition) -> Array:
-        """Of steps (n,), but for the progress, which shows at the next look."""
-        o = self.options
-        nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / FRONT_DISTANCE, 0.0)
-        turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
-        won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
-        own = o.reward_step + o.reward_turn * turns + o.reward_near * nearness
-        own += o.reward_winning * won + o.reward_failure * failed
-        return np.asarray(own + o.paper_share * t.r_t)
-
     def _update(self, learning: "Learning") -> float:
-        """Learns from batches of what was kept; root mean square of the errors, NaN if there is too little."""
+        """Takes gradient steps on batches from the replay buffer.
+
+        Returns:
+            Root mean square of the temporal-difference errors; NaN while there are too few steps.
+        """
         o, replay = self.options, learning.replay
-        choices = replay.choices(o.steps)
-        if not choices or replay.count * replay.vehicles < o.learning_starts:
+        if not replay.choices(o.n_step) or replay.count * replay.vehicles < o.learning_starts:
             return float("nan")
         generator = rng(self._seed, Stream.REPLAY, replay.count)
-        size = o.updates * o.batch_size
-        times = generator.integers(choices.start, choices.stop, size)
-        batch = replay.batch(times, generator.integers(replay.vehicles, size=size), o.steps, o.discount)
-        seen, after, actions = batch.seen, batch.after, batch.actions
+        batch = replay.sample(o.gradient_steps * o.batch_size, o.n_step, o.discount, generator)
         if o.mirrored:
-            turned = generator.random(size) < 0.5
-            seen[turned], after[turned] = (self._frames.mirrored(stacked[turned]) for stacked in (seen, after))
-            actions[turned] = MIRRORED_ACTIONS[actions[turned]]
-        for group in learning.optimizer.param_groups:
-            group["lr"] = self.learning_rate(learning.episode)
+            batch = partly_mirrored(batch, self._frames, generator)
+        learning.optimizer.param_groups[0]["lr"] = o.learning_rate_at(learning.episode)
         errors = []
-        for one in np.split(np.arange(size), o.updates):
-            target = double_q_targets(
-                learning.online, self.network, after[one], batch.returns[one], batch.discounts[one]
-            )
-            q = learning.online(torch.from_numpy(seen[one])).gather(1, torch.from_numpy(actions[one])[:, None])[:, 0]
-            td_error = (target - q) * torch.from_numpy(batch.counts[one])
+        for part in batch.split(o.gradient_steps):
+            td_error = td_errors(learning.online, self.network, part)
             learning.optimizer.zero_grad()
-            td_error.square().mean().backward()
+            torch.autograd.backward(td_error.square().mean())
             learning.optimizer.step()
-            follow(self.network, learning.online, o.target_rate)
+            soft_update(self.network, learning.online, o.tau)
             errors.append(td_error.detach())
         return float(torch.cat(errors).square().mean().sqrt())
 
 
+def reward(t: Transition, o: DoubleDqnOptions) -> Array:
+    """Rewards of steps (n,), except for the progress, which is known at the next decision."""
+    nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / FRONT_DISTANCE, 0.0)
+    turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
+    won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
+    before_end = o.reward_step + o.reward_turn * turns + o.reward_near * nearness
+    return np.asarray(before_end + (o.reward_winning * won + o.reward_failure * failed))
+
+
+def partly_mirrored(batch: Batch, frames: FrameMaker, generator: np.random.Generator) -> Batch:
+    """The batch with half of its steps, drawn at random, replaced by their mirror images."""
+    which = generator.random(len(batch.a_tm1)) < 0.5
+    s_tm1, a_tm1, s_t = batch.s_tm1.copy(), batch.a_tm1.copy(), batch.s_t.copy()
+    s_tm1[which], s_t[which] = frames.mirrored(s_tm1[which]), frames.mirrored(s_t[which])
+    a_tm1[which] = MIRRORED_ACTIONS[a_tm1[which]]
+    return replace(batch, s_tm1=s_tm1, a_tm1=a_tm1, s_t=s_t)
+
+
 def double_q_targets(
-    online: DuelingNetwork, target: DuelingNetwork, after: Bytes, returns: Array, discounts: Array
+    online: torch.nn.Module, target: torch.nn.Module, r_t: Array, discount_t: Array, s_t: Bytes
 ) -> torch.Tensor:
-    """The returns (m,) and, discounted, what `target` expects of the actions that `online` holds best after them."""
+    """Targets of double Q-learning (m,): r_t + discount_t q_target(s_t, argmax_a q_online(s_t, a)).
+
+    Args:
+        online: The network that learns; it selects the action.
+        target: The network that follows it; it evaluates that action.
+        r_t: Returns of the steps up to s_t (m,).
+        discount_t: Discounts of what follows (m,); 0 where the episode ended for good.
+        s_t: What was seen then (m, inputs).
+    """
     with torch.no_grad():
-        seen = torch.from_numpy(after)
-        best = online(seen).argmax(dim=-1, keepdim=True)
-        value: torch.Tensor = target(seen).gather(1, best)[:, 0]
-        return torch.from_numpy(returns.astype(np.float32)) + torch.from_numpy(discounts.astype(np.float32)) * value
+        seen = torch.from_numpy(s_t)
+        a_t = online(seen).argmax(dim=-1, keepdim=True)
+        q_t: torch.Tensor = target(seen).gather(1, a_t)[:, 0]
+        return torch.from_numpy(r_t.astype(np.float32)) + torch.from_numpy(discount_t.astype(np.float32)) * q_t
 
 
-def follow(network: DuelingNetwork, other: DuelingNetwork, share: float) -> None:
-    """Moves the weights of a network toward those of another by a share of the way."""
+def td_errors(online: torch.nn.Module, target: torch.nn.Module, batch: Batch) -> torch.Tensor:
+    """Temporal-difference errors of a batch (m,), 0 for steps that do not count; the loss is their mean square."""
+    target_tm1 = double_q_targets(online, target, batch.r_t, batch.discount_t, batch.s_t)
+    q_tm1 = online(torch.from_numpy(batch.s_tm1)).gather(1, torch.from_numpy(batch.a_tm1)[:, None])[:, 0]
+    errors: torch.Tensor = (target_tm1 - q_tm1) * torch.from_numpy(batch.counts)
+    return errors
+
+
+def soft_update(target: torch.nn.Module, online: torch.nn.Module, tau: float) -> None:
+    """Moves the weights of the target network toward those of the online network by the fraction tau."""
     with torch.no_grad():
-        for mine, theirs in zip(network.parameters(), other.parameters(), strict=True):
-            mine.lerp_(theirs, share)
+        for mine, theirs in zip(target.parameters(), online.parameters(), strict=True):
+            mine.lerp_(theirs, tau)
 
 
 class Learning:
@@ -326,9 +347,9 @@ class Learning:
     def __init__(self, options: DoubleDqnOptions, network: DuelingNetwork, width: int, vehicles: int) -> None:
         with torch.random.fork_rng(devices=[]):  # its weights are drawn, though they are replaced at once
             self.online = DuelingNetwork(options.frames * width, options.hidden)
-        _load(self.online, _weights(network))
+        weights.load_state_dict(self.online, weights.state_dict(network))
         self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
-        rows = max(options.buffer_size // vehicles, options.steps + options.frames)
+        rows = max(options.buffer_size // vehicles, options.n_step + options.frames)
         self.replay = Replay(rows, vehicles, width, options.frames)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
@@ -338,19 +359,16 @@ class Learning:
             for name, parameter in self.online.named_parameters()
             for key, value in self.optimizer.state[parameter].items()
         }
-        online = {f"online/{name}": values for name, values in _weights(self.online).items()}
+        online = {f"online/{name}": values for name, values in weights.state_dict(self.online).items()}
         return {**online, **moments, **{f"replay/{name}": values for name, values in self.replay.state_dict().items()}}
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Takes back what `state_dict` gave.
 
         Raises:
-            KeyError, ValueError: If these are not such arrays.
+            KeyError, ValueError, UserError: If these are not such arrays.
         """
-        online = _under("online/", arrays)
-        if not _fits(self.online, online):
-            raise ValueError
-        _load(self.online, online)
+        weights.load_state_dict(self.online, _under("online/", arrays))
         for name, parameter in self.online.named_parameters():
             moments = _under(f"adam/{name}/", arrays)
             self.optimizer.state[parameter] = {key: torch.from_numpy(np.array(a)) for key, a in moments.items()}
@@ -359,17 +377,3 @@ class Learning:
 
 def _under(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
-
-
-def _weights(network: torch.nn.Module) -> dict[str, Array]:
-    return {name: value.detach().numpy().copy() for name, value in network.state_dict().items()}
-
-
-def _fits(network: torch.nn.Module, arrays: dict[str, Array]) -> bool:
-    mine = {name: value.shape for name, value in _weights(network).items()}
-    theirs = {name: value.shape for name, value in arrays.items()}
-    return mine == theirs and all(np.isfinite(value).all() for value in arrays.values())
-
-
-def _load(network: torch.nn.Module, arrays: dict[str, Array]) -> None:
-    network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})

@@ -7,17 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
 from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
-from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+from nnql_bullet.sensing import ray_angles
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-MIRRORED_ACTIONS = np.array([0, 3, 4, 1, 2, 5])
-"""The actions (6,) as a vehicle has them that is seen in a mirror: left is right."""
 FAR = 50.0
 """Distance of the target beyond which it makes no difference [m]."""
 DETOUR = 20.0
@@ -97,12 +96,11 @@ class FrameMaker:
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         self._speed = drive.speed
         self._angles = ray_angles()
-        felt = np.arange(grid_map.SENSE if with_map else 0)
-        bearings, reach = felt % grid_map.BEARINGS, felt - felt % grid_map.BEARINGS
-        order = np.arange(rays)
+        reaches = np.repeat(np.arange(len(grid_map.REACHES) if with_map else 0), grid_map.BEARINGS)
+        around = mirrored_directions(grid_map.BEARINGS)[np.arange(len(reaches)) % grid_map.BEARINGS]
         parts = [
-            (RAYS_PER_SECTOR * rays // RAYS - 1 - order) % rays,
-            reach + -bearings % grid_map.BEARINGS,
+            mirrored_rays(rays),
+            reaches * grid_map.BEARINGS + around,
             np.arange(_STATE),
             MIRRORED_ACTIONS,
         ]

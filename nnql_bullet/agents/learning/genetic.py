@@ -1,5 +1,6 @@
-"""The paper's network with weights that a genetic search found (its alternative [5]); `training.evolution` searches."""
+"""The paper's network with weights that a genetic search found (its alternative [5]); `evolution` searches."""
 
+from collections.abc import Callable
 from math import prod
 from typing import Annotated, Literal
 
@@ -11,12 +12,17 @@ from scipy.special import expit
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.learning.nnql import encode
+from nnql_bullet.agents.learning.weights import check
 from nnql_bullet.config import options
-from nnql_bullet.env import Observation
-from nnql_bullet.errors import UserError
+from nnql_bullet.env import Navigation, Observation
+from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.training.base import Trainer
 from nnql_bullet.types import Count, NonNegative, Positive, UnitInterval
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
 
 LAYERS = {
     "0.weight": (paper.HIDDEN_UNITS, paper.SECTORS),
@@ -67,6 +73,10 @@ class GeneticOptions:
         if self.elites >= self.population:
             raise ValueError(f"{self.elites} elites leave no room for children in a population of {self.population}")
 
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Genetic":
+        """Builds the agent."""
+        return Genetic(self, seed)
+
 
 class Genetic(TurnChooser):
     """Drives greedily with the fittest genome."""
@@ -80,15 +90,25 @@ class Genetic(TurnChooser):
         readings = observations.readings[asked]
         return network_outputs(np.repeat(self._genome[None], len(readings), axis=0), readings)
 
+    def make_trainer(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> Trainer:
+        """Builds the training.
+
+        Raises:
+            UserError: If DEAP is not installed.
+        """
+        try:
+            from nnql_bullet.agents.learning.evolution import Evolution
+        except ImportError:
+            raise missing_library("DEAP", "baselines") from None
+        return Evolution(self, navigation, world_of, seed)
+
     def state_dict(self) -> dict[str, Array]:
         """Weights W1 and W2 and their biases."""
         return {name: weights[0].copy() for name, weights in layers(self._genome[None]).items()}
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
-        shapes = {name: weights.shape for name, weights in arrays.items()}
-        if shapes != LAYERS or not all(np.isfinite(weights).all() for weights in arrays.values()):
-            raise UserError("these are not the weights of a network of 8-6-5 units")
+        check(arrays, LAYERS, "a network", (paper.SECTORS, paper.HIDDEN_UNITS, len(paper.TURNS)))
         self._genome = np.concatenate([arrays[name].ravel() for name in LAYERS])
 
 

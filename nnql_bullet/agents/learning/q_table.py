@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions
-from nnql_bullet.agents.turns import nearest_turns
+from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions, td_errors, turn_steps
 from nnql_bullet.config import options
-from nnql_bullet.env import Observation, Transition, heading_change
+from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 MOST_STATES = 2**22
 """Of a table, whose values then take 168 MB."""
@@ -48,6 +49,10 @@ class QTableOptions(QLearningOptions):
         """Rows of the table."""
         return int((len(self.edges) + 1) ** len(self.sectors))
 
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "QTable":
+        """Builds the agent."""
+        return QTable(self)
+
 
 class QTable(QLearning):
     """Q-values of every combination of a few levels of the readings."""
@@ -70,20 +75,20 @@ class QTable(QLearning):
         return np.asarray(self._table[self.state(observations.readings[asked])])
 
     def learn(self, transitions: Transition) -> Array:
-        """One update of eq. (2).
+        """Updates the table by eq. (2).
 
         Several vehicles learn from the table as it stands; where they meet in one entry, their updates add up.
         """
         t, o = transitions, self.options
-        td_errors = np.full(len(t.r_t), np.nan)
-        taught = np.flatnonzero(t.active & self.asks(t.s_tm1))
-        turns = nearest_turns(heading_change(t.a_tm1[taught], t.s_tm1.target_bearing[taught]))
-        s_tm1, s_t = self.state(t.s_tm1.readings[taught]), self.state(t.s_t.readings[taught])
-        target = t.r_t[taught] + t.discount_t[taught] * o.discount * self._table[s_t].max(axis=-1)
-        td_errors[taught] = target - self._table[s_tm1, turns]
-        np.add.at(self._table, (s_tm1, turns), o.learning_rate * td_errors[taught])
+        errors = np.full(len(t.r_t), np.nan)
+        learned = np.flatnonzero(t.active & self.asks(t.s_tm1))
+        steps = turn_steps(t, learned, o.discount)
+        s_tm1, s_t = self.state(steps.s_tm1), self.state(steps.s_t)
+        q_tm1, q_t = self._table[s_tm1], self._table[s_t]
+        errors[learned] = td_errors(q_tm1, steps.a_tm1, steps.r_t, steps.discount_t, q_t)
+        np.add.at(self._table, (s_tm1, steps.a_tm1), o.learning_rate * errors[learned])
         self._visited[s_tm1] = True
-        return td_errors
+        return errors
 
     def diagnostics(self, episode: int) -> dict[str, float]:
         """The temperature, and how many states it has learned in: as a number, and as a share of the table."""

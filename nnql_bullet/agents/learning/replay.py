@@ -5,7 +5,7 @@ bootstraps a return, are put together when they are drawn (Mnih et al., Nature 5
 1988, for n-step returns).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,8 @@ from nnql_bullet.types import Bytes
 
 Counts = NDArray[np.int64]
 
-GOES_ON, FOR_GOOD, CUT_OFF = 0, 1, 2
-"""What a step does to its episode: the last is a timeout, which says nothing about what would have come."""
+CONTINUES, TERMINATED, TRUNCATED = 0, 1, 2
+"""What a step does to its episode. A truncated episode (a timeout) says nothing about the rewards that would follow."""
 
 _KEPT = ("seen", "age", "action", "reward", "ends")
 
@@ -26,18 +26,23 @@ _KEPT = ("seen", "age", "action", "reward", "ends")
 class Batch:
     """m steps to learn from."""
 
-    seen: Bytes
-    """Before them (m, frames * width)."""
-    actions: Counts
-    """(m,)"""
-    returns: Array
-    """Discounted sums of the rewards of n steps, or of those up to the end (m,)."""
-    discounts: Array
-    """Of the value of what was seen after n steps (m,): 0 where the episode had ended."""
-    after: Bytes
-    """What was seen then (m, frames * width)."""
+    s_tm1: Bytes
+    """What was seen before the steps (m, frames * width)."""
+    a_tm1: Counts
+    """Actions (m,)."""
+    r_t: Array
+    """n-step returns (m,): discounted sums of the rewards of n steps, or of those up to the end."""
+    discount_t: Array
+    """Discounts of the value of s_t (m,): 0 where the episode had ended."""
+    s_t: Bytes
+    """What was seen after n steps (m, frames * width)."""
     counts: NDArray[np.bool_]
-    """Which of them count (m,): not those that were cut off."""
+    """Whether each step counts (m,): those whose episode was truncated do not."""
+
+    def split(self, parts: int) -> "list[Batch]":
+        """The batch in so many parts of equal size."""
+        columns = (np.split(getattr(self, its.name), parts) for its in fields(self))
+        return [Batch(*rows) for rows in zip(*columns, strict=True)]
 
 
 class Replay:
@@ -71,7 +76,7 @@ class Replay:
             age: Decisions before it in the same episode (n,).
             actions: (n,)
             rewards: (n,)
-            ends: One of `GOES_ON`, `FOR_GOOD` and `CUT_OFF` (n,).
+            ends: One of `CONTINUES`, `TERMINATED` and `TRUNCATED` (n,).
             rewards_before: What the decision before earned besides, as is known only now (n,); of no account where
                 that was of another episode.
         """
@@ -81,33 +86,46 @@ class Replay:
         self._action[now], self._reward[now], self._ends[now] = actions, rewards, ends
         self.count += 1
 
-    def choices(self, steps: int) -> range:
-        """The decisions that can be drawn, with so many steps after them."""
+    def choices(self, n_step: int) -> range:
+        """The decisions that can be drawn: those with `n_step` decisions after them."""
         first = max(self.count - self.rows, 0)
-        return range(first + (self.frames - 1 if first else 0), max(self.count - steps, first))
+        return range(first + (self.frames - 1 if first else 0), max(self.count - n_step, first))
 
-    def batch(self, times: Counts, vehicles: Counts, steps: int, discount: float) -> Batch:
+    def sample(self, size: int, n_step: int, discount: float, generator: np.random.Generator) -> Batch:
+        """Draws steps at random, each decision of each vehicle as likely.
+
+        Args:
+            size: Number of steps.
+            n_step: See `batch`.
+            discount: See `batch`.
+            generator: Random numbers.
+        """
+        choices = self.choices(n_step)
+        times = generator.integers(choices.start, choices.stop, size)
+        return self.batch(times, generator.integers(self.vehicles, size=size), n_step, discount)
+
+    def batch(self, times: Counts, vehicles: Counts, n_step: int, discount: float) -> Batch:
         """The n-step returns of some decisions.
 
         Args:
-            times: Which decisions, of `choices` (m,).
-            vehicles: Whose (m,).
-            steps: n, after which the return is bootstrapped.
+            times: Decisions among `choices` (m,).
+            vehicles: Their vehicles (m,).
+            n_step: Steps after which the return is bootstrapped.
             discount: gamma, of each step.
         """
-        returns, discounts = np.zeros(len(times)), np.ones(len(times))
+        r_t, discount_t = np.zeros(len(times)), np.ones(len(times))
         counts = np.ones(len(times), np.bool_)
-        for k in range(steps):
+        for k in range(n_step):
             place = (times + k) % self.rows, vehicles
-            returns += discounts * self._reward[place]
-            counts &= (self._ends[place] != CUT_OFF) | (discounts == 0)
-            discounts = np.where(self._ends[place] == GOES_ON, discount * discounts, 0.0)
+            r_t += discount_t * self._reward[place]
+            counts &= (self._ends[place] != TRUNCATED) | (discount_t == 0)
+            discount_t = np.where(self._ends[place] == CONTINUES, discount * discount_t, 0.0)
         return Batch(
-            seen=self._stacked(times, vehicles),
-            actions=self._action[times % self.rows, vehicles].astype(np.int64),
-            returns=returns,
-            discounts=discounts,
-            after=self._stacked(times + steps, vehicles),
+            s_tm1=self._stacked(times, vehicles),
+            a_tm1=self._action[times % self.rows, vehicles].astype(np.int64),
+            r_t=r_t,
+            discount_t=discount_t,
+            s_t=self._stacked(times + n_step, vehicles),
             counts=counts,
         )
 

@@ -1,5 +1,6 @@
-"""A DQN of stable-baselines3, driven without that library; `training.sb3` trains it."""
+"""A DQN of stable-baselines3, driven without that library; `sb3_training` trains it, and retrains it on resuming."""
 
+from collections.abc import Callable
 from itertools import pairwise
 from math import pi
 from typing import Annotated, Literal
@@ -11,12 +12,17 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
+from nnql_bullet.agents.learning import weights
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observation, as_numbers
-from nnql_bullet.errors import UserError
+from nnql_bullet.env import ACTIONS, Navigation, Observation, as_numbers
+from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, fenced, rng
+from nnql_bullet.training.base import Trainer
 from nnql_bullet.types import Count, Positive, UnitInterval
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.spec import WorldSpec
 
 SCALE = np.array([*[paper.SENSOR_RANGE] * paper.SECTORS, paper.ARENA_SIDE, pi, 1.0], np.float32)
 """What the environment's 11 numbers are divided by, so that all inputs are of order one."""
@@ -60,6 +66,10 @@ class Sb3DqnOptions:
         progress = min(steps / self.exploration_steps, 1.0)
         return 1.0 + (self.exploration_final - 1.0) * progress
 
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Sb3Dqn":
+        """Builds the agent."""
+        return Sb3Dqn(self, seed)
+
 
 class Sb3Dqn(NoMemory):
     """Chooses among all six actions at every step, by what the environment's 11 numbers are worth to the network."""
@@ -81,16 +91,23 @@ class Sb3Dqn(NoMemory):
 
     def state_dict(self) -> dict[str, Array]:
         """Weights and biases, layer by layer."""
-        return {name: value.numpy().copy() for name, value in self.network.state_dict().items()}
+        return weights.state_dict(self.network)
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
-        mine = {name: value.shape for name, value in self.state_dict().items()}
-        theirs = {name: value.shape for name, value in arrays.items()}
-        if mine != theirs or not all(np.isfinite(value).all() for value in arrays.values()):
-            widths = "-".join(map(str, (INPUTS, *self.options.hidden, ACTIONS)))
-            raise UserError(f"these are not the weights of a network of {widths} units")
-        self.network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+        weights.load_state_dict(self.network, arrays, "a network", (INPUTS, *self.options.hidden, ACTIONS))
+
+    def make_trainer(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> Trainer:
+        """Builds the training.
+
+        Raises:
+            UserError: If stable-baselines3 is not installed.
+        """
+        try:
+            from nnql_bullet.agents.learning.sb3_training import DqnTraining
+        except ImportError:
+            raise missing_library("stable-baselines3", "sb3") from None
+        return DqnTraining(self, navigation, world_of, seed)
 
     def _values(self, observations: Observation) -> Array:
         """Q(s, a) of the six actions (n, 6)."""

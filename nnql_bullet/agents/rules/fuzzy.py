@@ -16,9 +16,11 @@ from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_actions
 from nnql_bullet.config import options
 from nnql_bullet.env import Observation
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 Reading = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
 
@@ -78,6 +80,10 @@ class FuzzyOptions:
             if near > far:
                 raise ValueError(f"{name}_near {near:g} is above {name}_far {far:g}; swap them")
 
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Fuzzy":
+        """Builds the agent."""
+        return Fuzzy(self)
+
 
 class Fuzzy(Rule):
     """The centroid of the turns that the rules speak for; the action nearest to it is taken.
@@ -94,9 +100,7 @@ class Fuzzy(Rule):
         try:
             import skfuzzy
         except ImportError:
-            raise UserError(
-                "scikit-fuzzy is not installed; install it with: pip install 'nnql-bullet[baselines]'"
-            ) from None
+            raise missing_library("scikit-fuzzy", "baselines") from None
         self.options = options
         self._fuzz: Any = skfuzzy
         self._turns = {

@@ -12,6 +12,8 @@ from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.task import StateProperty
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 @options
@@ -21,6 +23,10 @@ class HandRuleOptions:
     kind: Literal["hand_rule"] = "hand_rule"
     turn_degrees: Literal[30, 60] = 30
     """Away from the fuller front side. 30 degrees got 99.2 / 93.2 / 74.0 %, 60 got 99.2 / 88.7 / 56.0 %."""
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "HandRule":
+        """Builds the agent."""
+        return HandRule(self)
 
 
 class HandRule(Rule):

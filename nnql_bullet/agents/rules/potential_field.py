@@ -19,6 +19,7 @@ from nnql_bullet.geometry import Array, OrientedBox, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.types import Positive
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 CLOSEST = 0.01
@@ -39,6 +40,10 @@ class PotentialFieldOptions:
     view_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
     """Only what stands within this of straight ahead repels. All around (180) got 50.0 / 4.3 / 0.2 %, 90 degrees
     got 91.3 / 54.5 / 15.5 %, 50 got 99.0 / 92.3 / 68.5 %."""
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "PotentialField":
+        """Builds the agent."""
+        return PotentialField(self, vehicle)
 
 
 class PotentialField(Rule):

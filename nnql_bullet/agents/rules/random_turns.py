@@ -11,6 +11,8 @@ from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import StateProperty
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 @options
@@ -18,6 +20,10 @@ class RandomTurnsOptions:
     """It has no options."""
 
     kind: Literal["random"] = "random"
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "RandomTurns":
+        """Builds the agent."""
+        return RandomTurns()
 
 
 class RandomTurns(Rule):

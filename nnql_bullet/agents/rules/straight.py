@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 @options
@@ -15,6 +17,10 @@ class StraightOptions:
     """It has no options."""
 
     kind: Literal["straight"] = "straight"
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Straight":
+        """Builds the agent."""
+        return Straight()
 
 
 class Straight(Rule):

@@ -68,6 +68,10 @@ class VfhOptions:
                 f"low_threshold {self.low_threshold:g} is above high_threshold {self.high_threshold:g}; swap them"
             )
 
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Vfh":
+        """Builds the agent."""
+        return Vfh(self, vehicle, drive)
+
 
 @dataclass(frozen=True, slots=True)
 class _Decided:

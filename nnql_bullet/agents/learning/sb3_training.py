@@ -1,8 +1,8 @@
 """Training by the DQN of stable-baselines3. The only module that imports it.
 
-That library keeps a replay memory, an optimizer and generators of its own, of which nothing is written down: what is
-kept of a training is how many episodes it had given out, and going on redoes these before it comes to new ones. That
-takes as long as they took, and comes to the same, bit for bit.
+Resuming retrains. The library's replay buffer, optimizer and random generators are not saved; a checkpoint holds only
+the number of finished episodes. A resumed training repeats these from the first one, which takes as long as it did
+before, and then continues with the same results as a training that never stopped.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from nnql_bullet.agents.learning.sb3_dqn import INPUTS, Sb3Dqn, inputs
+from nnql_bullet.agents.learning.weights import state_dict
 from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
@@ -27,7 +28,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 
 class DqnTraining:
-    """A `Trainer`. Each update draws from a generator of its own, a function of the seed and its number."""
+    """A `Trainer`, see the module. Each update has a random generator of its own, made of the seed and its number."""
 
     def __init__(self, agent: Sb3Dqn, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> None:
         self._agent = agent
@@ -37,7 +38,7 @@ class DqnTraining:
         self._given = 0
 
     def episodes(self) -> Iterator[TrainingEpisode]:
-        """See `Trainer`; those that were given out before `load_state_dict` are redone without a word."""
+        """See `Trainer`; after `load_state_dict` the episodes finished before are repeated, and not yielded again."""
         for done, (episode, weights) in enumerate(self._train()):
             if done == self._given:
                 self._given += 1
@@ -45,11 +46,11 @@ class DqnTraining:
                 yield episode
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """How many episodes were given out."""
+        """The number of episodes yielded."""
         return {"given": np.array([self._given])}
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state_dict` gave."""
+        """Resumes from what `state_dict` gave, see the module."""
         try:
             (self._given,) = arrays["given"].tolist()
         except (KeyError, ValueError, TypeError):
@@ -83,9 +84,9 @@ class DqnTraining:
             dqn.action_space.seed(int(generator.integers(2**32)))
             with fenced(generator):
                 dqn.learn(1, reset_num_timesteps=False)  # until the next update
-            weights = {name: value.numpy().copy() for name, value in dqn.q_net.q_net.state_dict().items()}
+            learned = state_dict(dqn.q_net.q_net)
             for number, summary in vehicles.finished:
-                yield TrainingEpisode(number, summary, {"exploration": dqn.exploration_rate}), weights
+                yield TrainingEpisode(number, summary, {"exploration": dqn.exploration_rate}), learned
             vehicles.finished.clear()
 
 
@@ -99,7 +100,7 @@ class VehiclesVecEnv(VecEnv):
         self._navigation = navigation
         self._world_of = world_of
         n = navigation.simulator.size
-        self._tally = Tally(n)
+        self._tally = Tally(navigation)
         self._episode = np.zeros(n, np.int64)
         self._next_episode = 0
         self._actions = np.zeros(n, np.int64)
@@ -140,22 +141,28 @@ class VehiclesVecEnv(VecEnv):
         return inputs(self._navigation.observation)
 
     def close(self) -> None:
-        """Does nothing: the simulator belongs to the caller."""
+        """Does nothing: the caller closes the simulator."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """None of each vehicle: they are no environments that have attributes."""
-        return [None] * self.num_envs
+        """Answers `render_mode`, which stable-baselines3 asks for: None, as vehicles are not drawn.
+
+        Raises:
+            AttributeError: For any other name.
+        """
+        if attr_name != "render_mode":
+            raise AttributeError(attr_name)
+        return [None for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused."""
+        """Raises an AttributeError: vehicles have no attributes to set."""
         raise AttributeError(attr_name)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refused."""
+        """Raises an AttributeError: vehicles have no methods to call."""
         raise AttributeError(method_name)
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
-        """None is."""
-        return [False] * self.num_envs
+        """False for each: no vehicle is wrapped."""
+        return [False for _ in self._get_indices(indices)]

@@ -1,0 +1,56 @@
+"""Weights of neural networks in and out: the state dict of a torch module as NumPy arrays by name."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Array
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+
+def state_dict(module: torch.nn.Module) -> dict[str, Array]:
+    """Copies the weights and biases of a module, by name."""
+    return {name: value.numpy().copy() for name, value in module.state_dict().items()}
+
+
+def fits(arrays: Mapping[str, Array], shapes: Shapes) -> bool:
+    """Tells whether arrays have exactly these names and shapes, and hold finite numbers only."""
+    theirs = {name: value.shape for name, value in arrays.items()}
+    return theirs == dict(shapes) and all(np.isfinite(value).all() for value in arrays.values())
+
+
+def check(arrays: Mapping[str, Array], shapes: Shapes, network: str, units: Sequence[int]) -> None:
+    """Refuses arrays that are not the weights of a network.
+
+    Args:
+        arrays: Weights and biases by name.
+        shapes: Names and shapes of the network's weights.
+        network: What the network is called in the error, with its article.
+        units: Units of the network's layers, for the error.
+
+    Raises:
+        UserError: If a name, a shape or a number is wrong.
+    """
+    if not fits(arrays, shapes):
+        raise UserError(f"these are not the weights of {network} of {'-'.join(map(str, units))} units")
+
+
+def load_state_dict(
+    module: torch.nn.Module, arrays: Mapping[str, Array], network: str = "a network", units: Sequence[int] = ()
+) -> None:
+    """Replaces the weights and biases of a module.
+
+    Args:
+        module: The network; it stays as it was if the arrays are refused.
+        arrays: As `state_dict` gives them.
+        network: See `check`.
+        units: See `check`.
+
+    Raises:
+        UserError: If these are not the weights of such a module.
+    """
+    check(arrays, {name: tuple(value.shape) for name, value in module.state_dict().items()}, network, units)
+    module.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
