@@ -19,8 +19,8 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import TypeAdapter
 
 from nnql_bullet import __version__, colours
-from nnql_bullet.commands import preset_of
-from nnql_bullet.config import departures, to_values, write_toml
+from nnql_bullet.commands import train_arguments
+from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
@@ -242,12 +242,11 @@ def page(
         gap=gap,
         make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
         commands=[
-            *(_training_command(run, policy) for run, policy in pairs),
+            *(_training_command(run) for run, _ in pairs),
             *(f"{its.command} --out {shlex.quote(str(its.folder))}" for its in (evaluation, gap) if its),
             *([evaluation.grouped.command] if evaluation and evaluation.grouped else []),
             again,
         ],
-        files=_recipe_files(pairs),
         recent=RECENT,
     )
 
@@ -315,25 +314,10 @@ def _version(library: str) -> str:
         return "not installed"
 
 
-def _training_command(run: Run, policy: Policy) -> str:
-    """What trains a run again: from a preset and flags where they say it all, else from the file of its recipe."""
-    seed = ["--seed", str(run.config.seed)] if run.config.seed else []
-    config, flags = preset_of(run.config) or (_recipe_file(policy), seed)
-    return shlex.join(["nnql-bullet", "train", "--config", config, *flags, "--out", str(run.folder)])
-
-
-def _recipe_file(policy: Policy) -> str:
-    return f"{policy.method.replace('/', '-')}.toml"
-
-
-def _recipe_files(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, str]:
-    """The TOML of recipes that no preset gives, by the name of its file: what departs from the preset `paper`."""
-    paper = to_values(load_config("paper", {}))
-    return {
-        _recipe_file(policy): write_toml(departures(to_values(run.config) | {"seed": paper["seed"]}, paper))
-        for run, policy in pairs
-        if not preset_of(run.config)
-    }
+def _training_command(run: Run) -> str:
+    """The command that trains a run again."""
+    preset, flags = train_arguments(run.config)
+    return shlex.join(["nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder)])
 
 
 def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:
