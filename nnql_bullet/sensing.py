@@ -1,7 +1,5 @@
 """The paper's eight sensors: rays in the vehicle frame, and readings of the sectors from ray distances."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from nnql_bullet import paper
@@ -14,29 +12,14 @@ FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
 """Indices of sectors: sector 0 is centred straight ahead, the others follow counter-clockwise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Scan:
-    """What the sensors read at one instant."""
-
-    distances: Array
-    """Of the rays (72,) [m], from the right edge of the front sector counter-clockwise."""
-    readings: Array
-    """Of the sectors (8,) [m]: d1..d8 of eq. (1)."""
-
-
 def ray_angles() -> Array:
     """Directions of the rays in the vehicle frame (72,) [rad]: evenly spaced, 9 in each sector."""
     step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
     return np.asarray((np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step)
 
 
-def scan_from(distances: Array) -> Scan:
-    """The scan of ray distances (72,) [m]."""
-    return Scan(distances, sector_readings(distances))
-
-
 def middle_readings(distances: Array) -> Array:
-    """Readings (..., 8) [m] of ray distances (..., 72) [m] where a sector has but the ray in its middle."""
+    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the ray in its middle."""
     return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
 
 

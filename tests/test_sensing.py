@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, scan_from, sector_readings
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, ray_angles, sector_readings
 
 
 def wrapped(angles):
@@ -34,14 +34,6 @@ def test_sectors_follow_counter_clockwise_every_45_degrees():
 def test_front_and_front_sides_are_named_as_they_lie():
     centres = wrapped(ray_angles().reshape(8, 9)[:, 4])
     assert centres[[FRONT, FRONT_LEFT, FRONT_RIGHT]] == pytest.approx([0, pi / 4, -pi / 4], abs=1e-12)
-
-
-@given(st.lists(st.floats(0, 10), min_size=72, max_size=72))
-@settings(max_examples=50, deadline=None)
-def test_a_sector_reads_the_smallest_of_its_rays(distances):
-    scan = scan_from(np.array(distances))
-    assert scan.readings.tolist() == [min(distances[9 * k : 9 * k + 9]) for k in range(8)]
-    assert scan.distances.tolist() == distances
 
 
 @given(st.lists(st.lists(st.floats(0, 10), min_size=72, max_size=72), min_size=1, max_size=4))

@@ -29,7 +29,8 @@ from nnql_bullet.sim.kinematic import KinematicSimulator, _announced
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
-from nnql_bullet.vehicle.spec import VehicleSpec, load_vehicle
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
