@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from helpers import Alone
 from shapely import LineString, Point, Polygon
 
 from nnql_bullet.agents.rules.straight import Straight
@@ -165,11 +166,12 @@ class TestTraps:
         sides = (OrientedBox(100 - depth / 2, 50 + side * (width / 2 + 0.5), depth / 2, 0.5) for side in (1, -1))
         start = Pose(100 - depth - 2.0, 50.0 + offset, 0.0)
         world = WorldSpec("t", 0, 200.0, 100.0, (back, *sides), start, (150.0, 50.0), 1.0, 1.5)
-        kinematic.reset(world)
+        alone = Alone(kinematic)
+        alone.reset(world)
         deepest, turn = 0.0, radians(-60) if offset > 0 else radians(60)
         for decision in range(16):
-            yaw = kinematic.pose().yaw
-            motion = kinematic.advance(0.0 if decision < 5 else turn if cos(yaw) > -0.9 else wrap_angle(pi - yaw))
+            yaw = alone.pose.yaw
+            motion = alone.advance(0.0 if decision < 5 else turn if cos(yaw) > -0.9 else wrap_angle(pi - yaw))
             assert not motion.touching
             deepest = max(deepest, motion.pose.x - (100 - depth))
         assert deepest > 3.0
