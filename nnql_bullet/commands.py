@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from dataclasses import is_dataclass
 from typing import Any
 
-from nnql_bullet.config import departures, to_values
-from nnql_bullet.presets import PRESETS, load_config
+from nnql_bullet.config import departures, merged, to_values
+from nnql_bullet.presets import PRESETS
 from nnql_bullet.run_config import RunConfig
-
-_MAIN = ("seed", "episodes", "world", "simulator", "physics", "vehicles")
 
 
 def flag(key: str) -> str:
@@ -41,10 +39,13 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 
-def preset_of(config: RunConfig) -> tuple[str, list[str]] | None:
-    """The preset and the flags of `nnql-bullet train` that make up the whole configuration; None if there is none."""
-    given = {key: getattr(config, key) for key in _MAIN}
-    for preset, usual in PRESETS.items():
-        if load_config(preset, given) == config:
-            return preset, flags({key: value for key, value in given.items() if value != getattr(usual, key)})
-    return None
+def train_arguments(config: RunConfig) -> tuple[str, list[str]]:
+    """The preset and the fewest flags of `nnql-bullet train` that give a configuration."""
+    values = to_values(config)
+    found = []
+    for preset, its in PRESETS.items():
+        base = to_values(its)
+        changes = departures(values, base)
+        if merged(base, changes) == values:  # no flag takes away a table that the preset sets
+            found.append((preset, flags(changes)))
+    return min(found, key=lambda pair: len(pair[1]))

@@ -15,7 +15,7 @@ from typing import Any
 import nnql_bullet as nb
 from nnql_bullet import assets
 from nnql_bullet.api.evaluate import EvaluationResults
-from nnql_bullet.commands import preset_of
+from nnql_bullet.commands import train_arguments
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.runs import POLICY
 
@@ -61,10 +61,9 @@ def write_card(name: str, results: dict[str, EvaluationResults]) -> None:
     """The card of a policy that lies in its place."""
     policy = nb.load_policy(FOLDER / f"{name}.safetensors")
     config, episodes = policy.experiment.config, policy.episodes
-    trained = preset_of(config)
-    if trained is None or trained[0] not in WHAT:
+    preset, flags = train_arguments(config)
+    if preset not in WHAT:
         raise SystemExit(f"{name}: was not trained by one of these presets: {', '.join(WHAT)}")
-    preset, flags = trained
     lines = [
         f"# {name}: {WHAT[preset]}; {episodes} episodes, seed {config.seed}",
         "",

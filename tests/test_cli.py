@@ -12,7 +12,11 @@ import pytest
 
 import nnql_bullet
 from nnql_bullet.agents import RULES
+from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.recording import load_recording
+from nnql_bullet.run_config import Conditions
+from nnql_bullet.runs import load_run
+from nnql_bullet.training.selection import SelectionOptions
 
 Cli = Callable[..., tuple[int, str, str]]
 Spawn = Callable[..., subprocess.CompletedProcess[str]]
@@ -77,6 +81,25 @@ class TestTrain:
         assert run_cli("train", "--config", "mine.toml", "--episodes", 1, "--out", "run")[0] == 0
         assert "episodes = 1\n" in (here / "run" / "config.toml").read_text()
 
+    def test_every_key_of_the_configuration_is_a_flag(self, run_cli: Cli, here: Path, small_world: Path) -> None:
+        asked = ("--agent.discount", 0.2, "--agent.mirrored", "true", "--task.front-distance", 6)
+        asked += ("--conditions.payload", 80, "--training.selection.worlds", small_world, "paper")
+        asked += ("--training.selection.count", 1, "--training.domain-randomization.noise=0.1")
+        answer = run_cli("train", "--episodes", 1, "--world", small_world, *asked, "--out", "run")
+        assert answer[0] == 0, answer
+        config = load_run(here / "run").config
+        selection = SelectionOptions(worlds=(str(small_world), "paper"), count=1)
+        assert (config.agent.discount, config.agent.mirrored, config.task.front_distance) == (0.2, True, 6.0)
+        assert (config.conditions, config.training.selection) == (Conditions(payload=80), selection)
+        assert config.training.domain_randomization.noise == 0.1
+
+    def test_a_key_of_another_agent_is_taken_over_its_preset(
+        self, run_cli: Cli, here: Path, small_config: Path
+    ) -> None:
+        arguments = ("--config", small_config, "--episodes", 1, "--agent.kind", "q_table", "--agent.edges", 2, 4.5)
+        assert run_cli("train", *arguments, "--out", "run")[0] == 0
+        assert load_run(here / "run").config.agent == QTableOptions(edges=(2.0, 4.5))
+
     @pytest.mark.usefixtures("compiled_kernels")
     def test_it_trains_the_kinematic_model_when_asked(self, run_cli: Cli, here: Path, small_config: Path) -> None:
         code, out, err = run_cli(
@@ -94,7 +117,7 @@ class TestTrain:
         assert len((here / "run" / "episodes.csv").read_text().splitlines()) == 3
 
 
-class TestNavigate:
+class TestDrive:
     def test_it_drives_and_leaves_recording_and_picture(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         code, out, err = run_cli("drive", tiny_run, "--seed", 3, "--out", "drive")
         assert (code, err) == (0, "")
@@ -140,9 +163,9 @@ class TestNavigate:
         flags = (
             [],
             ["--sim", "kinematic"],
-            ["--friction", 0.5],
-            ["--payload", 40, "--dead-sector", 2],
-            ["--noise", 0.05],
+            ["--conditions.wheel-friction", 0.5],
+            ["--conditions.payload", 40, "--conditions.dead-sector", 2],
+            ["--conditions.sensor-noise", 0.05],
         )
         for extra in flags:
             assert run_cli("drive", run, "--physics", "fast", *extra)[0] == 0
@@ -216,7 +239,7 @@ class TestHelp:
             ("train", ["--config", "--episodes", "--seed", "--world", "--physics", "--out", "--resume", "--overwrite"]),
             ("train", ["--sim", "--vehicles", "--workers"]),
             ("drive", ["RUN", "--world", "--seed", "--sim", "--physics", "--out", "--json"]),
-            ("drive", ["--friction", "--payload", "--noise", "--dead-sector"]),
+            ("drive", ["--conditions.payload", "[kg]", "--conditions.sensor-noise", "[m]", "--conditions.dead-sector"]),
             ("drive", ["RULE", *RULES]),
             ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
             ("report", ["RUN", "--evaluation", "--gap", "--out"]),
@@ -230,6 +253,27 @@ class TestHelp:
         assert (code, err) == (0, "")
         assert [word for word in words if word not in out] == []
         assert f"nnql-bullet {verb}" in out
+
+    def test_help_of_training_fits_a_screen(self, run_cli: Cli) -> None:
+        out = run_cli("train", "--help")[1]
+        assert len(out.splitlines()) <= 55
+        assert "nnql-bullet keys" in out
+        assert "--agent.learning-rate" not in out
+
+    def test_keys_are_listed_with_type_unit_and_value(self, run_cli: Cli) -> None:
+        code, out, err = run_cli("keys", "--config", "double_dqn")
+        assert (code, err) == (0, "")
+        lines = {line.split()[0]: line for line in out.splitlines()}
+        assert re.search(r"number >= 0, <= 1 +0\.9 ", lines["agent.discount"])
+        assert "[kg]" in lines["conditions.payload"]
+        assert {
+            "seed",
+            "task.front_distance",
+            "training.selection.every",
+            "shield.margin",
+            "drive.speed",
+        } <= lines.keys()
+        assert "agent.gradient_step" not in lines  # of another agent
 
     def test_version(self, run_cli: Cli) -> None:
         assert run_cli("--version") == (0, f"nnql-bullet {nnql_bullet.__version__}\n", "")
@@ -269,13 +313,29 @@ BAD_ARGUMENTS = [
     (["train", "--vehicles", "0"], ["vehicles", "greater than or equal to 1"]),
     (["train", "--physics", "slow"], ["slow", "one of: fast, reference"]),
     (["train", "extra"], ["extra"]),
-    (["gap"], ["give a run"]),
+    (["gap"], ["give a policy"]),
     (["evaluate"], ["give a policy", "double_dqn", *RULES]),
     (["drive", "no/such/run"], ["no/such/run"]),
     (["drive", "."], ["policy.safetensors", "train first"]),
     (["drive", "vhf"], ["vhf", "rules: ", *RULES]),
-    (["train", "--config", "vfh"], ["'vfh' has nothing to learn", "nnql-bullet drive vfh"]),
+    (["train", "--config", "vfh"], ["'vfh' is a rule and has nothing to learn"]),
     (["doctor", "--fast"], ["--fast"]),
+    (["train", "--discount", "0.2"], ["unknown flag '--discount' (did you mean --agent.discount?)"]),
+    (["train", "--task.front-distence", "6"], ["did you mean --task.front-distance"]),
+    (["train", "--agent.discount", "2"], ["'agent.discount'", "less than or equal to 1, not 2.0"]),
+    (["train", "--agent.discount", "much"], ["--agent.discount: not a valid value: 'much'"]),
+    (["train", "--agent.mirrored", "maybe"], ["--agent.mirrored: 'maybe' is not valid", "false, true"]),
+    (["train", "--agent.frames", "2"], ["unknown key 'agent.frames'", "discount"]),
+    (["keys", "agnt"], ["no key begins with 'agnt'"]),
+    (["view"], ["give recording"]),
+    # as version 0.1 had it
+    (["navigate"], ["the verb 'navigate' is now 'drive'"]),
+    (["ledger", "tuned"], ["the verb 'ledger' is now 'ablate'"]),
+    (["train", "--sim", "twin"], ["--sim twin is now --sim kinematic"]),
+    (["gap", "paper", "--against", "twin"], ["--against twin is now --against kinematic"]),
+    (["drive", "--friction", "0.5"], ["--friction is now --conditions.wheel-friction"]),
+    (["evaluate", "paper", "--noise=0.1"], ["--noise is now --conditions.sensor-noise"]),
+    (["train", "--training.disturbances.noise", "1"], ["is now --training.domain-randomization.noise"]),
 ]
 
 
@@ -288,7 +348,7 @@ class TestBadArguments:
         assert [word for word in words if word not in line] == []
         assert list(here.iterdir()) == []
 
-    def test_bad_seed_or_world_of_navigate(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
+    def test_bad_seed_or_world_of_drive(self, run_cli: Cli, tiny_run: Path, here: Path, snapshot: Snapshot) -> None:
         before = snapshot(tiny_run)
         assert "-3" in refused(run_cli("drive", tiny_run, "--seed", "-3"))
         assert "nowhere" in refused(run_cli("drive", tiny_run, "--world", "nowhere"))
@@ -321,6 +381,9 @@ BAD_CONFIGS = [
     ("episodes = = 3", ["TOML"]),
     ("episodes = 3\nepisodes = 4", ["TOML"]),
     ("drive = 3", ["drive"]),
+    ("[training.disturbances]\nnoise = 1.0", ["'training.disturbances' is now named 'training.domain_randomization'"]),
+    ("[conditions.sensors]\nnoise = 1.0", ["'conditions.sensors.noise' is now named 'conditions.sensor_noise'"]),
+    ("simulator = 'twin'", ["simulator 'twin' is now named 'kinematic'"]),
 ]
 
 

@@ -1,4 +1,5 @@
 from dataclasses import FrozenInstanceError
+from functools import partial
 from typing import Annotated, Literal
 
 import pytest
@@ -7,10 +8,16 @@ from hypothesis import strategies as st
 from pydantic import Field, ValidationError
 
 from nnql_bullet.agents import NnqlOptions
+from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
+from nnql_bullet.cli.flags import parse as parse_flags
+from nnql_bullet.cli.train import train
+from nnql_bullet.commands import train_arguments
 from nnql_bullet.config import merged, options, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import PRESETS, load_config
-from nnql_bullet.run_config import RunConfig, changed
+from nnql_bullet.run_config import Conditions, RunConfig, TrainingOptions, changed, conditions_of, migrated
+from nnql_bullet.shield.shield import ShieldOptions
+from nnql_bullet.sim.domain_randomization import DomainRandomization
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 
@@ -288,3 +295,58 @@ def test_merged_lays_tables_over_tables_and_changes_neither():
     assert merged(base, changes) == {"a": {"b": 1, "c": {"d": 4}}, "e": {"f": 5}}
     assert base == {"a": {"b": 1, "c": {"d": 2}}, "e": 3}
     assert changes == {"a": {"c": {"d": 4}}, "e": {"f": 5}}
+
+
+OLD = """
+seed = 3
+simulator = "twin"
+[conditions]
+payload = 40.0
+[conditions.sensors]
+noise = 0.1
+dead_sector = 2
+[training.disturbances]
+noise = 0.05
+[agent]
+kind = "double_dqn"
+seen_map = false
+[shield]
+leads = false
+"""
+"""As version 0.1 wrote it."""
+
+
+def test_a_configuration_of_version_0_1_is_read_under_the_names_of_now(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text(OLD)
+    old = read_toml(path)
+    config = parse(RunConfig, migrated(old), "old")
+    assert config == RunConfig(
+        seed=3,
+        simulator="kinematic",
+        conditions=Conditions(payload=40.0, sensor_noise=0.1, dead_sector=2),
+        training=TrainingOptions(domain_randomization=DomainRandomization(noise=0.05)),
+        agent=DoubleDqnOptions(grid_map=False),
+        shield=ShieldOptions(recovers=False),
+    )
+    assert old == read_toml(path)
+    assert migrated(to_values(config)) == to_values(config)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_flags_of_a_training_give_its_configuration_again(preset):
+    changes = {"seed": 2, "task": {"front_distance": 6.5}, "conditions": {"dead_sector": 0}, "simulator": "mujoco"}
+    config = load_config(preset, changes)
+    base, flags = train_arguments(config)
+    assert base == preset
+    call = parse_flags(train, "train", flags)
+    assert isinstance(call, partial)
+    assert load_config(base, call.keywords["keys"]) == config
+
+
+def test_conditions_that_are_given_replace_the_others():
+    config = RunConfig(conditions=Conditions(wheel_friction=0.5, payload=40.0))
+    assert changed(config, conditions=Conditions(payload=80.0)).conditions == Conditions(payload=80.0)
+    assert changed(config, conditions=None) == config
+    assert conditions_of({}) is None
+    assert Conditions(payload=80.0, dead_sector=0).title == "payload 80, dead sector 0"
