@@ -2,21 +2,15 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nnql_bullet import paper
+from nnql_bullet.agents import RuleOptions
 from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
 from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.nnql import NnqlOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
-from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
-from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
-from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
-from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
-from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
-from nnql_bullet.agents.rules.straight import StraightOptions
-from nnql_bullet.agents.rules.vfh import VfhOptions
 from nnql_bullet.config import merged, parse, read_toml, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, TrainingOptions, outdated_keys
@@ -77,13 +71,7 @@ PRESETS: dict[str, RunConfig] = {
     # DQN of stable-baselines3 in the paper's task.
     "sb3_dqn": RunConfig(agent=Sb3DqnOptions()),
     # The rules, which have nothing to learn.
-    "straight": RunConfig(agent=StraightOptions()),
-    "random": RunConfig(agent=RandomTurnsOptions()),
-    "hand_rule": RunConfig(agent=HandRuleOptions()),
-    "potential_field": RunConfig(agent=PotentialFieldOptions()),
-    "fuzzy": RunConfig(agent=FuzzyOptions()),
-    "vfh": RunConfig(agent=VfhOptions()),
-    "look_ahead": RunConfig(agent=LookAheadOptions()),
+    **{options.kind: RunConfig(agent=options()) for options in get_args(RuleOptions)},
 }
 
 

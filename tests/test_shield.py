@@ -378,8 +378,8 @@ class TestMemory:
 
 def arc(way: float, turn: float) -> Array:
     """Where a vehicle gets that turns evenly on its way (3,)."""
-    bend = turn / way
-    return np.array([sin(turn) / bend, (1 - cos(turn)) / bend, turn]) if turn else np.array([way, 0.0, 0.0])
+    chord = way * np.sinc(turn / 2 / pi)
+    return np.array([chord * cos(turn / 2), chord * sin(turn / 2), turn])
 
 
 def sight(target: complex, pose: Array) -> TargetFix:
@@ -626,7 +626,7 @@ class TestRecords:
         policy = Experiment(config).policy
         assert isinstance(policy, Shield)
         assert policy.options.margin == 0.4
-        with pytest.raises(UserError, match=r"unknown key 'shield.margins'; valid keys: box_speed"):
+        with pytest.raises(UserError, match=r"unknown key 'shield.margins' .*; valid keys: box_speed"):
             load_config("paper", {"shield": {"margins": 1}})
 
     def test_each_policy_is_followed_by_itself_in_a_shield(self, tmp_path: Path) -> None:

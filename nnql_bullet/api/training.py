@@ -42,7 +42,7 @@ def train(
     Args:
         config: A preset, a TOML file or a configuration.
         out: The run folder; by default runs/CONFIG-SEED.
-        agent: An agent of your own (see `agents.base.LearningAgent`) in place of the one that the configuration
+        agent: An agent of your own (see `training.base.LearningAgent`) in place of the one that the configuration
             describes. The object itself learns.
         reward: A reward of your own: a function of the transitions of n vehicles that returns n numbers. The reward
             terms that are logged stay the paper's.
