@@ -286,7 +286,10 @@ def test_what_a_player_is_told_can_stand_in_html_and_names_boxes_that_move() -> 
     assert told["title"] == "</script><b> & co"
     (patrol,) = told["patrols"]
     assert patrol["box"] == pytest.approx([50.35, 51.325, 1.0, 1.0, 0.0], abs=6e-4)
-    assert (patrol["end"], patrol["speed"], patrol["phase"]) == ([50.35, 30.0], 1.0, 0.0)
+    assert patrol["end"] == [50.35, 30.0]
+    assert np.array(patrol["places"]) == pytest.approx(
+        np.array([[0.0, 50.35, 51.325], [10.0, 50.35, 41.325]]), abs=6e-4
+    )
     assert len(told["x"]) == len(told["y"]) == len(told["yaw"]) == 10 * told["rate"] + 1
     assert told["end"] == 10.0
 
