@@ -16,14 +16,12 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
-from nnql_bullet.training.base import Trainer
+from nnql_bullet.training.base import RECENT, Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
 
 SAVE_EVERY = 5.0
 """Time from one checkpoint to the next [s]."""
-RECENT = 100
-"""Last episodes that the reported success is the mean of."""
 
 _log = logging.getLogger(__name__)
 

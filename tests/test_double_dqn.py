@@ -206,7 +206,7 @@ class TestReplay:
 
 
 def dijkstra(cells: grid_map.Cells, corner: NDArray[np.int64]) -> NDArray[np.float64]:
-    """`ways_left` by another algorithm."""
+    """`path_lengths` by another algorithm."""
     size = grid_map.SIZE
     occupied = np.argwhere(cells > 0)
     cost = np.ones((size, size))
@@ -244,14 +244,14 @@ class TestMap:
         generator = np.random.default_rng(int(100 * share))
         cells = (generator.random((grid_map.SIZE, grid_map.SIZE)) < share).astype(np.int8)
         at = np.array(corner)
-        assert grid_map.ways_left(cells, at) == pytest.approx(dijkstra(cells, at), abs=1e-6)
+        assert grid_map.path_lengths(cells, at) == pytest.approx(dijkstra(cells, at), abs=1e-6)
 
     def test_without_anything_seen_the_way_is_the_straight_one(self) -> None:
         """But for the eight directions of steps between cells, which make it up to 8 % longer."""
         corner = np.array([-70, -60])
-        left = grid_map.ways_left(np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), corner)
+        left = grid_map.path_lengths(np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), corner)
         for place in ((-30.0, -20.0), (-40.5, -12.5), (-27.3, -33.1)):
-            assert hypot(*place) - 0.1 <= grid_map.left_at(left, corner, *place) <= 1.09 * hypot(*place)
+            assert hypot(*place) - 0.1 <= grid_map.path_length_at(left, corner, *place) <= 1.09 * hypot(*place)
 
     def test_a_wall_is_gone_round(self) -> None:
         """A U around the vehicle, open away from the target: it is told to turn round."""

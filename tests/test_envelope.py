@@ -51,7 +51,7 @@ from nnql_bullet.reports.stopping import draw_stopping, stopping_csv, stopping_m
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet import BulletEngine
-from nnql_bullet.sim.contact import ContactForce
+from nnql_bullet.sim.physics import ContactForce
 from nnql_bullet.vehicle.limits import TurnDemand
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 

@@ -16,12 +16,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from nnql_bullet import colours
+from nnql_bullet import colours, diagnosis
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.env import STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
-from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
@@ -33,6 +34,7 @@ from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import write_pictures, write_video
 from nnql_bullet.rollout import Reflex, run_episode
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet
 from nnql_bullet.sim.bullet_scene import BulletScene, _one_look_a_link, works
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -389,6 +391,40 @@ def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) 
     hidden = studio._overlay.write(picture, np.zeros_like(depths), moment, [camera])
     shown = studio._overlay.write(picture, np.ones_like(depths), moment, [camera])
     assert (hidden != shown).any()
+
+
+def test_a_sensor_off_the_middle_is_where_it_is(
+    drive: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sectors on the ground begin at the sensor, and readings stand at their rims."""
+    ahead, left, yaw = 1.0, 2.5, drive.state_pose[0, 2]
+    vehicle = {**drive.about["vehicle"], "sensor": [ahead, left, 0.4]}
+    replace(drive, about={**drive.about, "vehicle": vehicle}).save(tmp_path / "aside.npz")
+    studio = Studio(Film(tmp_path / "aside.npz", "chase", 640, 360, "tiny"))
+    moment = studio._timeline.at(0.0)
+    sensor = drive.state_pose[0, :2] + (ahead * cos(yaw) - left * sin(yaw), ahead * sin(yaw) + left * cos(yaw))
+    assert studio._painter._ground(moment).scan == pytest.approx((*sensor, yaw))
+    written: list[Array] = []
+
+    def project(_: Camera, points: Array) -> tuple[Array, None]:
+        written.append(points)
+        return np.full((len(points), 2), np.nan), None
+
+    monkeypatch.setattr(Camera, "project", project)
+    studio._overlay._mark_readings(None, None, moment, 0, PATHS["chase"](studio._timeline, 640, 360)(moment))  # type: ignore[arg-type]
+    angles = yaw + np.arange(8) * pi / 4
+    rims = sensor + (drive.readings[0] - 0.45)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    assert written[0][:, :2] == pytest.approx(rims)
+
+
+def test_the_doctor_casts_rays_from_a_sensor_off_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Aside(Experiment):
+        def __init__(self, config: RunConfig) -> None:
+            super().__init__(config)
+            self.vehicle = replace(self.vehicle, sensor=(self.vehicle.sensor[0], 0.3, self.vehicle.sensor[2]))
+
+    monkeypatch.setattr(diagnosis, "Experiment", Aside)
+    assert diagnosis.check_rays().ok
 
 
 def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:

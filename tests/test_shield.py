@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from copy import deepcopy
 from dataclasses import asdict, replace
 from math import cos, inf, pi, radians, sin
 from pathlib import Path
@@ -34,7 +33,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
-from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions
+from nnql_bullet.mapping.sector_faults import completed, contradictions
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import EpisodeSummary, overridden, run_episode, run_episodes
@@ -319,7 +318,7 @@ class TestMemory:
             pose, observed = row(transition.motion, 0).pose, transition.s_t
             memory, dx, dy = shield._memories[0], pose.x - before.x, pose.y - before.y
             c, s = cos(before.yaw), sin(before.yaw)
-            assert memory.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
+            assert memory.scan.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
             assert memory.speed == DRIVE.speed
             before = pose
 
@@ -431,7 +430,7 @@ class TestReckoning:
                 observed, moving = begun(navigation, load_world("cover_20").draw(seed, 0.8)), 0
                 shield.reset(0, 0)
                 for _ in range(80):
-                    moving += int(shield._at_worst(observed, deepcopy(shield._memories))[1].any())
+                    moving += int(shield.perceived(observed)[1].any())
                     transition = navigation.step(shield.act(observed))
                     assert not transition.motion.touching
                     observed = transition.s_t
@@ -538,7 +537,7 @@ class TestSectorFaults:
             shield.reset(0, 0)
             for _ in range(90):
                 transition = navigation.step(shield.act(observed))
-                doubted += int((shield._memories[0].against >= ENOUGH).any())
+                doubted += int(shield._memories[0].scan.dead.any())
                 decisions += 1
                 if ending(transition):
                     break

@@ -413,8 +413,8 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
     [
         (
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
-            r"unknown key 'widht'; valid keys: depth, layout, obstacle_height, patrols, start, start_yaw_degrees,"
-            r" target, target_radius, width",
+            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: depth, layout, name, obstacle_height,"
+            r" patrols, start, start_yaw_degrees, target, target_radius, width",
         ),
         (
             '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',
@@ -422,7 +422,7 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
         ),
         (
             '[layout]\nkind = "random_boxes"\ncovr = 0.1\n',
-            r"unknown key 'layout\.covr'; valid keys: clear_radius, cover",
+            r"unknown key 'layout\.covr' \(did you mean 'layout\.cover'\?\); valid keys: clear_radius, cover",
         ),
         ('[layout]\nkind = "boxes"\nboxs = []\n', r"unknown key 'layout\.boxs'; valid keys: boxes, kind$"),
         (

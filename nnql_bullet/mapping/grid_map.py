@@ -25,27 +25,28 @@ MAP_CELL = 0.75
 SIZE = 56
 """Cells along a side of the map, in whose middle the vehicle stays: 21 m to each side, which holds a trap."""
 BEARINGS = 24
-"""Directions in which the map is felt, from straight ahead counter-clockwise."""
+"""Directions in which the map is probed, from straight ahead counter-clockwise."""
 REACHES = (2.5, 5.0)
-"""How far [m]."""
+"""Distances at which it is probed [m]."""
 SENSE = BEARINGS * len(REACHES)
+"""Number of probed places."""
 BARRED = 100.0
-"""More than any way gets longer by [m]."""
+"""Value of a probed place behind an obstacle [m]; larger than any detour."""
 
 PASSAGE = 1.3
-"""Where two rays met something closer together than this, no vehicle passes in between [m]."""
+"""Distance between the points of two rays below which no vehicle passes between them [m]."""
 NEIGHBOURS = 3.0
-"""The same for two rays side by side, which meet a wall far apart that they run along [m]: an opening as wide as that
-lets a ray through once it is near."""
+"""The same for two neighbouring rays [m]. Along a wall their points are far apart; a real opening of that width lets a
+ray through once it is near."""
 SEEN = 3
-"""Looks through a cell that it takes to hold it free again once something was seen there."""
+"""Number of rays that have to pass an occupied cell before it counts as free again."""
 COSTS = (40.0, 3.0, 1.5)
-"""Of a way through a cell that holds something, over one that is free, beside such a cell, and one farther off: the way
-leads through what was seen where there is no other."""
+"""Cost factors of an occupied cell, of a cell beside one, and of the next cell. They are finite: a path leads through
+obstacles where there is no other."""
 _INSIDE = 0.15
-"""By how much what a ray met is taken to be farther off, so that it is in the cell of the box and not before it [m]."""
+"""Offset added to a ray hit so that it falls inside the obstacle's cell [m]."""
 _BESIDE = 4
-"""So many rays on it is looked for something near what a ray met."""
+"""Number of following rays whose points are joined to a ray's point if they are near."""
 _MOST_SWEEPS = 40
 _DIAGONAL = 2**0.5
 _ROUNDING = 1e-9
@@ -55,10 +56,10 @@ def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Arra
     """Poses (n, 3) in the target's frame after one more decision.
 
     Args:
-        poses: Before it (n, 3).
-        steps: What was driven since, in the vehicle frame of then (n, 2) [m].
-        distance: Of the target now (n,) [m].
-        bearing: Of the target now (n,) [rad].
+        poses: Poses before it (n, 3).
+        steps: Displacements since then, in the vehicle frame of then (n, 2) [m].
+        distance: Distance of the target now (n,) [m].
+        bearing: Bearing of the target now (n,) [rad].
     """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + c * steps[:, 0] - s * steps[:, 1]
@@ -118,14 +119,14 @@ def add_scans(
 
 @njit(nogil=True)
 def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, float]:
-    """Where a ray met something."""
+    """Position that a ray hit."""
     way = distance + _INSIDE
     return x + np.cos(direction) * way, y + np.sin(direction) * way
 
 
 @njit(nogil=True)
 def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: float, to_y: float) -> None:
-    """Enters that something is all the way from one place to another."""
+    """Marks the cells from one position to another as occupied."""
     points = int(np.hypot(to_x - x, to_y - y) / (MAP_CELL / 2)) + 2
     for k in range(points):
         share = k / (points - 1)
@@ -137,7 +138,7 @@ def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: fl
 
 @njit(nogil=True)
 def _shift(cells: Cells, along: int, across: int) -> None:
-    """Moves what is in a map (SIZE, SIZE) by so many cells; what comes in was not seen yet."""
+    """Shifts a map (SIZE, SIZE) by so many cells; new cells are free."""
     if along == 0 and across == 0:
         return
     before = cells.copy()
@@ -148,15 +149,15 @@ def _shift(cells: Cells, along: int, across: int) -> None:
 
 
 @njit(nogil=True)
-def ways_left(cells: Cells, corner: NDArray[np.int64]) -> Array:
-    """The shortest way from each cell of a map to the target (SIZE, SIZE) [m].
+def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
+    """Lengths of the shortest paths from each cell of a map to the target (SIZE, SIZE) [m].
 
-    It leads from cell to neighbouring cell, and from the map's edge straight on. A metre counts as `COSTS` say; one
-    across a corner no less than through the easier cell beside it, or walls that run aslant would let it through.
+    A path leads from cell to neighbouring cell, and from the map's edge straight on. Lengths are weighted by `COSTS`; a
+    diagonal step costs at least as much as the cheaper cell beside it, so that no path slips through a slanted wall.
 
     Args:
         cells: The map (SIZE, SIZE).
-        corner: Its first cell, counted from the target (2,).
+        corner: The map's first cell, counted from the target (2,).
     """
     barred = (cells > 0).astype(np.int8)
     beside = _widened(barred)
@@ -202,16 +203,16 @@ def _widened(marks: Cells) -> Cells:
 
 @njit(nogil=True)
 def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
-    """Shortens the ways of row `a` by those from the row beside it, then by those along the row, both ways.
+    """Shortens the paths of row `a` by those from the row beside it, then by those along the row in both directions.
 
     Args:
-        left: Ways (SIZE, SIZE) [m]; changed in place.
-        cost: Of half a cell (SIZE, SIZE) [m].
+        left: Path lengths (SIZE, SIZE) [m]; changed in place.
+        cost: Cost of half a cell (SIZE, SIZE) [m].
         a: The row.
         beside: Another, or none.
 
     Returns:
-        Whether any got shorter, by more than rounding.
+        Whether any path got shorter by more than rounding.
     """
     here, cost_here = left[a], cost[a]
     best = here.copy()
@@ -241,11 +242,11 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
 
 
 @njit(nogil=True)
-def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float:
-    """The way that is left at a place of the target's frame [m], between the cells' middles by bilinear interpolation.
+def path_length_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float:
+    """Length of the path to the target from a position in the target's frame [m], interpolated between cell centres.
 
     Args:
-        left: As `ways_left` gives it (SIZE, SIZE) [m].
+        left: Path lengths from `path_lengths` (SIZE, SIZE) [m].
         corner: The map's first cell (2,).
         x: [m]; a place outside counts as the nearest inside.
         y: [m]
@@ -261,7 +262,7 @@ def left_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float
 
 
 @njit(nogil=True)
-def _free_way(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: float, s: float) -> float:
+def _free_distance(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: float, s: float) -> float:
     """How far it is from a place to the first cell in a direction that holds something, up to the last reach [m].
 
     The cell that the place is in does not count.
@@ -294,15 +295,15 @@ def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array
     n = len(cells)
     around, ways, progress = np.empty((n, SENSE)), np.empty(n), np.empty(n)
     for i in range(n):
-        left = ways_left(cells[i], corners[i])
+        left = path_lengths(cells[i], corners[i])
         x, y, yaw = poses[i]
-        ways[i] = left_at(left, corners[i], x, y)
-        progress[i] = left_at(left, corners[i], before[i, 0], before[i, 1]) - ways[i]
+        ways[i] = path_length_at(left, corners[i], x, y)
+        progress[i] = path_length_at(left, corners[i], before[i, 0], before[i, 1]) - ways[i]
         for j in range(BEARINGS):
             direction = yaw + j * 2 * pi / BEARINGS
             c, s = np.cos(direction), np.sin(direction)
-            free = _free_way(cells[i], corners[i], x, y, c, s)
+            free = _free_distance(cells[i], corners[i], x, y, c, s)
             for k in range(len(REACHES)):
-                there = left_at(left, corners[i], x + REACHES[k] * c, y + REACHES[k] * s)
+                there = path_length_at(left, corners[i], x + REACHES[k] * c, y + REACHES[k] * s)
                 around[i, k * BEARINGS + j] = there - ways[i] if free >= REACHES[k] else BARRED
     return around, ways, progress

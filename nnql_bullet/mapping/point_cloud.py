@@ -9,17 +9,17 @@ from nnql_bullet.jit import njit
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
 
 MOVING_POINT, MOVING_POINT_SHARE = 0.06, 0.03
-"""How far in front of what was seen before something has to be, to have come there [m], and the share of its distance
-that this grows by: between two rays there is more than they tell."""
+"""Distance by which a point has to lie in front of what was seen before to count as moving [m], and the fraction of
+the point's distance that is added: between two rays an obstacle may reach out unseen."""
 
 
 def seen_distances(ray_distances: Array) -> Array:
-    """Ray distances (..., 72) [m], NaN where a ray met nothing."""
+    """Ray distances (..., 72) [m]; NaN where a ray met nothing."""
     return np.where(ray_distances < paper.SENSOR_RANGE, ray_distances, np.nan)
 
 
 def point_cloud(ray_distances: Array, sensor: tuple[float, float, float]) -> Array:
-    """Where the rays met something, in the vehicle frame (..., 72, 2) [m]; NaN where they met nothing.
+    """Points where the rays met an obstacle, in the vehicle frame (..., 72, 2) [m]; NaN where they met none.
 
     Args:
         ray_distances: (..., 72) [m]
@@ -32,20 +32,20 @@ def point_cloud(ray_distances: Array, sensor: tuple[float, float, float]) -> Arr
 
 @njit()
 def place_among_rays(x: float, y: float, sensor: Array) -> float:
-    """The place of a point of the vehicle frame [m] among the rays, counted from the first, in between too."""
+    """Index of the ray toward a point of the vehicle frame [m], with a fraction between two rays."""
     step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
     return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (RAYS_PER_SECTOR - 1) / 2) % RAYS)
 
 
 @njit()
 def moving_points(points: Array, before: Array, moved: Array, strayed: float, sensor: Array) -> NDArray[np.bool_]:
-    """Which points of a scan (72,) lie where the scan before saw that there was nothing: what they belong to moves.
+    """Which points of a scan (72,) belong to moving obstacles: they lie where the scan before saw free space.
 
     Args:
         points: In the vehicle frame (72, 2) [m]; NaN for none.
         before: Ray distances of the scan before (72,) [m]; NaN if there was none.
         moved: The pose of now in the vehicle frame of then (3,).
-        strayed: How far off that may be [m].
+        strayed: Position error that pose may have [m].
         sensor: x, y in the vehicle frame [m].
     """
     found = np.zeros(len(points), np.bool_)

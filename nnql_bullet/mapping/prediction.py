@@ -1,4 +1,4 @@
-"""Where actions lead, and how near that comes to what the last scan met."""
+"""Predicted poses of actions, and their clearance from the last scan."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ PREDICTION_STEP = 0.1
 
 
 def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limits, times: Array) -> Array:
-    """Poses in the present frame of each vehicle (n, m, k, 3) along turns under the drive's own profile.
+    """Poses along turns under the drive's own profile, in the present frame of each vehicle (n, m, k, 3).
 
     Args:
         yaw_rates: At the start (n,) [rad/s].

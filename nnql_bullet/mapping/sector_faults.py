@@ -1,7 +1,7 @@
-"""A sensor that has died reads "nothing there", which is the one lie that matters: how it is found out, and lived with.
+"""Detection of dead sensors, which read nothing although something is there, and completion of their readings.
 
-It is found out by contradiction. What another sensor saw a decision ago has to be seen again where the vehicle's own
-motion puts it, and what ends right at the border of a sector, on both sides, goes on inside.
+A sensor is found dead by contradictions. What another sensor saw a decision ago has to be seen again where the
+vehicle's own motion puts it, and an obstacle that ends at both borders of a sector goes on inside.
 """
 
 import numpy as np
@@ -14,18 +14,18 @@ from nnql_bullet.mapping.point_cloud import place_among_rays
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
 
 ENOUGH = 3.0
-"""Contradictions after which a sensor is taken for dead, until it reads something."""
+"""Contradictions from which on a sensor counts as dead, until it reads something."""
 NEAR, CLOSE = 8.0, 4.0
-"""What is farther off than this [m] contradicts nothing: it may have got out of range, or between two rays. Something
-that ends at a border of the sector once may do so; if it is close, not twice."""
+"""Distances beyond which an obstacle contradicts nothing [m]: any obstacle, which may be out of range or between two
+rays, and one that ends at one border of the sector, which counts in full only if it is close."""
 
 ALIKE = 2.0
-"""What ends at both borders of a sector goes on inside if it is as far off on both, to this [m]."""
+"""Difference of the distances at both borders of a sector up to which they belong to one obstacle [m]."""
 
 
 @njit()
 def silent_sectors(distances: Array) -> NDArray[np.bool_]:
-    """Which sectors read nothing on any ray (8,), of one scan (72,) [m]."""
+    """Whether each sector reads nothing on any of its rays (8,), in a scan (72,) [m]."""
     silent = np.empty(paper.SECTORS, np.bool_)
     for sector in range(paper.SECTORS):
         first = sector * RAYS_PER_SECTOR
@@ -35,7 +35,7 @@ def silent_sectors(distances: Array) -> NDArray[np.bool_]:
 
 @njit()
 def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
-    """How much speaks against each sector (8,) that reads nothing; 0 for those that read something.
+    """Contradictions against each sector (8,) that reads nothing; 0 for those that read something.
 
     Args:
         distances: Of the rays (72,) [m].
@@ -59,14 +59,14 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
 
 @njit()
 def borders(distances: Array, sector: int) -> tuple[float, float]:
-    """What the rays right beside a sector read, on its right and on its left [m]."""
+    """Distances of the rays next to a sector, on its right and on its left [m]."""
     first = sector * RAYS_PER_SECTOR
     return distances[(first - 1) % RAYS], distances[(first + RAYS_PER_SECTOR) % RAYS]
 
 
 @njit()
 def completed(distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array) -> tuple[Array, Array]:
-    """A scan with dead sectors (8,) read as the nearest of the rays beside them and of what was seen there before.
+    """Completes a scan: a dead sector reads the nearest of the rays beside it and of what was seen there before.
 
     Args:
         distances: Of the rays (72,) [m].

@@ -1,4 +1,4 @@
-"""Cameras: where they stand, how they follow, and where things of the world appear in their pictures."""
+"""Cameras: their projections, and how they follow a vehicle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,20 +17,20 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera without roll; where it looks straight down, the world's y axis points up in its picture."""
+    """A pinhole camera without roll. If it looks straight down, the world's y axis points up in its picture."""
 
     eye: tuple[float, float, float]
-    """[m]"""
+    """Place of the camera [m]."""
     target: tuple[float, float, float]
-    """What is in the middle of the picture [m]."""
+    """Point in the middle of the picture [m]."""
     field_of_view: float
-    """From the lower edge to the upper one [rad]."""
+    """Vertical field of view [rad]."""
     width: int
     height: int
     near: float
-    """Nothing nearer is drawn [m]. The farther, the finer the depths: EGL tells them apart to 16 bits."""
+    """Near clipping distance [m]. A larger one gives finer depths, which have 16 bits in EGL."""
     far: float = 400.0
-    """Nor anything farther [m]."""
+    """Far clipping distance [m]."""
 
     @property
     def axes(self) -> Array:
@@ -44,13 +44,13 @@ class Camera:
 
     @property
     def half_extents(self) -> tuple[float, float]:
-        """Of the picture, to the right and up, at distance 1."""
+        """Half width and half height of the picture at distance 1."""
         up = tan(self.field_of_view / 2)
         return up * self.width / self.height, up
 
     @property
     def view(self) -> Array:
-        """From the world to the camera's frame, which looks along -z (4, 4): OpenGL's view matrix."""
+        """OpenGL's view matrix (4, 4): from the world to the camera's frame, which looks along -z."""
         right, up, ahead = self.axes
         matrix = np.eye(4)
         matrix[:3, :3] = right, up, -ahead
@@ -59,21 +59,21 @@ class Camera:
 
     @property
     def projection(self) -> Array:
-        """From the camera's frame to clip coordinates (4, 4): OpenGL's perspective matrix."""
+        """OpenGL's perspective matrix (4, 4): from the camera's frame to clip coordinates."""
         (right, up), n, f = self.half_extents, self.near, self.far
         return np.array(
             [[1 / right, 0, 0, 0], [0, 1 / up, 0, 0], [0, 0, -(f + n) / (f - n), -2 * f * n / (f - n)], [0, 0, -1, 0]]
         )
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Where points appear.
+        """Projects points into the picture.
 
         Args:
-            points: (n, 3) [m]
+            points: Points in the world (n, 3) [m].
 
         Returns:
             Pixels from the upper left corner of the picture, to the right and down (n, 2), and distances ahead of the
-            eye (n,) [m]. Points that are not ahead of the camera appear nowhere: their pixels are NaN.
+            eye (n,) [m]. Pixels of points that are not ahead of the camera are NaN.
         """
         clip = np.column_stack([points, np.ones(len(points))]) @ (self.projection @ self.view).T
         ahead = clip[:, 3]
@@ -83,18 +83,18 @@ class Camera:
 
 
 Path = Callable[[Moment], Camera]
-"""How a camera follows what happens."""
+"""A camera for each moment."""
 
 CHASE_TIME_CONSTANT = 0.7
-"""Time constant with which a chasing camera turns after the vehicle [s]."""
+"""Time constant with which a chasing camera follows the vehicle's yaw [s]."""
 STEP = 1 / 30
-"""In which that is worked out [s]."""
+"""Time step of that filter [s]."""
 LAP = 24.0
-"""An orbiting camera is round once in so long [s]."""
+"""Period of an orbiting camera [s]."""
 
 
 def chase(timeline: Timeline, width: int, height: int) -> Path:
-    """From behind and above, turning after the vehicle with a lag: a first-order filter of its yaw."""
+    """Looks from behind and above; a first-order filter of the yaw turns the camera."""
     times = np.arange(0.0, timeline.duration + STEP, STEP)
     yaws = np.unwrap([timeline.at(time).pose.yaw for time in times])
     followed = np.empty_like(yaws)
@@ -111,7 +111,7 @@ def chase(timeline: Timeline, width: int, height: int) -> Path:
 
 
 def orbit(timeline: Timeline, width: int, height: int) -> Path:
-    """Round the vehicle."""
+    """Circles around the vehicle."""
 
     def camera(moment: Moment) -> Camera:
         angle, (x, y) = 2 * np.pi * moment.time / LAP + np.pi * 1.25, (moment.pose.x, moment.pose.y)
@@ -121,7 +121,7 @@ def orbit(timeline: Timeline, width: int, height: int) -> Path:
 
 
 def top(timeline: Timeline, width: int, height: int) -> Path:
-    """The whole arena from high above, north up."""
+    """Looks at the whole arena from high above; the y axis points up."""
     world = timeline.recording.about["world"]
     margin = 1.12
     across, along = world["width"] * margin, world["depth"] * margin
@@ -133,4 +133,4 @@ def top(timeline: Timeline, width: int, height: int) -> Path:
 
 
 PATHS: dict[str, Callable[[Timeline, int, int], Path]] = {"chase": chase, "orbit": orbit, "top": top}
-"""Cameras with one picture; `split` has two of them side by side."""
+"""Cameras with one picture; `split` shows two of them side by side."""

@@ -1,4 +1,4 @@
-"""A recording as frames: at which instants, and drawn in pieces that processes can share."""
+"""Frames of a recording: their instants, and how processes share the drawing."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.types import Bytes
 
 HOLD = 1.5
-"""How long the ending stays in the picture [s]."""
+"""Time for which the ending stays in the picture [s]."""
 MAP_SHARE = 0.42
-"""Of the width of a split picture."""
+"""Share of the width of a split picture that the map takes."""
 PIECE = 3_000_000
-"""Bytes of frames that are drawn, and held, at a time."""
+"""Bytes of frames that one task draws."""
 
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """What is drawn, and how."""
+    """A film: the recording and how it is drawn."""
 
     recording: Path
     camera: CameraName
@@ -38,14 +38,14 @@ class Film:
 
 
 def frame_times(begin: float, end: float, fps: float, speed: float, hold: float = HOLD) -> list[float]:
-    """Instants of a film's frames [s].
+    """Returns the instants of a film's frames [s].
 
     Args:
-        begin: In the recording [s].
-        end: In the recording [s].
-        fps: Frames a second.
-        speed: How much faster than it happened it is shown.
-        hold: How long the last instant stays [s].
+        begin: First instant in the recording [s].
+        end: Last instant in the recording [s].
+        fps: Frame rate [Hz].
+        speed: Playback speed; 1 is real time.
+        hold: Time for which the last instant stays [s].
     """
     count = floor((end - begin) * fps / speed + 1e-9) + 1
     return [begin + k * speed / fps for k in range(count)] + [end] * max(round(hold * fps), 0)
@@ -57,24 +57,24 @@ class FrameTask:
 
     film: Film
     times: tuple[float, ...]
-    """Of the instants [s]."""
+    """Their instants [s]."""
     first: int
     """Number of the first frame."""
 
 
 def draw_frames(task: FrameTask) -> Bytes:
-    """Frames (n, height, width, 3)."""
+    """Draws the frames of a task (n, height, width, 3)."""
     studio = _studio(task.film)
     return np.stack([studio.frame(time) for time in task.times])
 
 
 def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[Bytes]:
-    """Frames (height, width, 3) one by one, in order, while others are drawn ahead.
+    """Yields frames (height, width, 3) in order, while others are drawn ahead.
 
     Args:
-        film: What is drawn.
-        times: Of the instants [s].
-        executor: Where they are drawn.
+        film: The film.
+        times: Instants of the frames [s].
+        executor: Executor that runs the tasks.
 
     Raises:
         WorkFailed: If drawing fails.
@@ -93,7 +93,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
 
 
 class Studio:
-    """Everything that draws a film."""
+    """Draws frames of one film."""
 
     def __init__(self, film: Film) -> None:
         self._timeline = Timeline(load_recording(film.recording))
@@ -107,7 +107,7 @@ class Studio:
         self._paths = [PATHS[name](self._timeline, width, film.height) for name, width in views.items()]
 
     def frame(self, time: float) -> Bytes:
-        """A frame (height, width, 3); one that is asked for again in a row is not drawn again."""
+        """Draws a frame (height, width, 3); the last one is kept for repeated instants."""
         if time != self._time:
             self._time, self._frame = time, self._draw(time)
         return self._frame

@@ -1,9 +1,9 @@
-"""Light as it falls: what each place sees of the sun and of the sky, found by rays from it.
+"""Light in a picture: rays from each place find how much of the sun and of the sky it sees.
 
-A place on the ground or on a solid thing is lit by the sun's disc, whose shadows have soft edges, by the whole sky,
-which leaves corners and what is under the vehicle darker (ambient occlusion: Zhukov, Iones and Kronin, An ambient light
-illumination model, EGWR 1998), and by what the ground throws back. Rays meet the shapes themselves, so shadows have no
-resolution (Whitted, An improved illumination model for shaded display, CACM 1980).
+Three lights fall on a place: that of the sun's disc, whose shadows have soft edges; that of the whole sky, which leaves
+corners and the ground under the vehicle darker (ambient occlusion: Zhukov, Iones and Kronin, An ambient light
+illumination model, EGWR 1998); and that reflected by the ground. Rays meet exact shapes, so shadows have no pixels
+(Whitted, An improved illumination model for shaded display, CACM 1980).
 """
 
 from collections.abc import Sequence
@@ -19,21 +19,21 @@ from nnql_bullet.vehicle.visuals import Kind, Shape
 from nnql_bullet.worlds.spec import WorldSpec
 
 SUN_SHARE = 0.42
-"""Of the light on open ground, that comes from the sun; the rest comes from the sky."""
+"""Share of the light on open ground that comes from the sun; the rest comes from the sky."""
 BOUNCE = 0.6
-"""What the ground throws back on what faces it, of the light on open ground."""
+"""Light reflected by the ground onto a surface that faces it, as a share of the light on open ground."""
 SUN_RADIUS = 0.03
-"""Of the sun's disc [rad]: some six times the true one, for softer edges."""
+"""Radius of the sun's disc [rad], larger than the true one for softer edges."""
 SUN_RAYS, SKY_RAYS, BEARINGS = 32, 256, 48
-"""Into the sun's disc; into the sky, past the vehicle; and round, past boxes."""
+"""Numbers of rays into the sun's disc, rays into the sky past the vehicle, and bearings past boxes."""
 SAMPLES = 2
-"""Along either side of a square of pixels, which share the rays into the sun and the sky among them."""
+"""Side of a square of pixels that share the rays into the sun and the sky."""
 REACH = 4.0
-"""Boxes farther off take no light away [m]."""
+"""Distance beyond which boxes take no light away [m]."""
 VEHICLE_REACH = 0.8
-"""Nor does the vehicle, from the sphere that holds it [m]."""
+"""Distance from the vehicle's bounding sphere beyond which it takes no light away [m]."""
 FAR = 1e9
-"""As good as infinite [m], which the compiler's fast arithmetic does not know."""
+"""Stands for infinity [m], which fast arithmetic does not support."""
 NEARBY_CELL = 1.0
 """Of the grid that says which boxes are near [m]."""
 NEARBY_MARGIN = 3.0
@@ -43,17 +43,18 @@ GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class Boxes(NamedTuple):
-    """Boxes that stand on the ground, and which of them are near each cell of a grid."""
+    """Boxes on the ground, and those near each cell of a grid."""
 
     rows: Array
-    """Of `as_rows` (n + m, 6): n that stand still, m that move."""
+    """Rows of `as_rows` (n + m, 6): n standing boxes, then m moving ones."""
     height: float
-    """Of all of them [m]."""
+    """Height of all boxes [m]."""
     still: int
-    """n"""
+    """Number n of standing boxes."""
     first: NDArray[np.int64]
-    """Where in `near` those begin that stand still near each cell (rows, columns + 1)."""
+    """Index in `near` of the first standing box near each cell (rows, columns + 1)."""
     near: NDArray[np.int64]
+    """Standing boxes near the cells, cell by cell."""
 
 
 class Parts(NamedTuple):
@@ -61,26 +62,26 @@ class Parts(NamedTuple):
 
     kinds: NDArray[np.int64]
     half_sizes: Array
-    """(k, 3) [m]"""
+    """Half sizes of each (k, 3) [m]."""
     frames: Array
-    """From the world to each (k, 3, 4)."""
+    """Transforms from the world to each shape (k, 3, 4)."""
     spheres: Array
-    """That hold each: middle and radius (k, 4) [m]."""
+    """Bounding spheres: middle and radius (k, 4) [m]."""
     sphere: Vector
-    """Middle of the one that holds all [m]."""
+    """Middle of the bounding sphere of all shapes [m]."""
     radius: float
-    """[m]"""
+    """Radius of that sphere [m]."""
 
 
 def sky_directions(count: int) -> Array:
-    """Directions (count, 3) spread evenly over the upper half of all: a Fibonacci spiral."""
+    """Returns directions (count, 3) spread evenly over the upper hemisphere: a Fibonacci spiral."""
     up = (np.arange(count) + 0.5) / count
     angle, level = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - up**2)
     return np.column_stack([level * np.cos(angle), level * np.sin(angle), up])
 
 
 def sun_directions(count: int) -> Array:
-    """Directions (count, 3) spread evenly over the sun's disc: Vogel's spiral."""
+    """Returns directions (count, 3) spread evenly over the sun's disc: Vogel's spiral."""
     middle = np.array([-LEAN[0], -LEAN[1], 1.0])
     middle /= np.linalg.norm(middle)
     aside = np.cross(middle, (0.0, 0.0, 1.0))
@@ -94,24 +95,24 @@ def sun_directions(count: int) -> Array:
 SUN, SKY = sun_directions(SUN_RAYS), sky_directions(SKY_RAYS)
 LEVEL = np.hypot(SUN[:, 0], SUN[:, 1])
 SUN_BEARINGS = np.column_stack([SUN[:, 0] / LEVEL, SUN[:, 1] / LEVEL, LEVEL / SUN[:, 2]])
-"""Of the same directions: x, y of their level parts, and how far along these each gets while it rises one metre."""
+"""Directions of the sun's rays on the ground, and the distance there for each metre of rise (SUN_RAYS, 3)."""
 ROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 2 * np.pi * (np.arange(BEARINGS) + 0.5) / BEARINGS])
 
 
 def standing_boxes(world: WorldSpec) -> Boxes:
-    """The world's boxes and walls, sorted into the grid."""
+    """Sorts the boxes and walls of a world into the grid."""
     rows, columns = (int(np.ceil((side + 2 * NEARBY_MARGIN) / NEARBY_CELL)) for side in (world.depth, world.width))
     first, near = _sorted_into_cells(world.solids, rows, columns)
     return Boxes(world.solids, world.obstacle_height, len(world.solids), first, near)
 
 
 def with_movers(boxes: Boxes, movers: tuple[OrientedBox, ...]) -> Boxes:
-    """The same with boxes that move where they are."""
+    """Returns the same boxes with moving ones in their places."""
     return boxes._replace(rows=np.concatenate([boxes.rows[: boxes.still], as_rows(movers)]))
 
 
 def placed_parts(shapes: Sequence[Shape], frames: Sequence[Array]) -> Parts:
-    """Shapes in frames, from each of theirs to the world (4, 4)."""
+    """Places shapes by transforms from their frames to the world (4, 4)."""
     placed = np.array(frames)
     half_sizes = np.array([shape.half_sizes for shape in shapes])
     middles, radii = placed[:, :3, 3], np.linalg.norm(half_sizes, axis=1)
@@ -128,7 +129,7 @@ def placed_parts(shapes: Sequence[Shape], frames: Sequence[Array]) -> Parts:
 
 @kernel
 def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """What `Boxes` calls `first` and `near`: counted, then noted."""
+    """Computes `first` and `near` of `Boxes`: the first pass counts, the second stores."""
     first = np.zeros((rows, columns + 1), np.int64)
     near = np.empty(0, np.int64)
     for noting in (False, True):
@@ -150,16 +151,16 @@ def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[n
 
 @kernel
 def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: Parts) -> NDArray[np.float32]:
-    """How much light falls on what each pixel shows, as a share of what falls on open ground.
+    """Computes the light in each pixel as a share of that on open ground.
 
     Args:
-        depths: OpenGL's (h, w); where nothing is, there is ground or sky.
-        eye: The camera.
-        boxes: Standing and moving ones.
-        parts: Of the vehicle.
+        depths: OpenGL's depths (h, w); 1 for ground and sky.
+        eye: Camera.
+        boxes: Boxes of the world.
+        parts: Shapes of the vehicle.
 
     Returns:
-        (h, w); 1 in the sky.
+        Light (h, w); 1 in the sky.
     """
     h, w = depths.shape
     light = np.ones((h, w), np.float32)
@@ -190,16 +191,16 @@ def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: 
 def light_at(
     place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: NDArray[np.int64], first: int, every: int
 ) -> float:
-    """How much light falls on a surface, as a share of what falls on open ground.
+    """Computes the light on a surface as a share of that on open ground.
 
     Args:
-        place: Just before it [m].
-        normal: Of it, unit vector.
-        boxes: Standing and moving ones.
-        parts: Of the vehicle.
-        near: Room for as many numbers as there are boxes.
-        first: Of the rays into the sun and the sky that are used.
-        every: How many it is to the next one.
+        place: Place just off the surface [m].
+        normal: Unit normal of the surface.
+        boxes: Boxes of the world.
+        parts: Shapes of the vehicle.
+        near: Buffer with an entry for each box.
+        first: First of the rays into the sun and the sky.
+        every: Stride to the next ray.
     """
     count = _find_near(place, boxes, near)
     away = place[0] - parts.sphere[0], place[1] - parts.sphere[1], place[2] - parts.sphere[2]
@@ -213,7 +214,7 @@ def light_at(
 
 @kernel
 def _find_near(place: Vector, boxes: Boxes, near: NDArray[np.int64]) -> int:
-    """Notes the boxes that may take light away; how many there are."""
+    """Stores the boxes that may take light away in `near`, and returns their number."""
     count = 0
     if place[2] >= boxes.height:
         return count
@@ -242,7 +243,7 @@ def _from_sun(
     first: int,
     every: int,
 ) -> float:
-    """Light from the sun, as a share of what open ground has of it."""
+    """Light from the sun as a share of that on open ground."""
     arriving, all_of_it = 0.0, 0.0
     for i in range(first, SUN_RAYS, every):
         direction = SUN[i, 0], SUN[i, 1], SUN[i, 2]
@@ -250,10 +251,10 @@ def _from_sun(
         facing = dot(normal, direction)
         if facing <= 0.0:
             continue
-        at_top = (boxes.height - place[2]) * SUN_BEARINGS[i, 2]  # how far away the ray is above all boxes
+        at_top = (boxes.height - place[2]) * SUN_BEARINGS[i, 2]  # distance at which the ray is above all boxes
         free = True
         for k in range(count):
-            if _way_to_box(place, SUN_BEARINGS[i, 0], SUN_BEARINGS[i, 1], boxes.rows, near[k]) < at_top:
+            if _distance_to_box(place, SUN_BEARINGS[i, 0], SUN_BEARINGS[i, 1], boxes.rows, near[k]) < at_top:
                 free = False
                 break
         if free and not (by_vehicle and meets_parts(place, direction, parts)):
@@ -263,11 +264,11 @@ def _from_sun(
 
 @kernel
 def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int64], count: int) -> float:
-    """Light from the sky above the boxes, as a share of what open ground has of it.
+    """Light from the sky above the boxes as a share of that on open ground.
 
-    All boxes stand on the ground and are of one height, so in each bearing the sky begins above the nearest one. With
-    the normal's parts a toward the bearing and c upward, what arrives from there is the integral of (a cos + c sin) cos
-    over elevations from where the sky begins.
+    All boxes stand on the ground and have one height, so in each bearing the sky begins above the nearest box. With
+    the components a of the normal toward the bearing and c upward, the light from there is the integral of
+    (a cos + c sin) cos over the elevations of the sky.
     """
     c = normal[2]
     if count == 0:
@@ -279,8 +280,8 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
             continue
         away = FAR
         for k in range(count):
-            away = min(away, _way_to_box(place, ROUND[i, 0], ROUND[i, 1], boxes.rows, near[k]))
-        rise, run = height, away  # to where the sky begins
+            away = min(away, _distance_to_box(place, ROUND[i, 0], ROUND[i, 1], boxes.rows, near[k]))
+        rise, run = height, away  # to the lower edge of the sky
         if a < 0.0 and -a * run > rise * c:
             rise, run = -a, c  # the surface itself is in the way
         squared = rise * rise + run * run
@@ -293,7 +294,7 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
 
 @kernel
 def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every: int) -> float:
-    """The share of the sky's light that the vehicle lets pass."""
+    """Share of the sky's light that passes the vehicle."""
     arriving, all_of_it = 0.0, 1e-9
     for i in range(first, SKY_RAYS, every):
         direction = SKY[i, 0], SKY[i, 1], SKY[i, 2]
@@ -306,8 +307,8 @@ def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every
 
 
 @kernel
-def _way_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> float:
-    """How far a level ray goes to a box of the rows [m]; `FAR` if it misses it (see `geometry.ray_distances`)."""
+def _distance_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> float:
+    """Distance along a level ray to box k [m]; `FAR` if the ray misses it (see `geometry.ray_distances`)."""
     dx, dy, c, s = place[0] - rows[k, 0], place[1] - rows[k, 1], rows[k, 4], rows[k, 5]
     enter, leave = _between_planes(0.0, REACH, c * dx + s * dy, c * ux + s * uy, rows[k, 2])
     enter, leave = _between_planes(enter, leave, c * dy - s * dx, c * uy - s * ux, rows[k, 3])
@@ -316,7 +317,7 @@ def _way_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> flo
 
 @kernel
 def _between_planes(enter: float, leave: float, start: float, rate: float, half: float) -> tuple[float, float]:
-    """The part of a stretch of a ray where a coordinate, at first `start` and growing at `rate`, is within +-half."""
+    """Clips a stretch of a ray to where a coordinate, `start` at first and growing at `rate`, is within +-half."""
     if abs(rate) < 1e-9:
         return (enter, leave) if abs(start) < half else (enter, enter)
     first, second = (-half - start) / rate, (half - start) / rate
@@ -325,7 +326,7 @@ def _between_planes(enter: float, leave: float, start: float, rate: float, half:
 
 @kernel
 def meets_parts(place: Vector, direction: Vector, parts: Parts) -> bool:
-    """Whether a ray from a place in a direction, a unit vector, meets one of the vehicle's shapes."""
+    """Whether a ray along a unit vector meets one of the vehicle's shapes."""
     if _passes(place, direction, parts.sphere, parts.radius):
         return False
     for k in range(len(parts.kinds)):
@@ -337,7 +338,7 @@ def meets_parts(place: Vector, direction: Vector, parts: Parts) -> bool:
 
 @kernel
 def _passes(place: Vector, direction: Vector, middle: Vector, radius: float) -> bool:
-    """Whether a ray passes by a sphere, or leaves it behind."""
+    """Whether a ray misses a sphere."""
     away = middle[0] - place[0], middle[1] - place[1], middle[2] - place[2]
     along = dot(away, direction)
     return along < -radius or dot(away, away) - along * along > radius * radius
@@ -345,7 +346,7 @@ def _passes(place: Vector, direction: Vector, middle: Vector, radius: float) -> 
 
 @kernel
 def _meets_part(place: Vector, direction: Vector, parts: Parts, k: int) -> bool:
-    """Whether a ray meets a shape: slabs (Kay and Kajiya, SIGGRAPH 1986), and a quadratic for what is round."""
+    """Whether a ray meets a shape: slabs (Kay and Kajiya, SIGGRAPH 1986), and a quadratic for curved surfaces."""
     x, y, z = _in_frame(parts.frames, k, place, 1.0)
     u, v, w = _in_frame(parts.frames, k, direction, 0.0)
     enter, leave = _between_planes(0.0, FAR, z, w, parts.half_sizes[k, 2])
@@ -354,7 +355,7 @@ def _meets_part(place: Vector, direction: Vector, parts: Parts, k: int) -> bool:
         enter, leave = _between_planes(enter, leave, x, u, radius)
         enter, leave = _between_planes(enter, leave, y, v, parts.half_sizes[k, 1])
         return enter < leave
-    bends = 1.0 if kind == 2 else 0.0  # along z too, as a sphere does
+    bends = 1.0 if kind == 2 else 0.0  # a sphere is curved along z too
     a, b = u * u + v * v + bends * w * w, x * u + y * v + bends * z * w
     c = x * x + y * y + bends * z * z - radius * radius
     if a < 1e-12:
@@ -368,7 +369,7 @@ def _meets_part(place: Vector, direction: Vector, parts: Parts, k: int) -> bool:
 
 @kernel
 def _in_frame(frames: Array, k: int, vector: Vector, moved: float) -> Vector:
-    """A vector, or with `moved` = 1 a place, in another frame."""
+    """Transforms a vector, or with `moved` = 1 a place, into the frame of shape k."""
     return (
         frames[k, 0, 0] * vector[0]
         + frames[k, 0, 1] * vector[1]

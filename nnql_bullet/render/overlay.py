@@ -1,4 +1,4 @@
-"""What is written over a picture: what the vehicle sees, holds best and does, and what came of it."""
+"""Text and marks over a picture: readings, action values, the action, the state and the ending."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -21,29 +21,29 @@ from nnql_bullet.types import Bytes
 Box = tuple[float, float, float, float]
 
 DESIGNED_FOR = 720
-"""Height of the picture in which sizes below are pixels."""
+"""Height of the picture for which sizes are given in pixels."""
 FAR_OFF = 40.0
-"""From here on, the vehicle is too small to be found in the picture [m]."""
+"""Distance beyond which the vehicle is too small to be found in the picture [m]."""
 
 
 class Overlay:
     """Writes over pictures of one recording."""
 
     def __init__(self, timeline: Timeline, height: int) -> None:
-        """Prepares for pictures of a height in pixels."""
+        """Prepares an overlay for pictures of a height in pixels."""
         self._timeline = timeline
         self._recording = timeline.recording
         self._size = height / DESIGNED_FOR
         self._safe = timeline.safe()
 
     def write(self, picture: Bytes, depths: NDArray[np.float32], moment: Moment, cameras: Sequence[Camera]) -> Bytes:
-        """The picture with everything written over it.
+        """Returns the picture with all text and marks.
 
         Args:
-            picture: (h, w, 3)
-            depths: 1 where nothing stands between the camera and the ground or the sky (h, w).
-            moment: What it shows.
-            cameras: Whose pictures it is made of, from left to right.
+            picture: Picture (h, w, 3).
+            depths: Depths of solid things; 1 where the camera sees ground or sky (h, w).
+            moment: Moment of the picture.
+            cameras: Cameras of its parts, from left to right.
         """
         image = Image.fromarray(picture)
         draw = ImageDraw.Draw(image, "RGBA")
@@ -69,7 +69,7 @@ class Overlay:
     def _mark(
         self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
     ) -> None:
-        """What is at a place of the world: from afar the path and the vehicle, else the sectors' readings."""
+        """Marks the path and the vehicle from afar, and the readings of the sectors from near."""
         pose = moment.pose
         if np.linalg.norm(np.subtract(camera.eye, (pose.x, pose.y, 0.0))) > FAR_OFF:
             self._mark_path(draw, moment, left, camera)
@@ -77,7 +77,7 @@ class Overlay:
             self._mark_readings(draw, depths, moment, left, camera)
 
     def _mark_path(self, draw: ImageDraw.ImageDraw, moment: Moment, left: int, camera: Camera) -> None:
-        """The path so far, and a ring around the vehicle."""
+        """Draws the path so far and a ring around the vehicle."""
         places = self._timeline.path(moment.time)
         pixels, _ = camera.project(np.column_stack([places, np.zeros(len(places))]))
         safe = self._safe[: len(places) - 1]
@@ -95,7 +95,7 @@ class Overlay:
     def _mark_readings(
         self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
     ) -> None:
-        """What each sector reads, at its rim, if that is on the ground that is seen."""
+        """Writes the reading of each sector at its rim, if the camera sees the ground there."""
         recording, font = self._recording, self._font(15)
         pose, readings = Pose(*recording.state_pose[moment.step].tolist()), recording.readings[moment.step]
         x, y = placed(pose, *recording.about["vehicle"]["sensor"][:2])
@@ -135,7 +135,7 @@ class Overlay:
             draw.text((width - 2 * pad, y), value, fill=INK, font=self._font(17, bold=True), anchor="ra")
 
     def _values(self, draw: ImageDraw.ImageDraw, moment: Moment, height: int) -> None:
-        """The Q-values of the five turns as bars, left turns to the left, and the action that was chosen."""
+        """Draws the Q-values of the five turns as bars, left turns to the left, and marks the chosen action."""
         values, action = self._recording.q_values[moment.step], int(self._recording.action[moment.step])
         pad, bar, tall = self._px(12), self._px(40), self._px(86)
         asked = bool(np.isfinite(values).all())
@@ -179,7 +179,7 @@ class Overlay:
         draw.text(((box[0] + box[2]) / 2, (box[1] + box[3]) / 2), text, fill="white", font=font, anchor="mm")
 
     def _time_line(self, draw: ImageDraw.ImageDraw, moment: Moment, width: int, height: int) -> None:
-        """All of the episode: safe and non-safe states so far, and how much is left."""
+        """Draws a bar of the whole episode with safe and non-safe states so far."""
         pad, tall = self._px(12), max(self._px(8), 2)
         left, across, below = pad, width - 2 * pad, height - pad
         draw.rectangle((left, below - tall, left + across, below), fill=PANEL)
@@ -209,11 +209,11 @@ def _turn(action: int) -> str:
 
 
 RANGE_SHOWN = paper.SENSOR_RANGE - 0.05
-"""A sector that reads more sees nothing [m]."""
+"""Reading above which a sector sees nothing [m]."""
 
 
 def _simulator(about: dict[str, object]) -> str:
-    """Where it was driven, as far as the recording says."""
+    """Name of the simulator, if the recording holds it."""
     if about.get("simulator") == "kinematic":
         return "kinematic model"
     names = {"bullet": "PyBullet", "mujoco": "MuJoCo"}
@@ -223,7 +223,7 @@ def _simulator(about: dict[str, object]) -> str:
 
 @lru_cache(maxsize=32)
 def text_font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
-    """The one that Matplotlib brings along, the same on every machine."""
+    """Returns the font that Matplotlib ships, the same on every machine."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     (matplotlib,) = find_spec("matplotlib").submodule_search_locations  # type: ignore[union-attr,misc]  # not imported
     return ImageFont.truetype(Path(matplotlib) / "mpl-data" / "fonts" / "ttf" / name, size)

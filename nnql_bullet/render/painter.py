@@ -1,4 +1,4 @@
-"""A recording's instants as pictures: solid things, ground and light, and what is written over them."""
+"""Paints moments of a recording: solid things, ground and light."""
 
 from dataclasses import replace
 
@@ -26,13 +26,13 @@ from nnql_bullet.render.timeline import Moment, Timeline
 from nnql_bullet.types import Bytes
 
 MOST_CELLS = 2200
-"""Of the ground's map, along the arena's longer side."""
+"""Most cells of the map of the ground along the longer side of the arena."""
 FINEST = 0.03
-"""Side of a cell, at least [m]."""
+"""Least side of a cell [m]."""
 PATH_WIDTH = 0.16
-"""Of the line of the path [m]."""
+"""Width of the line of the path [m]."""
 VEHICLE_HEIGHT = 0.4
-"""That its shadow is cast from [m]."""
+"""Height from which the vehicle casts its shadow [m]."""
 INKS = Inks(
     floor=colours.rgb(colours.FLOOR),
     outside=colours.rgb(colours.OUTSIDE),
@@ -44,7 +44,7 @@ INKS = Inks(
 
 
 def tint(reading: Array) -> Array:
-    """Colours (..., 3) of sensor readings (...) [m]: from red over yellow to green."""
+    """Returns colours (..., 3) of sensor readings (...) [m], from red over yellow to green."""
     share = np.clip(np.asarray(reading) / paper.SENSOR_RANGE, 0.0, 1.0)[..., None]
     low, middle, high = (np.array(colours.rgb(colour)) for colour in (colours.NEAR, colours.MIDDLE, colours.FAR))
     rising, falling = low + 2 * share * (middle - low), middle + (2 * share - 1) * (high - middle)
@@ -52,7 +52,7 @@ def tint(reading: Array) -> Array:
 
 
 class Painter:
-    """Paints what a camera sees."""
+    """Paints the moments of one recording."""
 
     def __init__(self, timeline: Timeline, renderer: Renderer) -> None:
         self._timeline = timeline
@@ -66,11 +66,11 @@ class Painter:
             paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
         self._safe = timeline.safe()
         self._painted = 1
-        """Places of the path that are in the map."""
+        """Number of places of the path that the map holds."""
         self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
 
     def paint(self, moment: Moment, camera: Camera) -> tuple[Bytes, NDArray[np.float32]]:
-        """What the camera sees at an instant: red, green, blue (height, width, 3), and the `Solids.depths`."""
+        """Paints what a camera sees at a moment (height, width, 3); returns the `Solids.depths` too."""
         self._follow(moment)
         samples, recording = self._renderer.samples, self._timeline.recording
         camera = replace(camera, width=samples * camera.width, height=samples * camera.height)
@@ -93,7 +93,7 @@ class Painter:
         return _averaged(smooth_edges(picture, solids.depths), samples), solids.depths[::samples, ::samples]
 
     def _follow(self, moment: Moment) -> None:
-        """Brings the path in the map up to the instant."""
+        """Paints the path up to a moment into the map."""
         places = self._timeline.path(moment.time)
         if len(places) < self._painted:
             self._layers[..., SAFE_PATH:] = 0
@@ -117,7 +117,7 @@ class Painter:
 
 
 def _averaged(picture: Bytes, samples: int) -> Bytes:
-    """A picture in which each pixel is the mean of so many along either side."""
+    """Returns a picture whose pixels are means over squares of pixels."""
     if samples == 1:
         return picture
     height, width, _ = picture.shape

@@ -1,4 +1,4 @@
-"""The renderers of solid things by name."""
+"""Renderers of solid things, by name."""
 
 from importlib.util import find_spec
 from typing import Literal
@@ -12,16 +12,15 @@ from nnql_bullet.vehicle.visuals import Visuals
 RendererName = Literal["tiny", "egl", "vtk"]
 
 SMALL = 640 * 360
-"""Pixels of a picture up to which films by TinyRenderer take no longer than by EGL in software, and a third of its
-memory: 45 and 41 frames a second, 535 and 1146 MB, both on 2 cores without a graphics card."""
+"""Pixels of a picture up to which TinyRenderer is as fast as EGL in software, with less memory."""
 NO_VTK = "VTK is not installed; install it with: pip install 'nnql-bullet[render]'"
 
 
 def make_renderer(recording: Recording, name: RendererName) -> Renderer:
-    """The renderer of a name. VTK is imported when it is asked for.
+    """Makes a renderer. VTK is imported only when it is needed.
 
     Raises:
-        UserError: If it does not work here, or the recording does not say what the vehicle looks like.
+        UserError: If the renderer does not work here, or the recording does not hold the vehicle's shapes.
     """
     if name != "vtk":
         return BulletRenderer(recording, name)
@@ -33,10 +32,10 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
 
 
 def check_renderer(recording: Recording, name: RendererName) -> None:
-    """Sees to it that what a renderer lacks shows before it is needed.
+    """Checks that a renderer can draw a recording, before any work is done.
 
     Raises:
-        UserError: If it does not work here, or the recording does not say what the vehicle looks like.
+        UserError: If the renderer does not work here, or the recording does not hold the vehicle's shapes.
     """
     Visuals(recording.about["vehicle"])
     if name == "vtk" and find_spec("pyvista") is None:
@@ -46,10 +45,10 @@ def check_renderer(recording: Recording, name: RendererName) -> None:
 
 
 def best_renderer(width: int, height: int) -> RendererName:
-    """EGL where it works, else TinyRenderer; that too for pictures up to `SMALL`.
+    """Returns EGL for pictures larger than `SMALL` where it works, else TinyRenderer.
 
     Args:
-        width: Of the pictures [pixels].
-        height: Likewise.
+        width: Width of the pictures [pixels].
+        height: Height of the pictures [pixels].
     """
     return "egl" if width * height > SMALL and works("egl") else "tiny"

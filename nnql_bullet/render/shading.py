@@ -1,9 +1,9 @@
-"""The picture, pixel by pixel: light on what the renderer drew, and the ground where it drew nothing.
+"""Shades a picture pixel by pixel: light on solid things, and ground and sky around them.
 
-Colours and depths are all that is taken from a renderer, so pictures look alike whichever it was: depths give the
-surfaces back, on which light falls from one direction and from the sky, and what is not covered by them is ground
-(where the ray through the pixel meets the plane z = 0) or sky. Deferred shading: Saito and Takahashi, Comprehensible
-rendering of 3-D shapes, SIGGRAPH 1990.
+A renderer gives only colours and depths, so pictures look alike with every renderer. Surfaces follow from the depths;
+light falls on them from the sun and from the sky. Where there is no surface, the pixel shows the ground (its ray meets
+the plane z = 0) or the sky. Deferred shading: Saito and Takahashi, Comprehensible rendering of 3-D shapes, SIGGRAPH
+1990.
 """
 
 from typing import NamedTuple
@@ -18,14 +18,14 @@ from nnql_bullet.render.camera import Camera
 from nnql_bullet.types import Bytes, Vector
 
 SHADOW, SAFE_PATH, NON_SAFE_PATH = 0, 1, 2
-"""Layers of the ground's map."""
+"""Layers of the map of the ground."""
 
 LEAN = (0.49, -0.35)
-"""How far the shadow of a point falls from its foot, for each metre of its height: the direction of the light."""
+"""Displacement of a shadow for each metre of height, in x and y; it gives the direction of the light."""
 SOFTNESS = 0.12
 """Half width of a shadow's edge [m]."""
 BEND = 0.01
-"""How much depths may bend from pixel to pixel on one surface, as a share of what they are short of 1."""
+"""Largest second difference of depths within one surface, as a share of 1 - depth."""
 RANGE = paper.SENSOR_RANGE
 HALF_ROOT = 0.5**0.5
 
@@ -37,20 +37,20 @@ _part = njit(fastmath=True, error_model="numpy", inline="always")
 
 
 class Eye(NamedTuple):
-    """A camera as the kernels take it."""
+    """A camera in the form that the kernels take."""
 
     place: Vector
-    """[m]"""
+    """Place of the camera [m]."""
     ahead: Vector
-    """Unit vector."""
+    """Unit vector along the line of sight."""
     right: Vector
-    """From the middle of the picture to its right edge, at distance 1."""
+    """Vector from the middle of the picture to its right edge, at distance 1."""
     up: Vector
-    """From its middle to its upper edge, likewise."""
+    """Vector from the middle to the upper edge, at distance 1."""
     near: float
-    """[m]"""
+    """Near clipping distance [m]."""
     far: float
-    """[m]"""
+    """Far clipping distance [m]."""
 
 
 class Inks(NamedTuple):
@@ -58,32 +58,32 @@ class Inks(NamedTuple):
 
     floor: Vector
     outside: Vector
-    """Of the arena."""
+    """Ground outside the arena."""
     target: Vector
     safe: Vector
     """Path driven in safe states."""
     non_safe: Vector
-    """Path driven in others."""
+    """Path driven in non-safe states."""
     horizon: Vector
 
 
 class Ground(NamedTuple):
-    """What lies on the ground, but for arrays: kernels count who holds those, which would take half of their time."""
+    """Numbers of the ground, without its arrays: reference counts of arrays in a record slow the kernels down."""
 
     cell: float
-    """Side of a cell of the map; the first one's lower left corner is the arena's [m]."""
+    """Side of a cell of the map [m]; the first cell lies in the arena's lower left corner."""
     width: float
-    """Of the arena [m]."""
+    """Width of the arena [m]."""
     depth: float
-    """Likewise [m]."""
+    """Depth of the arena [m]."""
     target: Vector
-    """x, y, radius [m]."""
+    """x, y and radius of the target [m]."""
     scan: Vector
-    """Where the sectors are seen from: x, y [m], yaw [rad]."""
+    """Pose of the sensor: x, y [m], yaw [rad]."""
 
 
 def eye_of(camera: Camera) -> Eye:
-    """A camera for the kernels."""
+    """Converts a camera for the kernels."""
     right, up, ahead = camera.axes
     across, along = camera.half_extents
     return Eye(camera.eye, _vector(ahead), _vector(right * across), _vector(up * along), camera.near, camera.far)
@@ -96,7 +96,7 @@ def _vector(array: Array) -> Vector:
 
 @kernel
 def shadow_reach(box: Array, height: float) -> float:
-    """How far from the middle of a box (6,) its shadow falls [m]."""
+    """Largest distance of a shadow from the middle of its box (6,) [m]."""
     return float(np.hypot(box[2], box[3]) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
 
 
@@ -105,10 +105,10 @@ def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
     """Adds a box's shadow to the map.
 
     Args:
-        layer: Of shadows (rows, columns).
-        cell: Side of its cells [m].
-        box: A row (6,) of `as_rows`.
-        height: Of the box [m].
+        layer: Layer of shadows (rows, columns).
+        cell: Side of a cell [m].
+        box: Row (6,) of `as_rows`.
+        height: Height of the box [m].
     """
     reach = shadow_reach(box, height)
     low_x, high_x = max(int((box[0] - reach) / cell), 0), min(int((box[0] + reach) / cell) + 1, layer.shape[1])
@@ -121,14 +121,14 @@ def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
 
 @kernel
 def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: float) -> None:
-    """Adds a straight line with round ends to the map, its edges smooth.
+    """Adds a straight line with round ends and smooth edges to the map.
 
     Args:
-        layer: (rows, columns)
-        cell: Side of its cells [m].
-        begin: x, y [m]
-        end: x, y [m]
-        half_width: [m]
+        layer: Layer of the map (rows, columns).
+        cell: Side of a cell [m].
+        begin: Begin of the line: x, y [m].
+        end: End of the line: x, y [m].
+        half_width: Half the width of the line [m].
     """
     margin = half_width + 2 * cell
     low_x = max(int((min(begin[0], end[0]) - margin) / cell), 0)
@@ -159,20 +159,20 @@ def shade(
     casters: Array,
     sectors: Array,
 ) -> Bytes:
-    """The picture.
+    """Shades a picture.
 
     Args:
-        colours: Of solid things (h, w, 3 or 4).
-        depths: OpenGL's (h, w).
-        gain: What the colours are to be multiplied by.
-        known: What light falls in each pixel (h, w), of what falls on open ground; (0, 0) if that is to be estimated.
-        eye: The camera.
-        ground: What lies on the ground.
-        inks: Colours.
-        cells: The map of the ground (rows, columns): the bytes of each, from the lowest on, are how much shadow, path
-            driven in safe states and in others there is.
-        casters: Things that move and cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
-        sectors: How far each is free [m], and its colour (8, 4).
+        colours: Colours of solid things (h, w, 3 or 4).
+        depths: OpenGL's depths (h, w).
+        gain: Factor on the colours.
+        known: Light in each pixel as a share of that on open ground (h, w); (0, 0) if it is to be estimated.
+        eye: Camera.
+        ground: Numbers of the ground.
+        inks: Colours of the ground.
+        cells: Map of the ground (rows, columns). The bytes of a cell, from the lowest, hold its cover by shadow, by
+            the path in safe states and by the path in non-safe states.
+        casters: Moving things that cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
+        sectors: Free distance [m] and colour of each sector (8, 4).
 
     Returns:
         Red, green, blue (h, w, 3).
@@ -192,7 +192,7 @@ def shade(
                 else:
                     normal = surface_normal(row, column, depths, eye)
                     light = 0.62 + 0.14 * normal[2] + 0.34 * max(dot(normal, sun), 0.0)
-                    # The ground takes light away at the foot of things.
+                    # Surfaces near the ground receive less light.
                     light *= gain * (0.86 + 0.14 * min(max((height + distance * ray[2]) / 0.35, 0.0), 1.0))
                 colour = (
                     light * colours[row, column, 0],
@@ -223,14 +223,14 @@ def shade(
 
 @kernel
 def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
-    """The picture with the edges of solid things smoothed, where depths jump or bend.
+    """Smooths the edges of solid things, where depths jump or bend.
 
     Args:
-        picture: (h, w, 3)
-        depths: OpenGL's (h, w).
+        picture: Picture (h, w, 3).
+        depths: OpenGL's depths (h, w).
 
     Returns:
-        Another picture (h, w, 3).
+        A new picture (h, w, 3).
     """
     h, w = depths.shape
     smooth = picture.copy()
@@ -278,13 +278,13 @@ def _mix(colour: Vector, ink: Vector, share: float) -> Vector:
 
 @_part
 def _inside(distance: float, soft: float) -> float:
-    """How much of a pixel of this size [m] is inside of an edge that is so far outwards from it [m]."""
+    """Share of a pixel inside an edge: its distance from the edge, positive inside, and its size [m]."""
     return min(max(0.5 + distance / soft, 0.0), 1.0)
 
 
 @_part
 def ray_through(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
-    """From the eye through a pixel, one metre ahead."""
+    """Vector from the eye through a pixel, one metre ahead."""
     x, y = (2 * column + 1) / w - 1.0, 1.0 - (2 * row + 1) / h
     return (
         eye.ahead[0] + x * eye.right[0] + y * eye.up[0],
@@ -295,19 +295,19 @@ def ray_through(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
 
 @_part
 def distance_ahead(depth: float, eye: Eye) -> float:
-    """Ahead of the eye [m] of what has this depth: OpenGL's perspective matrix, solved for it."""
+    """Distance ahead of the eye at a depth [m]: OpenGL's perspective matrix, solved for it."""
     return 2 * eye.near * eye.far / (eye.far + eye.near - (2 * depth - 1) * (eye.far - eye.near))
 
 
 @_part
 def surface_normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
-    """Of the surface in a pixel: from the neighbours, across and along, that are nearest to it in depth."""
+    """Normal of the surface in a pixel, from the neighbours that are nearest to it in depth."""
     h, w = depths.shape
     here = depths[row, column]
-    step = 2 + min(int(distance_ahead(here, eye) / 15.0), 2)  # depths are the coarser the farther off
+    step = 2 + min(int(distance_ahead(here, eye) / 15.0), 2)  # depths get coarser with distance
     left, right = max(column - step, 0), min(column + step, w - 1)
     above, below = max(row - step, 0), min(row + step, h - 1)
-    # Where the surface goes on to both sides, both neighbours: depths are not exact.
+    # Depths are not exact, so both neighbours count where the surface continues on both sides.
     if abs(depths[row, left] + depths[row, right] - 2 * here) > BEND * (1.0 - here):
         if abs(depths[row, left] - here) > abs(depths[row, right] - here):
             left = column
@@ -330,7 +330,7 @@ def surface_normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye)
 
 @_part
 def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
-    """Of the surface in a pixel, from the eye [m]."""
+    """Vector from the eye to the surface in a pixel [m]."""
     ray = ray_through(row, column, depths.shape[0], depths.shape[1], eye)
     distance = distance_ahead(depths[row, column], eye)
     return distance * ray[0], distance * ray[1], distance * ray[2]
@@ -338,7 +338,7 @@ def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vect
 
 @_part
 def _haze(colour: Vector, distance: float, steep: float, inks: Inks) -> Vector:
-    """Far things take on the horizon's colour, not so what is far below."""
+    """Mixes the horizon's colour into distant things along flat rays."""
     return _mix(colour, inks.horizon, 0.75 * (1.0 - steep) * min(max((distance - 15.0) / 110.0, 0.0), 1.0))
 
 
@@ -355,19 +355,19 @@ def _floor(
     casters: Array,
     sectors: Array,
 ) -> Vector:
-    """The colour of a place in the arena.
+    """Returns the colour of a place on the ground of the arena.
 
     Args:
-        x: [m]
-        y: [m]
-        ray: Along which it is seen.
-        fine: What a pixel covers of the ground across the line of sight [m].
-        coarse: Along it [m].
-        ground: See `shade`, as for what follows.
-        inks: Colours.
-        cells: The map.
-        casters: Of shadows.
-        sectors: Of the sensors.
+        x: Place [m].
+        y: Place [m].
+        ray: Line of sight.
+        fine: Size of a pixel on the ground across the line of sight [m].
+        coarse: Size of a pixel on the ground along the line of sight [m].
+        ground: See `shade`.
+        inks: See `shade`.
+        cells: See `shade`.
+        casters: See `shade`.
+        sectors: See `shade`.
     """
     level = max(np.sqrt(ray[0] * ray[0] + ray[1] * ray[1]), 1e-9)
     along_x, along_y = ray[0] / level, ray[1] / level
@@ -396,13 +396,13 @@ def _floor(
 
 @_part
 def _grid(x: float, y: float, wide_x: float, wide_y: float, every: float, width: float) -> float:
-    """How much of a pixel a grid's lines cover."""
+    """Share of a pixel that the lines of a grid cover."""
     return max(_line(x, wide_x, every, width), _line(y, wide_y, every, width))
 
 
 @_part
 def _line(x: float, wide: float, every: float, width: float) -> float:
-    """How much of a pixel parallel lines cover: those that it shows or, of many, their share of the ground."""
+    """Share of a pixel that parallel lines cover; where lines are denser than pixels, their mean cover."""
     off = abs(x - every * np.floor(x / every + 0.5))
     line = min(max((width + wide) / 2 - off, 0.0), min(width, wide)) / wide
     return float(line + (width / every - line) * min(max(wide / every - 0.5, 0.0), 1.0))
@@ -410,15 +410,15 @@ def _line(x: float, wide: float, every: float, width: float) -> float:
 
 @_part
 def _sector(colour: Vector, dx: float, dy: float, away: float, soft: float, yaw: float, sectors: Array) -> Vector:
-    """The free part of one of eight sectors, with a brighter rim where it ends.
+    """Tints the free part of the eight sectors and marks their rims.
 
     Args:
-        colour: Of the ground.
-        dx: From the sensor [m].
-        dy: Likewise [m].
-        away: How far that is [m].
+        colour: Colour of the ground.
+        dx: Place relative to the sensor [m].
+        dy: Place relative to the sensor [m].
+        away: Distance from the sensor [m].
         soft: Size of the pixel [m].
-        yaw: Of the right edge of the sector ahead [rad].
+        yaw: Direction of the right edge of the front sector [rad].
         sectors: See `shade`.
     """
     c, s = np.cos(yaw), np.sin(yaw)
@@ -431,7 +431,7 @@ def _sector(colour: Vector, dx: float, dy: float, away: float, soft: float, yaw:
     if away > reach:
         return colour
     tint = sectors[sector, 1], sectors[sector, 2], sectors[sector, 3]
-    side = min(abs(u), abs(v), abs(u - v) * HALF_ROOT, abs(u + v) * HALF_ROOT)  # from the nearest edge
+    side = min(abs(u), abs(v), abs(u - v) * HALF_ROOT, abs(u + v) * HALF_ROOT)  # distance from the nearest edge
     edge = max(0.75 * _inside(0.07 - (reach - away), soft), 0.25 * _inside(0.015 - side, soft))
     return _mix(_mix(colour, tint, 0.24), tint, edge)
 
@@ -447,7 +447,7 @@ def _look_up(
     cell: float,
     cells: NDArray[np.uint32],
 ) -> Vector:
-    """The map's layers, averaged over what a pixel shows of the ground: as many looks as it has cells, up to a few."""
+    """Averages the layers of the map over the ground that a pixel shows, with one look a cell up to 16 looks."""
     across, along = min(max(int(fine / cell), 1), 4), min(max(int(coarse / cell), 1), 4)
     dark, safe, non_safe = 0.0, 0.0, 0.0
     for i in range(across):
@@ -463,7 +463,7 @@ def _look_up(
 
 @_part
 def _between(x: float, y: float, cells: NDArray[np.uint32]) -> Vector:
-    """The map's layers at a point, in cells, interpolated between the middles of these; 0 beside the map."""
+    """Interpolates the layers of the map at a point given in cells; 0 outside the map."""
     column, row = int(np.floor(x)), int(np.floor(y))
     if column < 0 or row < 0 or column + 1 >= cells.shape[1] or row + 1 >= cells.shape[0]:
         return 0.0, 0.0, 0.0
@@ -482,7 +482,7 @@ def _between(x: float, y: float, cells: NDArray[np.uint32]) -> Vector:
 
 @_part
 def _shadow(x: float, y: float, box: Array, height: float) -> float:
-    """How dark a point of the ground is under a box's shadow: the box's foot, pushed along to its top's."""
+    """Darkness of a point on the ground under a box's shadow, which is the box's base swept along the light."""
     nearest = np.inf
     for k in range(7):
         up = height * k / 6

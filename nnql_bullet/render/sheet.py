@@ -1,4 +1,4 @@
-"""A contact sheet: the moments of a recording that tell its story, side by side."""
+"""A contact sheet: the key moments of a recording side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from nnql_bullet.types import Bytes
 
 COLUMNS = 3
 WIDTH = 640
-"""Of a picture in the sheet, at most [pixels]."""
+"""Largest width of a picture in the sheet [pixels]."""
 GAP, CAPTION = 12, 30
-"""Between pictures, and below each [pixels]."""
+"""Space between pictures, and below each picture for its caption [pixels]."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeyMoment:
-    """One of them."""
+    """A moment with its caption."""
 
     time: float
     """[s]"""
@@ -28,11 +28,11 @@ class KeyMoment:
 
 
 def key_moments(timeline: Timeline, count: int = 6) -> list[KeyMoment]:
-    """The start, the end, and in between the closest passes, apart from one another by a share of the time.
+    """Returns the start, the end and the closest passes between them, spread over time.
 
     Args:
-        timeline: Of the recording.
-        count: How many at most.
+        timeline: Timeline of the recording.
+        count: Largest number of moments.
     """
     recording, duration = timeline.recording, timeline.duration
     ending = recording.about["ending"]
@@ -49,7 +49,7 @@ def key_moments(timeline: Timeline, count: int = 6) -> list[KeyMoment]:
 
 
 def contact_sheet(moments: Sequence[KeyMoment], frames: Sequence[Bytes]) -> Bytes:
-    """Frames (h, w, 3) with their captions as one picture; large ones are made smaller."""
+    """Returns frames (h, w, 3) with their captions as one picture; large frames are made smaller."""
     height, width, _ = frames[0].shape
     scale = min(WIDTH / width, 1.0)
     width, height = round(scale * width), round(scale * height)

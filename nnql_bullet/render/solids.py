@@ -1,4 +1,4 @@
-"""Solid things of a recording as a renderer draws them: boxes, walls and the vehicle, without ground and light."""
+"""Solid things of a recording: boxes, walls and the vehicle, drawn without ground and light."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -21,36 +21,36 @@ MOVING: Colour = unit_rgb(SOLID_MOVING)
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """What a camera sees of them."""
+    """Picture of the solid things that a camera sees."""
 
     colours: NDArray[np.uint8]
     """(height, width, 3 or 4)"""
     depths: NDArray[np.float32]
-    """OpenGL's (height, width): 1 where nothing is."""
+    """OpenGL's depths (height, width): 1 where there is nothing."""
     gain: float
-    """What the colours are to be multiplied by."""
+    """Factor on the colours."""
     light: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """What falls in each pixel on surface or ground, as a share of what falls on open ground (height, width); (0, 0) of
-    a renderer that does not say."""
+    """Light on the surface or ground in each pixel, as a share of that on open ground (height, width); (0, 0) from a
+    renderer that does not compute it."""
 
 
 class Renderer(Protocol):
     """Draws solid things."""
 
     lights: bool
-    """Whether it says what light falls where, shadows and all."""
+    """Whether it computes light and shadows."""
     samples: int
-    """How many pixels it wants to draw for one of the picture, along either side."""
+    """Pixels that it draws for each pixel of the picture, along either side."""
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """What the camera sees at an instant."""
+        """Draws what the camera sees at a moment."""
 
     def close(self) -> None:
-        """Frees it."""
+        """Frees its resources."""
 
 
 class BulletRenderer:
-    """PyBullet's own renderers, and its window: a `scene` with what a recording says."""
+    """Draws a recording with PyBullet's own renderers or in its window."""
 
     lights = False
     samples = 1
@@ -59,11 +59,11 @@ class BulletRenderer:
         """Builds the scene.
 
         Args:
-            recording: Says what there is.
+            recording: Recording of the drive.
             kind: See `BulletScene`.
 
         Raises:
-            UserError: If the recording does not say what the vehicle looks like, or the renderer does not work here.
+            UserError: If the recording does not hold the vehicle's shapes, or the renderer does not work here.
         """
         vehicle = recording.about["vehicle"]
         if "urdf" not in vehicle:
@@ -84,7 +84,7 @@ class BulletRenderer:
         self._axle_height = vehicle["wheel_radius"]
 
     def show(self, moment: Moment) -> None:
-        """Puts everything where it is at an instant."""
+        """Moves everything to its place at a moment."""
         pose = moment.pose
         self.scene.place(self._vehicle, pose.x, pose.y, self._axle_height, pose.yaw)
         for joint, angle in zip(self._joints, moment.joint_angles, strict=True):
@@ -93,7 +93,7 @@ class BulletRenderer:
             self.scene.place(body, box.x, box.y, self._height / 2, box.yaw)
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """What the camera sees at an instant."""
+        """Draws what the camera sees at a moment."""
         self.show(moment)
         return Solids(*self.scene.picture(camera.view, camera.projection, camera.width, camera.height))
 

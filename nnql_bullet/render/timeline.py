@@ -1,4 +1,4 @@
-"""A recording as a function of time: where everything was at any instant, not only when it was sampled."""
+"""A recording as a function of time, interpolated between its samples."""
 
 from dataclasses import dataclass
 
@@ -13,23 +13,23 @@ class Moment:
     """One instant of a recording."""
 
     time: float
-    """Since the start [s]."""
+    """Time since the start [s]."""
     pose: Pose
-    """Of the vehicle."""
+    """Pose of the vehicle."""
     joint_angles: tuple[float, float, float, float]
     """Left and right drive, swivel, caster roll [rad]."""
     speed: float
-    """Of the rear-axle centre [m/s]."""
+    """Speed of the rear-axle centre [m/s]."""
     step: int
-    """The decision that is being carried out; the last one when it is over."""
+    """Number of the decision in progress; after the end, of the last one."""
     over: bool
     """Whether the episode has ended."""
     movers: tuple[OrientedBox, ...]
-    """The boxes that move, where they are."""
+    """The moving boxes in their places."""
 
 
 class Timeline:
-    """What was recorded, between the samples too: places and angles are interpolated linearly, the short way round."""
+    """Interpolates places linearly, and angles linearly along the shorter arc."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -38,16 +38,16 @@ class Timeline:
         self._poses = np.concatenate([[start], recording.sample_pose])
         self._poses[:, 2] = np.unwrap(self._poses[:, 2])
         self._joints = np.unwrap(np.concatenate([[first], recording.joint_angles]), axis=0)
-        ways = np.hypot(*np.diff(self._poses[:, :2], axis=0).T)
-        self._speeds = ways / np.diff(self._times)
+        distances = np.hypot(*np.diff(self._poses[:, :2], axis=0).T)
+        self._speeds = distances / np.diff(self._times)
 
     @property
     def duration(self) -> float:
-        """Of the episode [s]."""
+        """Duration of the episode [s]."""
         return float(self._times[-1])
 
     def at(self, time: float) -> Moment:
-        """The instant at a time [s]; after the end, how it ended."""
+        """Returns the moment at a time [s]; times after the end give the last moment."""
         r = self.recording
         now = min(max(time, 0.0), self.duration)
         x, y, yaw = (float(np.interp(now, self._times, values)) for values in self._poses.T)
@@ -65,11 +65,11 @@ class Timeline:
         )
 
     def path(self, time: float) -> Array:
-        """The way up to a time [s]: places (k, 2) [m] at the start and at each sample until then."""
+        """Returns the path up to a time [s]: places (k, 2) [m] at the start and at each sample."""
         return self._poses[: int(np.searchsorted(self._times, time, side="right")), :2]
 
     def safe(self) -> Array:
-        """Whether the pieces of the way, from each of its places to the next, were driven in safe states (m,)."""
+        """Returns whether each piece of the path, between two of its places, was driven in a safe state (m,)."""
         r = self.recording
         decision = np.searchsorted(r.state_time, self._times[1:] - 1e-9, side="left") - 1
         return np.asarray(r.state_property[np.clip(decision, 0, None)] != "NS")

@@ -1,4 +1,4 @@
-"""Frames as a file: a video, an animation, or one picture each."""
+"""Writes frames as a video, an animation, or separate pictures."""
 
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
@@ -15,29 +15,29 @@ from nnql_bullet.types import Bytes
 VideoFormat = Literal["mp4", "gif"]
 
 THREADS = 2
-"""Of the encoder, whatever the machine: what it makes depends on how many there are."""
+"""Threads of the encoder, fixed because its output depends on their number."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
-    # Plays in browsers while it is still being loaded.
+    # Browsers can play it while it loads.
     "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
-    # A palette for each frame: one for all would have to wait for all of them.
+    # One palette for each frame; a common palette would need all frames first.
     "gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"],
 }
 _BITEXACT = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
 
 
 def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps: float, kind: VideoFormat) -> None:
-    """Encodes frames as they come, and gives the file its name when it is whole.
+    """Encodes frames as they arrive; the file appears under its name when it is complete.
 
     Args:
-        path: Of the file.
-        frames: (h, w, 3)
-        size: Width and height in pixels, even ones.
-        fps: Frames a second.
+        path: Path of the file.
+        frames: Frames (h, w, 3).
+        size: Width and height, even numbers [pixels].
+        fps: Frame rate [Hz].
         kind: H.264 in MP4, or GIF.
 
     Raises:
         UserError: If there is no encoder, or it fails.
-        OSError: If it cannot be written.
+        OSError: If the file cannot be written.
     """
 
     def write(temporary: Path) -> None:
@@ -49,11 +49,11 @@ def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps:
 
 
 def write_pictures(folder: Path, frames: Iterable[Bytes]) -> Iterator[Bytes]:
-    """Writes each frame as it passes by: frame_00001.png and so on.
+    """Writes each frame as frame_00001.png and so on, and passes it on.
 
     Raises:
-        UserError: If there are such pictures already.
-        OSError: If one cannot be written.
+        UserError: If the folder holds such pictures.
+        OSError: If a picture cannot be written.
     """
     if any(folder.glob("frame_*.png")):
         raise UserError(f"{folder}: holds frames already; give another folder, or empty this one")
@@ -92,6 +92,4 @@ def _encoder(
         if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
             raise
         reason = " ".join(str(error).split())[:200]
-        raise UserError(
-            f"{path.name}: cannot be encoded ({reason}); `nnql-bullet doctor` tells what is there"
-        ) from None
+        raise UserError(f"{path.name}: cannot be encoded ({reason}); `nnql-bullet doctor` checks the encoder") from None

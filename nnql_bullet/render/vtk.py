@@ -1,6 +1,6 @@
-"""Solid things drawn by VTK, for pictures that go into papers (needs the extra `render`).
+"""Solid things drawn by VTK, for pictures in papers (needs the extra `render`).
 
-Round things are round, and the light is the true one of `light.py`: soft shadows on everything, darker corners.
+Curved surfaces are smooth, and the light is that of `light.py`, with soft shadows and darker corners.
 """
 
 import os
@@ -21,11 +21,14 @@ from nnql_bullet.render.timeline import Moment
 from nnql_bullet.vehicle.visuals import Colour, Shape, Visuals, upright
 
 FACETS = 96
-"""Of what is round."""
+"""Facets around a cylinder or sphere."""
 
 
 class VtkRenderer:
-    """VTK without a window. Not to be used in turns with PyBullet's EGL, which draws into whatever is current."""
+    """Draws with VTK without a window.
+
+    Do not alternate it with PyBullet's EGL in one process: that draws into the current context.
+    """
 
     lights = True
     samples = SAMPLES
@@ -34,10 +37,10 @@ class VtkRenderer:
         """Builds the scene.
 
         Args:
-            recording: Says what there is.
+            recording: Recording of the drive.
 
         Raises:
-            UserError: If the recording does not say what the vehicle looks like.
+            UserError: If the recording does not hold the vehicle's shapes.
         """
         self._visuals = Visuals(recording.about["vehicle"])
         world = recording.world
@@ -46,7 +49,7 @@ class VtkRenderer:
         os.environ.setdefault(
             "LP_NUM_THREADS", "1"
         )  # Mesa's software renderer: pictures are drawn in several processes
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it tries a display, EGL and OSMesa, and tells
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it reports each display, EGL and OSMesa that it tries
         self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
         self._plotter.disable_anti_aliasing()  # a pixel has one depth
         for boxes, colour in ((world.obstacles, BOX), (world.walls, WALL)):
@@ -56,7 +59,7 @@ class VtkRenderer:
         self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._visuals.shapes]
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """What the camera sees at an instant."""
+        """Draws what the camera sees at a moment."""
         frames = self._visuals.frames(moment.pose, moment.joint_angles)
         for part, frame in zip(self._parts, frames, strict=True):
             part.user_matrix = frame
@@ -68,7 +71,7 @@ class VtkRenderer:
         return Solids(colours, depths, 1.0, light)
 
     def close(self) -> None:
-        """Frees VTK."""
+        """Frees the resources of VTK."""
         self._plotter.close()
 
     def _picture(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -109,5 +112,5 @@ def _mesh(shape: Shape) -> Any:
 
 
 def _cuboid(x: float, y: float, z: float) -> Any:
-    """A box about the origin, of these half sizes [m]."""
+    """A box around the origin with half sizes [m]."""
     return pyvista.Cube(x_length=2 * x, y_length=2 * y, z_length=2 * z)

@@ -1,34 +1,33 @@
-"""A recording in PyBullet's window, at the speed that it happened at."""
+"""Shows a recording in PyBullet's window in real time."""
 
 import time
 
+from nnql_bullet.colours import COLLISION, FLOOR, unit_rgb
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import chase
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.sim.bullet import silenced
-from nnql_bullet.sim.bullet_scene import Colour, works
+from nnql_bullet.sim.bullet_scene import works
 
 RATE = 60.0
-"""Pictures a second."""
+"""Frame rate [Hz]."""
 LINGER = 3.0
-"""How long the ending is shown [s]."""
+"""Time for which the ending is shown [s]."""
 THICK = 0.02
-"""Half height of the ground and of the target's disc [m]."""
-FLOOR: Colour = (0.90, 0.91, 0.90)
-DISC: Colour = (0.85, 0.35, 0.35)
+"""Half the height of the ground and of the target's disc [m]."""
 
 
 def watch(recording: Recording) -> None:
-    """Shows it, until it is over or the window is closed.
+    """Shows a recording until it ends or the window is closed.
 
     Raises:
         UserError: If no window can be opened here, or the recording does not say what the vehicle looks like.
     """
     if not works("window"):  # where there is no display, the engine ends the process
         raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
-    with silenced():  # its threads tell this and that as long as it is open
+    with silenced():  # its threads print messages while it is open
         _show(recording)
 
 
@@ -36,9 +35,9 @@ def _show(recording: Recording) -> None:
     timeline, world = Timeline(recording), recording.world
     renderer = BulletRenderer(recording, "window")
     scene, follow = renderer.scene, chase(timeline, 1, 1)
-    ground = scene.add_box((world.width / 2, world.depth / 2, THICK), FLOOR)
+    ground = scene.add_box((world.width / 2, world.depth / 2, THICK), unit_rgb(FLOOR))
     scene.place(ground, world.width / 2, world.depth / 2, -THICK, 0.0)
-    target = scene.add_disc(world.target_radius, THICK, DISC)
+    target = scene.add_disc(world.target_radius, THICK, unit_rgb(COLLISION))
     scene.place(target, *world.target, 0.0, 0.0)
     scene.show(True)
     begin = time.monotonic()

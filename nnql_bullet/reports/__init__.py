@@ -1,1 +1,1 @@
-"""Reports: what people look at, drawn from runs and recordings."""
+"""Reports on runs, recordings and evaluations: text, tables, pictures and pages."""

@@ -21,7 +21,7 @@ COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIME
 
 
 def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) -> str:
-    """The report."""
+    """Returns the report as Markdown."""
     variants = table(
         ("factor", "section", "variant", *study.tiers.values(), "difference, points", "evidence"),
         [_row(study, entry) for entry in entries],
@@ -40,7 +40,7 @@ def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) ->
 
 
 def about(study: Study, budget: Budget) -> str:
-    """What was done."""
+    """Describes the trainings and drives of a study."""
     where = "the kinematic model" if budget.simulator == "kinematic" else f"{budget.simulator} contact physics"
     return (
         f"Each variant departs from the preset `{study.preset}` in one thing: {budget.seeds} trainings of "
@@ -50,7 +50,7 @@ def about(study: Study, budget: Budget) -> str:
 
 
 def decision(factor: Factor, entries: Sequence[Entry]) -> str:
-    """What the evidence says of a factor's default."""
+    """Says in words whether the evidence supports a factor's default."""
     its = [entry for entry in entries if entry.factor is factor]
     (default,) = [entry.variant.label for entry in its if entry.verdict == "default"]
     better = [entry for entry in its if entry.verdict == "better"]
@@ -85,13 +85,13 @@ def _row(study: Study, entry: Entry) -> tuple[object, ...]:
 
 
 def shown(entry: Entry, world: str) -> str:
-    """Success in a tier, in percent."""
+    """Returns success in a tier [%]."""
     interval = entry.success[world]
     return str(interval) if interval else f"{100 * entry.by_seed[world][0]:.1f}"
 
 
 def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
-    """The same as plain values, for JSON."""
+    """Returns the same as plain values, for JSON."""
     return {
         "version": __version__,
         **asdict(budget),
@@ -116,12 +116,12 @@ def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> d
 
 
 def ablation_csv(entries: Sequence[Entry]) -> str:
-    """A line for each variant, tier and training seed."""
+    """Returns CSV with a line for each variant, tier and training seed."""
     return csv_text(ablation_records(entries))
 
 
 def ablation_records(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """A flat record for each variant, tier and training seed."""
+    """Returns a flat record for each variant, tier and training seed."""
     return [
         {
             "factor": entry.factor.name,
@@ -138,7 +138,7 @@ def ablation_records(entries: Sequence[Entry]) -> list[dict[str, Any]]:
 
 
 def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: Path) -> None:
-    """Success of every variant with its interval, factor by factor; dots are training seeds."""
+    """Draws success of every variant with its interval, factor by factor; dots are training seeds."""
     gaps = np.cumsum([0.0] + [1.6 * (a.factor is not b.factor) for a, b in pairwise(entries)])
     places = -(np.arange(len(entries)) + gaps)
     size = 3.0 + max(2.0 * len(study.tiers), 8.0), 0.23 * float(-places[-1]) + 1.9

@@ -1,4 +1,4 @@
-"""What a vehicle can follow: a picture, tables and numbers, measured beside paper."""
+"""The turns that a vehicle can follow, measured and on paper: a picture, tables and numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,12 +48,12 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 OWN_LIMITS = DISTINCT[-1]
 PAPER_GRID = 40
-"""Points along each axis at which the limits on paper are worked out."""
+"""Points along each axis at which the limits on paper are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """How a quantity of a case is shown."""
+    """Name, unit and scale of a quantity."""
 
     name: str
     unit: str
@@ -74,7 +74,7 @@ _AXES: dict[Quantity, _Axis] = {
 
 @dataclass(frozen=True, slots=True)
 class _Measure:
-    """How what was measured is coloured: the worse, the brighter."""
+    """Colours of a measure: worse is brighter."""
 
     label: str
     value: Callable[[Followed], float]
@@ -106,13 +106,13 @@ _STYLES = {"friction": "-", "torque": "--", "lift": ":"}
 
 
 def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Result], path: Path) -> None:
-    """A heat map for each slice (downwards) and each thing measured (across), the limits on paper drawn over it.
+    """Draws a heat map for each slice (rows) and each measure (columns), with the limits on paper over it.
 
     Args:
-        bench: What it was measured on.
-        slices: Through the cases.
-        results: Of every case of the slices.
-        path: A PNG file.
+        bench: Bench of the measurements.
+        slices: Slices through the cases.
+        results: Results of every case of the slices.
+        path: Path of the PNG file.
     """
     vehicle, found, measures = bench.vehicle, {result.case: result for result in results}, _measures()
     with matplotlib.rc_context({"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
@@ -160,7 +160,7 @@ def _draw_map(axes: Axes, part: Slice, found: Mapping[Case, Result], measure: _M
 
 
 def _paper_limits(vehicle: VehicleSpec, part: Slice) -> tuple[Array, Array, dict[str, Array]]:
-    """Periods, values, and what of each limit is used on paper there: a line is where that is 1."""
+    """Returns periods, values, and the share of each limit that is used on paper; the limit is where it is 1."""
     ends = _edges(part.periods)
     periods = np.linspace(ends[0], ends[-1], PAPER_GRID)
     shown = _AXES[part.quantity].shown
@@ -187,7 +187,7 @@ def _draw_paper_limits(axes: Axes, limits: tuple[Array, Array, dict[str, Array]]
 
 
 def _mark_own_turn(axes: Axes, vehicle: VehicleSpec, part: Slice) -> None:
-    """Where the vehicle's own limits put the base case's turn."""
+    """Marks the turn of the base case within the vehicle's own limits."""
     value = _AXES[part.quantity].shown(getattr(part.base, part.quantity))
     own = plan_turn(0.0, part.base.heading_change, vehicle.limits).duration
     axes.plot(own, value, "*", ms=10, mfc=OWN_LIMITS, mec="black", mew=0.8, zorder=5)
@@ -209,7 +209,7 @@ def _envelope_legend() -> list[Any]:
 
 
 def case_record(result: Result) -> dict[str, float | bool]:
-    """A case in flat names and the units of tables: degrees, and shares of one."""
+    """Returns a case under flat names, with angles in degrees."""
     case, measured, paper = result.case, result.measured, result.on_paper
     return {
         "speed_m_s": case.speed,
@@ -254,12 +254,12 @@ def envelope_sentence(base: Case, results: Sequence[Result]) -> str:
 
 
 def envelope_csv(results: Sequence[Result]) -> str:
-    """Every case, in full precision."""
+    """Returns CSV of every case in full precision."""
     return csv_text([case_record(result) for result in results])
 
 
 def envelope_values(bench: Bench, results: Sequence[Result]) -> dict[str, Any]:
-    """Everything, for JSON."""
+    """Returns all cases as plain values, for JSON."""
     return {
         "note": NOT_A_CERTIFICATE,
         "vehicle": bench.vehicle.name,
@@ -270,12 +270,12 @@ def envelope_values(bench: Bench, results: Sequence[Result]) -> dict[str, Any]:
 
 
 def envelope_markdown(bench: Bench, slices: Sequence[Slice], results: Sequence[Result]) -> str:
-    """What the vehicle can follow: its limits on paper, the shortest periods, and every case.
+    """Returns the report as Markdown: limits on paper, shortest periods, and every case.
 
     Args:
-        bench: What it was measured on.
-        slices: Through the cases.
-        results: Of every case of the slices.
+        bench: Bench of the measurements.
+        slices: Slices through the cases.
+        results: Results of every case of the slices.
     """
     found = {result.case: result for result in results}
     lead = (
@@ -344,7 +344,7 @@ def _agreement_table(results: Sequence[Result]) -> Table:
 
 
 def _shortest_table(part: Slice, found: Mapping[Case, Result]) -> Table:
-    """From which of the periods on every longer one is followed too."""
+    """Returns for each value the shortest period from which on all longer ones are followed."""
     axis = _AXES[part.quantity]
 
     def shortest(value: float, good: Callable[[Result], bool]) -> str:
@@ -400,7 +400,7 @@ def _described(bench: Bench, base: Case) -> str:
 
 
 def _edges(middles: Sequence[float]) -> Array:
-    """Of cells around these middles, halfway to the next one."""
+    """Returns the edges of cells from their middles."""
     centres = np.asarray(middles, dtype=float)
     between = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])

@@ -35,17 +35,17 @@ from nnql_bullet.task import ENDINGS
 
 
 def success(row: Row) -> Estimate:
-    """What is shown as a method's success: over training seeds where there are several, else over drives."""
+    """Returns a method's success: over training seeds if there are several, else over drives."""
     return row.over_seeds or row.outcomes["goal"]
 
 
 def titles(evaluation: Evaluation) -> dict[str, str]:
-    """Of tiers and of all of them, by name."""
+    """Returns the titles of tiers, and of all of them together, by name."""
     return {**{tier.name: tier.title for tier in evaluation.tiers}, EVERYWHERE: EVERYWHERE}
 
 
 def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows: success in percent with its interval, methods down and tiers across."""
+    """Returns header and rows: success [%] with its interval, methods down and tiers across."""
     shown = [name for name in titles(evaluation) if any(row.world == name for row in rows)]
     by_place = {(row.method, row.world): row for row in rows}
     header = ("method", "seeds", *(titles(evaluation)[name] for name in shown))
@@ -68,7 +68,7 @@ QUALITY = (
 
 
 def quality_row(row: Row, title: str) -> tuple[str, ...]:
-    """The cells of `QUALITY`."""
+    """Returns the cells under the header `QUALITY`."""
     return (
         row.method,
         title,
@@ -82,7 +82,7 @@ def quality_row(row: Row, title: str) -> tuple[str, ...]:
 
 
 def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
-    """The shield's decisions, beside the same methods without it."""
+    """Returns the section on the shield's decisions, beside the same methods without it."""
     header = (
         *("method", "worlds", "goal %", "collision %"),
         *("decisions overridden %", "stops %", "standing [s]", "time [s]"),
@@ -120,7 +120,7 @@ FAILURES = "Failures"
 def evaluation_report(
     evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
 ) -> Report:
-    """The report as data."""
+    """Returns the report as data."""
     e = evaluation
     named = titles(e)
     cover = (Picture("cover.png", "success against cover"),) if len(_covers(e)) > 1 else ()
@@ -190,7 +190,7 @@ def _failure_section(films: Sequence[FilmTask]) -> Section:
 def evaluation_markdown(
     evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
 ) -> str:
-    """The report as Markdown."""
+    """Returns the report as Markdown."""
     return evaluation_report(evaluation, rows, comparisons, films).markdown()
 
 
@@ -226,7 +226,7 @@ def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
 def evaluation_values(
     evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
 ) -> dict[str, Any]:
-    """The same as plain values, for JSON."""
+    """Returns the same as plain values, for JSON."""
     e = evaluation
     return {
         "version": __version__,
@@ -268,12 +268,12 @@ def evaluation_values(
 
 
 def results_csv(rows: Sequence[Row]) -> str:
-    """A line for each method in each kind of world."""
+    """Returns CSV with a line for each method in each kind of world."""
     return csv_text(method_records(rows))
 
 
 def method_records(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """A flat record for each method in each kind of world."""
+    """Returns a flat record for each method in each kind of world."""
     return [_flat(row) for row in rows]
 
 
@@ -288,12 +288,12 @@ def _flat(row: Row) -> dict[str, Any]:
 
 
 def episodes_csv(evaluation: Evaluation) -> str:
-    """A line for each drive."""
+    """Returns CSV with a line for each drive."""
     return csv_text(episode_records(evaluation))
 
 
 def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """A flat record for each drive."""
+    """Returns a flat record for each drive."""
     e, records = evaluation, []
     for policy in e.policies:
         for tier in e.tiers:
@@ -307,7 +307,7 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
-    """How drives ended: a panel for each tier, a bar for each method, with the interval of success."""
+    """Draws how drives ended: a panel for each tier, a bar for each method, with the interval of success."""
     e = evaluation
     figure = new_figure(1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7)
     panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
@@ -323,12 +323,12 @@ def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> No
 
 
 def _covers(e: Evaluation) -> list[tuple[float, str]]:
-    """Covers in rising order, with the names of their tiers."""
+    """Returns covers in rising order, with the names of their tiers."""
     return sorted((tier.cover, tier.name) for tier in e.tiers if tier.cover is not None)
 
 
 def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
-    """Success against cover, a line for each method; nothing with fewer than two covers."""
+    """Draws success against cover, a line for each method; with fewer than two covers there is no picture."""
     e, covers = evaluation, _covers(evaluation)
     if len(covers) < 2:
         return
@@ -353,11 +353,11 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
 
 
 def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> None:
-    """Paths of drives that failed: methods down, kinds of worlds across; nothing without any.
+    """Draws paths of drives that failed: methods down, kinds of worlds across; without drives there is no picture.
 
     Args:
-        films: Drives; of each method at most one in each kind of world is drawn.
-        path: Of the picture.
+        films: Drives, at most one of each method in each kind of world.
+        path: Path of the picture.
     """
     if not films:
         return

@@ -51,11 +51,11 @@ T = TypeVar("T")
 SHOWN = 12
 """Most drives on a contact sheet."""
 COLUMNS = 6
-"""Of them, side by side."""
+"""Drives of a sheet side by side."""
 CLOSE = 4.0
-"""Least half side of what is shown enlarged [m]."""
+"""Least half side of an enlarged part [m]."""
 ARENA_MARGIN = 1.0
-"""Around the arena [m]."""
+"""Width of the frame around the arena [m]."""
 
 RULES: dict[Group, str] = {
     "struck": f"A moving box was touched, and at least {STRUCK:.0%} of the speed at which they met was its own.",
@@ -71,21 +71,21 @@ RULES: dict[Group, str] = {
     f"had been {RETURN_AFTER:g} s before or earlier.",
     "wandering": "Every other drive that ran out of time.",
 }
-"""Of `evaluation.failures`, in words."""
+"""Rules of `evaluation.failures` in words."""
 
 
 def sheet(group: Group) -> str:
-    """The name of a group's contact sheet."""
+    """Returns the file name of a group's contact sheet."""
     return f"{group.replace(' ', '-')}.png"
 
 
 def varied(drives: Sequence[T], places: Sequence[tuple[str, str]], most: int) -> list[T]:
-    """So many drives at most, in their order: of as many methods as possible, and of each in as many worlds.
+    """Chooses drives of as many methods and worlds as possible, and keeps their order.
 
     Args:
-        drives: To choose from.
+        drives: Drives to choose from.
         places: Method and world of each.
-        most: How many.
+        most: Largest number of drives to choose.
     """
     ranks = earlier_alike(places)
     by_world = sorted(range(len(drives)), key=lambda number: (ranks[number], number))
@@ -95,7 +95,7 @@ def varied(drives: Sequence[T], places: Sequence[tuple[str, str]], most: int) ->
 
 
 def counted(found: Failures) -> str:
-    """How many failures there are, and how many of them were driven again."""
+    """Says how many failures there are, and how many of them were driven again."""
     total, driven = len(found.evaluation.failed), len(found.replays)
     if not total:
         return "no drive of this evaluation failed"
@@ -105,7 +105,7 @@ def counted(found: Failures) -> str:
 
 
 def count_table(found: Failures) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows: how many failures of each method are in each group."""
+    """Returns header and rows: the number of failures of each method in each group."""
     counts = Counter((one.failed.place[0], one.group) for one in found.replays)
     methods = dict.fromkeys(method for method, _ in found.places)
     rows = [(method, *(str(counts[method, name] or "-") for name in found.groups)) for method in methods]
@@ -113,7 +113,7 @@ def count_table(found: Failures) -> tuple[tuple[str, ...], list[tuple[str, ...]]
 
 
 def failures_markdown(found: Failures) -> str:
-    """The report: counts, and of each group a description, its contact sheet and its drives."""
+    """Returns the report as Markdown: counts, and for each group a description, its contact sheet and its drives."""
     lead: tuple[Block, ...] = (
         f"{counted(found).capitalize()}. `{found.evaluation.command}`; nnql-bullet {__version__}.",
     )
@@ -144,7 +144,7 @@ def _group_section(name: Group, its: Sequence[Replay]) -> Section:
 
 
 def _counts(found: Failures) -> Table:
-    """Failures of each method in each kind of world: all, those driven again, and those of each group."""
+    """Counts failures of each method in each kind of world: all, those driven again, and those of each group."""
     everything = Counter(one.place for one in found.evaluation.failed)
     driven = Counter(one.failed.place for one in found.replays)
     counts = Counter((one.failed.place, one.group) for one in found.replays)
@@ -164,7 +164,7 @@ def _ending(group: Group) -> str:
 
 
 def _cells(features: Features) -> dict[str, str]:
-    """Features by what they are called in a table."""
+    """Returns features under the names of a table."""
     time, end = {"time [s]": f"{features.time:.1f}"}, features.end
     if isinstance(end, Contact):
         return time | {
@@ -208,7 +208,7 @@ def failure_records(found: Failures) -> list[dict[str, Any]]:
 
 
 def failures_values(found: Failures) -> dict[str, Any]:
-    """The same as plain values, for JSON."""
+    """Returns the same as plain values, for JSON."""
     return {
         "version": __version__,
         "evaluation": found.evaluation.command,
@@ -241,11 +241,11 @@ def failures_values(found: Failures) -> dict[str, Any]:
 
 
 def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) -> None:
-    """A contact sheet: of each drive the whole arena, and below it the end enlarged.
+    """Draws a contact sheet: of each drive the whole arena, and below it the end enlarged.
 
     Args:
         drives: Titles, recordings and features; at least one.
-        path: Of the picture.
+        path: Path of the picture.
     """
     columns = min(COLUMNS, len(drives))
     rows = -(-len(drives) // columns)
@@ -273,7 +273,7 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
 
 
 def _frame(recording: Recording, features: Features) -> tuple[Array, float]:
-    """Middle (2,) and half side of what is enlarged: where something was touched, or the last minute was spent [m]."""
+    """Returns middle (2,) and half side of the enlarged part [m]: the contact, or the path of the last minute."""
     world = recording.world
     if isinstance(features.end, Contact):
         return np.array(features.end.place), CLOSE

@@ -1,4 +1,4 @@
-"""The fidelity report: what an engine was asked, what it answered, and how it behaves in the paper's five actions."""
+"""The fidelity report: expected and measured quantities of an engine, and its behaviour in the paper's five actions."""
 
 from dataclasses import asdict, dataclass
 from math import degrees, isfinite
@@ -24,32 +24,32 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 @dataclass(frozen=True)
 class Fidelity:
-    """What was found of a vehicle in an engine."""
+    """Measurements of a vehicle in an engine."""
 
     bench: Bench
     probes: list[tuple[Probe, list[Measurement], list[Measurement]]]
-    """Each with what it measured, and what at half the time step."""
+    """Probes with their measurements at the time step and at half of it."""
     actions: list[tuple[float, list[WatchedTurn]]]
-    """The five actions by time step [s], the bench's own first."""
+    """The five actions by time step [s]; the bench's own step is the first."""
 
     @property
     def time_step(self) -> float:
-        """Of the bench [s]."""
+        """Time step of the bench [s]."""
         return self.actions[0][0]
 
     @property
     def measurements(self) -> list[Measurement]:
-        """Of all probes."""
+        """Measurements of all probes."""
         return [measurement for _, measured, _ in self.probes for measurement in measured]
 
     @property
     def out(self) -> list[Measurement]:
-        """What is not accepted."""
+        """Measurements out of tolerance."""
         return [measurement for measurement in self.measurements if not measurement.ok]
 
     @property
     def limits(self) -> list[float]:
-        """What the gaps of the five actions come to as the step goes to zero, if their error halves with it [m]."""
+        """Gaps of the five actions in the limit of a zero time step, if their error halves with it [m]."""
         (_, coarse), (_, fine) = self.actions[-2:]
         return [2 * after.gap - before.gap for before, after in zip(coarse, fine, strict=True)]
 
@@ -60,7 +60,7 @@ class Fidelity:
 
 
 def number(value: float, measurement: Measurement) -> str:
-    """A value with as many digits as the tolerance makes sense of."""
+    """Formats a value with the digits that its tolerance resolves."""
     if not isfinite(value):
         return str(value)
     room = measurement.high - measurement.low
@@ -70,7 +70,7 @@ def number(value: float, measurement: Measurement) -> str:
 
 
 def tolerance(measurement: Measurement) -> str:
-    """What is accepted, in words."""
+    """Returns the tolerance of a measurement in words."""
     m = measurement
     if m.low == 0.0 and m.expected > 0:
         return f"at most {number(m.high, m)}"
@@ -78,7 +78,7 @@ def tolerance(measurement: Measurement) -> str:
 
 
 def fidelity_markdown(fidelity: Fidelity) -> str:
-    """The report as text."""
+    """Returns the report as Markdown."""
     f, count, turns = fidelity, len(fidelity.measurements), fidelity.actions[0][1]
     verdict = "all within tolerance" if not f.out else f"{len(f.out)} out of tolerance"
     limits = ("in the limit", *(f"{1e3 * gap:.2f} mm" for gap in f.limits))
@@ -165,7 +165,7 @@ def fidelity_table(fidelity: Fidelity) -> str:
 
 
 def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
-    """The same as plain values, for JSON."""
+    """Returns the same as plain values, for JSON."""
     f = fidelity
     return {
         "version": __version__,
@@ -196,7 +196,7 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
 
 
 def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
-    """How much of its tolerance each probe uses, at the time step and at half of it: its worst quantity."""
+    """Draws the share of tolerance that the worst quantity of each probe uses, at the time step and at half of it."""
     rows = fidelity.probes
     figure = new_figure(9.0, 0.3 * len(rows) + 1.3)
     axes = figure.add_subplot()
@@ -219,7 +219,7 @@ def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
 
 
 def draw_actions(fidelity: Fidelity, path: Path) -> None:
-    """Paths of the five actions, ideal against contact; how far apart they are; and what the time step does to that."""
+    """Draws ideal and measured paths of the five actions, their distance, and the effect of the time step on it."""
     figure = new_figure(11.0, 4.2)
     paths, gaps, steps = figure.subplots(1, 3, width_ratios=(1.0, 1.15, 0.9))
     step, turns = fidelity.actions[0]
@@ -243,7 +243,7 @@ def draw_actions(fidelity: Fidelity, path: Path) -> None:
 
 
 def draw_grip(fidelity: Fidelity, path: Path) -> None:
-    """How much of the friction circle the drive wheels use in each action, and the loads through the tightest turn."""
+    """Draws the share of the friction circle that the drive wheels use, and the wheel loads in the tightest turn."""
     figure = new_figure(11.0, 4.2)
     used, loads = figure.subplots(1, 2)
     vehicle, turns = fidelity.bench.vehicle, fidelity.actions[0][1]
@@ -274,7 +274,7 @@ def _draw_loads(axes: Axes, turn: WatchedTurn, vehicle: VehicleSpec) -> None:
 
 
 def _on_paper(turn: WatchedTurn, vehicle: VehicleSpec) -> Demand:
-    """What a turn asks for, at the end of each wheel command."""
+    """Returns the demand of a turn on paper, at the end of each wheel command."""
     times, shape = turn.forces.times, turn.turn
     speed = float(np.hypot(*turn.ideal[0]) / turn.times[0])
     rates, _ = sample_turn(shape, times)
@@ -295,7 +295,7 @@ def _grip_row(turn: WatchedTurn, vehicle: VehicleSpec) -> tuple[str, ...]:
 
 
 def share_used(m: Measurement) -> float:
-    """How much of what is accepted is used up: 1 at its edge."""
+    """Returns the share of its tolerance that a measurement uses: 1 at the edge."""
     if not isfinite(m.measured):
         return 1e3
     off = m.measured - m.expected

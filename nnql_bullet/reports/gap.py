@@ -45,7 +45,7 @@ from nnql_bullet.task import ENDINGS
 
 
 def gap_report(gap: Gap) -> Report:
-    """The report as data: the drives, their endings on both sides, why these differ, and what faults do."""
+    """Returns the report as data: endings on both sides, causes of differences, and the effects of faults."""
     first, second = gap.first.name, gap.second.name
     matrix = outcome_matrix(gap.pairs)
     total, same = int(matrix.sum()), int(np.trace(matrix))
@@ -130,12 +130,12 @@ def _flip_section(gap: Gap) -> Section:
 
 
 def gap_markdown(gap: Gap) -> str:
-    """The report as Markdown."""
+    """Returns the report as Markdown."""
     return gap_report(gap).markdown()
 
 
 def gap_values(gap: Gap) -> dict[str, Any]:
-    """The same as plain values, for JSON."""
+    """Returns the same as plain values, for JSON."""
     d = divergence(gap.pairs)
     return {
         "version": __version__,
@@ -177,12 +177,12 @@ def gap_values(gap: Gap) -> dict[str, Any]:
 
 
 def gap_csv(gap: Gap) -> str:
-    """A line for each drive, sound or with a fault."""
+    """Returns CSV with a line for each drive, with and without faults."""
     return csv_text(gap_records(gap))
 
 
 def gap_records(gap: Gap) -> list[dict[str, Any]]:
-    """A flat record for each drive, sound or with a fault."""
+    """Returns a flat record for each drive, with and without faults."""
     drives = [(pair.run, gap.first.name, "", pair.first) for pair in gap.pairs]
     drives += [(pair.run, gap.second.name, "", pair.second) for pair in gap.pairs]
     drives += [(trial.run, trial.side.name, trial.fault, trial.summary) for trial in gap.trials]
@@ -211,7 +211,7 @@ def gap_table(gap: Gap) -> str:
 
 
 def draw_gap(gap: Gap, path: Path) -> None:
-    """Outcomes against each other, how drives come apart, and what differs where both arrive."""
+    """Draws the outcomes on both sides, the distance between both vehicles, and the differences where both arrive."""
     figure = new_figure(11.0, 8.2)
     (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
     _draw_outcomes(outcomes, gap)
@@ -223,7 +223,7 @@ def draw_gap(gap: Gap, path: Path) -> None:
 
 
 def draw_faults(gap: Gap, path: Path) -> None:
-    """How drives end with each fault: shares as bars, success with its Wilson interval. Without faults, nothing."""
+    """Draws how drives end with each fault, with the Wilson interval of success; without faults there is no picture."""
     if not gap.trials:
         return
     rows = fault_rows(gap)
@@ -245,14 +245,14 @@ FLIPS_SHOWN = 6
 
 
 def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
-    """Both paths of the first drives that ended differently, each in its world, and where they parted.
+    """Draws both paths of the first drives that ended differently, and where they parted.
 
-    Boxes that move are where they were when the two parted.
+    Moving boxes are shown at the instant when the two parted.
 
     Args:
-        gap: What was measured.
-        folder: Of their recordings.
-        path: Of the picture; without such drives there is none.
+        gap: Measured gap.
+        folder: Folder of the recordings.
+        path: Path of the picture; without such drives there is none.
     """
     if not gap.flips:
         return
@@ -350,7 +350,7 @@ def _flip_row(pair: Pair, e: Explanation) -> tuple[object, ...]:
 
 
 def _decision(pair: Pair, explanation: Explanation) -> str:
-    """What the drives decided differently."""
+    """Describes the first different decision."""
     margin = explanation.q_margin
     if not isfinite(pair.parted):
         return "none"

@@ -1,4 +1,4 @@
-"""Everything that is known of some runs as one HTML page: pictures are in it, and it asks nothing from a network."""
+"""An HTML page about some runs; it contains its pictures and needs no network."""
 
 import json
 import os
@@ -39,11 +39,11 @@ from nnql_bullet.training.base import RECENT
 TEMPLATE = "report.html.j2"
 PLAYER = "player.js"
 PLAYED = 4
-"""Most failures of a group that the page shows: each costs it up to 50 kB."""
+"""Most failures of a group that the page shows; each makes it larger."""
 LIBRARIES = ("numpy", "scipy", "numba", "torch", "gymnasium", "pybullet", "mujoco", "trimesh", "yourdfpy", "matplotlib")
-"""That results may depend on."""
+"""Libraries that results may depend on."""
 CSS_DPI = 96
-"""Units of a page to the inch."""
+"""CSS pixels per inch."""
 
 Verb = Literal["evaluate", "gap"]
 _FILES: dict[Verb, str] = {"evaluate": "results.json", "gap": "gap.json"}
@@ -52,12 +52,12 @@ _REPORT = TypeAdapter(Report)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A drive that failed, and was recorded."""
+    """A recorded drive that failed."""
 
     title: str
     recording: Path
     replay: str
-    """The command that drives it again."""
+    """Command that repeats the drive."""
     place: tuple[str, str]
     """Policy and world."""
 
@@ -73,45 +73,45 @@ class FailureGroup:
 
 @dataclass(frozen=True, slots=True)
 class FailureGroups:
-    """What `failures` left of the policies of a page."""
+    """Results of `failures` for the policies of a page."""
 
     command: str
-    """That makes it again."""
+    """Command that makes them again."""
     most: int
-    """Failures of each method in each kind of world that were driven again."""
+    """Most failures of each method in each kind of world that were driven again."""
     groups: list[FailureGroup]
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What `evaluate` or `gap` left of the policies of a page."""
+    """Results of `evaluate` or `gap` for the policies of a page."""
 
     folder: Path
     version: str
-    """Of the program that left it."""
+    """Version of the program that wrote them."""
     command: str
-    """That makes it again, but for the folder."""
+    """Command that makes them again, without the folder."""
     report: Report
     absent: list[str]
-    """The policies of the page that do not drive in it."""
+    """Policies of the page that the results do not contain."""
     methods: dict[str, list[str]]
-    """Those that do by what they are called in it, if it is an evaluation."""
+    """Policies of the page by their method in an evaluation."""
     success: list[tuple[str, str, Estimate]]
-    """Of those that do, if it is an evaluation: method, worlds, share."""
+    """Method, worlds and success of those policies, in an evaluation."""
     failures: list[Failure]
-    """Of those that do, if it is an evaluation."""
+    """Failures of those policies, in an evaluation."""
     grouped: FailureGroups | None
-    """Likewise, if `failures` sorted them."""
+    """Groups of these failures, if `failures` sorted them."""
 
 
 def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Results | None:
-    """Reads what a verb left of policies as they are now.
+    """Reads the results of a verb for policies in their present state.
 
     Returns:
-        None if there is nothing, or nothing of them.
+        None if there are no results of these policies.
 
     Raises:
-        UserError: If it is damaged.
+        UserError: If the results are damaged.
     """
     file = folder / _FILES[verb]
     if not file.is_file():
@@ -159,7 +159,7 @@ def _failures(
     driving: Sequence[Mapping[str, Any]],
     folder: Path,
 ) -> list[Failure]:
-    """Those of the policies that drive, of some that a file lists."""
+    """Selects the failures of these policies from a list in a file."""
     names = {policy.get("name") for policy in driving}
     titles = {tier["name"]: tier["title"] for tier in values.get("tiers", ())}
     return [
@@ -189,21 +189,21 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
 
 
 def failures_command(results: Path) -> str:
-    """The command that sorts the failures of an evaluation."""
+    """Returns the command that sorts the failures of an evaluation."""
     return shlex.join(["nnql-bullet", "failures", str(results)])
 
 
 def page(
     runs: Sequence[Run], policies: Sequence[Policy], evaluation: Results | None, gap: Results | None, again: str
 ) -> str:
-    """The page.
+    """Renders the page.
 
     Args:
-        runs: What was trained.
-        policies: What they learned, in the same order.
-        evaluation: What `evaluate` found of them, if anything.
-        gap: What `gap` found of them, if anything.
-        again: The command that makes the page.
+        runs: Training runs.
+        policies: Policies of the runs, in the same order.
+        evaluation: Results of `evaluate`, if any.
+        gap: Results of `gap`, if any.
+        again: Command that makes the page.
 
     Raises:
         UserError: If a picture or recording is damaged.
@@ -252,7 +252,7 @@ def page(
 
 
 def _run_row(run: Run, policy: Policy) -> dict[str, Any]:
-    """What is said of a run in one line."""
+    """Returns the cells of a run."""
     goals = [episode.summary.ending == "goal" for episode in run.episodes[-RECENT:]]
     return {
         "name": policy.name,
@@ -265,7 +265,7 @@ def _run_row(run: Run, policy: Policy) -> dict[str, Any]:
 
 
 def _settings(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, Any]:
-    """Every key of the configurations, recipe by recipe, beside the preset `paper`."""
+    """Returns every key of the configurations by recipe, beside the preset `paper`."""
     recipes: dict[str, list[dict[str, str]]] = {}
     for run, policy in pairs:
         recipes.setdefault(policy.method, []).append(_flat(to_values(run.config)))
@@ -286,7 +286,7 @@ def _settings(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, Any]:
 
 
 def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
-    """Nested values under dotted names, as they print."""
+    """Returns nested values under dotted names, as text."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -297,7 +297,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
 
 
 def _versions() -> list[tuple[str, str]]:
-    """Of what made the page, and the kind of machine: neither its name nor any path of it."""
+    """Returns the versions of the program and its libraries, and the kind of machine without its name or paths."""
     machine = f"{platform.system()}, {platform.machine()}, {os.cpu_count()} cores"
     return [
         ("nnql-bullet", __version__),
@@ -315,7 +315,7 @@ def _version(library: str) -> str:
 
 
 def _training_command(run: Run) -> str:
-    """The command that trains a run again."""
+    """Returns the command that trains a run again."""
     preset, flags = train_arguments(run.config)
     return shlex.join(["nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder)])
 
@@ -338,7 +338,7 @@ def _curve(run: Run, policy: Policy) -> tuple[str, Markup | None]:
 
 
 def _group(group: FailureGroup) -> dict[str, Any]:
-    """What is shown of a group: its contact sheet, and drives to be played."""
+    """Returns the contact sheet of a group, and drives for the player."""
     shown = varied(group.failures, [failure.place for failure in group.failures], PLAYED)
     recordings = [load_recording(failure.recording) for failure in shown]
     drives = [
@@ -362,7 +362,7 @@ def _trajectory(recording: Recording, title: str) -> Markup:
 
 
 def _drawn(draw: Callable[[Path], None], alt: str) -> Markup:
-    """What a function draws, as an element; in 256 colours, which are enough and take a third of the room."""
+    """Returns an HTML element with the picture that a function draws, in 256 colours to save space."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         draw(path)
@@ -373,14 +373,14 @@ def _drawn(draw: Callable[[Path], None], alt: str) -> Markup:
 
 
 def _image(path: Path, alt: str) -> Markup:
-    """A picture as an element that holds it.
+    """Returns an HTML element that holds a picture.
 
     Args:
-        path: Of a PNG file.
-        alt: What it shows, for those who do not see it.
+        path: Path of a PNG file.
+        alt: Description for readers who do not see it.
 
     Raises:
-        UserError: If it is not there, or not a PNG.
+        UserError: If the file is missing or not a PNG.
     """
     try:
         with Image.open(path, formats=["PNG"]) as picture:
@@ -393,7 +393,7 @@ def _image(path: Path, alt: str) -> Markup:
 
 
 def _inline(text: str) -> Markup:
-    """Text in which code stands between backticks."""
+    """Converts text in which code stands between backticks."""
     parts = text.split("`")
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)

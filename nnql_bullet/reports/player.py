@@ -1,4 +1,4 @@
-"""What a page's player draws a drive from: a recording as few numbers, for player.js, which stands beside it."""
+"""A recording as few numbers, for the player of a page (player.js)."""
 
 import json
 from typing import Any
@@ -11,17 +11,17 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.worlds.spec import Patrol
 
 RATE = 10
-"""Poses a second."""
+"""Rate of poses [Hz]."""
 EVEN = 1e-6
 """Smallest change of speed that counts as a change [m/s]."""
 
 
 def player_text(recording: Recording, title: str) -> str:
-    """The drive as JSON that can stand in an HTML element: no character in it means anything there.
+    """Returns the drive as JSON without characters that have a meaning in HTML.
 
-    Lengths are in metres and angles in radians, but for series: `x`, `y` and `yaw` of the rear axle (`RATE` a second,
-    and at the end) and `times` of the decisions hold differences from one to the next in hundredths, and `readings`,
-    eight a decision, tenths.
+    Lengths are in metres and angles in radians. Series are shorter: `x`, `y` and `yaw` of the rear axle (at `RATE`, and
+    at the end) and `times` of the decisions hold differences in hundredths; `readings`, one a sector and decision, are
+    in tenths.
     """
     values = json.dumps(_values(recording, title), separators=(",", ":"))
     return values.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
@@ -56,7 +56,7 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
 
 
 def _track(patrol: Patrol, times: Array) -> dict[str, Any]:
-    """A moving box, the ends of its track, and its time and place wherever it changes its speed."""
+    """Returns a moving box, the end of its track, and the times and places where its speed changes."""
     places = np.array([(box.x, box.y) for box in map(patrol.at, times.tolist())])
     speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
     bends = np.flatnonzero(np.abs(np.diff(speeds, axis=0)).max(axis=1) > EVEN) + 1
@@ -77,6 +77,6 @@ def _rounded(*numbers: float) -> list[float]:
 
 
 def _differences(series: Array) -> list[int]:
-    """From one number (n,) to the next in hundredths, the first from 0: their sums are right to half of one."""
+    """Returns differences of a series (n,) in hundredths, the first from 0; sums are exact to half a hundredth."""
     found: list[int] = np.diff(np.rint(100 * series), prepend=0).astype(int).tolist()
     return found

@@ -29,11 +29,11 @@ from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
 BAND_PLACES = 400
-"""Along a curve, where its interval is worked out."""
+"""Points along a curve at which its interval is computed."""
 
 
 def draw_trajectory(recording: Recording, path: Path) -> None:
-    """The world to scale as it was at the end, the path coloured by safe and non-safe, the vehicle at intervals."""
+    """Draws the world at the end of a drive, the path coloured by safe and non-safe states, and the clearance."""
     figure = new_figure(11.0, 7.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
     whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
@@ -59,9 +59,9 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
 
 
 def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
-    """How episodes ended, what they returned and how long they lasted, as means over a trailing window.
+    """Draws endings, returns and path lengths of training episodes, as means over a trailing window.
 
-    With several vehicles episodes stand where they finished, and the temperature where they began.
+    With several vehicles, episodes are ordered by their end, and the temperature by their begin.
     """
     figure = new_figure(8.0, 7.2)
     ends, returns, length = figure.subplots(3, 1, sharex=True, height_ratios=(2.2, 1.2, 1.2))
@@ -94,14 +94,14 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
 
 
 def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]], path: Path, window: int = 50) -> None:
-    """Success while training: a line for each run and, for a recipe with several, their mean as far as all have come.
+    """Draws success while training: a line for each run, and the mean over the runs of a recipe.
 
     With three runs or more, a band is the bootstrap 95 % interval of that mean over training seeds.
 
     Args:
-        recipes: Runs by name, by the name of what they share but for their training seed; none without an episode.
-        path: Of the picture.
-        window: Episodes of the trailing mean; fewer where runs are short.
+        recipes: Episodes of runs that differ by their training seed only, by run name, by recipe name; not empty.
+        path: Path of the picture.
+        window: Episodes of the trailing mean; fewer if runs are short.
     """
     window = max(1, min(window, min(len(run) for runs in recipes.values() for run in runs.values()) // 4))
     figure = new_figure(9.0, 4.4)
@@ -141,7 +141,7 @@ def draw_map(world: WorldSpec, path: Path) -> None:
 
 
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
-    """The tightest moment, enlarged."""
+    """Draws the tightest moment enlarged."""
     moment = _tightest(recording)
     vehicle = moved(recording.footprint, Pose(*recording.sample_pose[moment]))
     x, y = vehicle.x, vehicle.y
@@ -153,7 +153,7 @@ def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
 
 
 def _tightest(recording: Recording) -> int:
-    """The sample that was closest to a box, in the control period that was closest to anything."""
+    """Returns the sample closest to a box, in the control period with the smallest clearance."""
     step = int(np.argmin(recording.clearance))
     begin, end = recording.state_time[step : step + 2] + 1e-9
     within = np.flatnonzero((recording.sample_time > begin) & (recording.sample_time <= end))
@@ -171,7 +171,7 @@ def _bounds(axes: Axes) -> tuple[float, float, float, float]:
 
 
 def _draw_clearance(axes: Axes, recording: Recording) -> None:
-    """Smallest clearance in each step over time, in the colours of the path."""
+    """Draws the smallest clearance in each step over time, in the colours of the path."""
     time = recording.state_time
     points = np.column_stack([np.repeat(time, 2)[1:-1], np.repeat(recording.clearance, 2)])
     pieces = np.repeat(np.where(recording.state_property[:-1] == "NS", NON_SAFE, SAFE), 2)[1:]
@@ -195,5 +195,5 @@ def _trailing_mean(values: Array, window: int) -> Array:
     end = np.arange(1, len(values) + 1)
     begin = np.maximum(end - window, 0)
     mean = np.asarray((total[end] - total[begin]) / (end - begin))
-    mean[: window // 4] = np.nan  # too few to mean anything
+    mean[: window // 4] = np.nan  # too few episodes for a mean
     return mean

@@ -36,15 +36,15 @@ from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
-"""Time lines: [s], and the number of decisions so far."""
+"""Time lines: time [s], and number of decisions so far."""
 BODY_HEIGHT = 0.25
-"""Of the box that stands for a vehicle of unknown looks [m]."""
+"""Height of the box that replaces a vehicle without shapes [m]."""
 ARC_POINTS = 10
-"""Along the edge of a sector."""
+"""Points along the edge of a sector."""
 
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
 DECIDERS = {"agent": SAFE, "shield": NON_SAFE}
-"""Who may have taken a decision, and their colours."""
+"""Deciders and their colours."""
 
 
 def write_rrd(recording: Recording, path: Path) -> None:
@@ -70,7 +70,7 @@ def _write(recording: Recording, path: Path) -> None:
 
 
 def _identity(recording: Recording) -> str:
-    """A hash of all that is in it: the viewer takes files of one identity for one."""
+    """Returns a hash of the content; the viewer merges files of one identity."""
     found = hashlib.sha256(json.dumps(recording.about, sort_keys=True).encode())
     for field in fields(recording):
         if field.name != "about":
@@ -84,7 +84,7 @@ def _name(recording: Recording) -> str:
 
 
 def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
-    """What stands still; then what moves, at the samples."""
+    """Logs static things, then moving boxes at the samples."""
     world = recording.world
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     stream.log("world/boxes", _boxes(world.obstacles, world.obstacle_height, BOX), static=True)
@@ -111,7 +111,7 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Where it was at samples and states, what it looks like, and its whole path."""
+    """Logs the vehicle's poses at samples and states, its shapes, and its whole path."""
     axle = _axle_height(recording)
     stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose, axle))
     stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose, axle))
@@ -130,11 +130,10 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
-    """The shapes of each link, and how it stood in the vehicle's frame at the samples; at first as at the first one."""
+    """Logs the shapes of each link and its frames at the samples; before the first sample it stands as there."""
     visuals = Visuals(recording.about["vehicle"])
-    frames = [
-        visuals.link_frames(angles) for angles in recording.joint_angles[[0, *range(len(recording.joint_angles))]]
-    ]
+    all_angles = np.concatenate([recording.joint_angles[:1], recording.joint_angles])
+    frames = [visuals.link_frames(angles) for angles in all_angles]
     times = [_times(np.append(0.0, recording.sample_time))]
     for link in dict.fromkeys(shape.link for shape in visuals.shapes):
         entity = f"world/vehicle/{link}"
@@ -162,12 +161,12 @@ def _solid(shape: Shape) -> rr.Boxes3D | rr.Cylinders3D | rr.Ellipsoids3D:
 
 
 def _axle_height(recording: Recording) -> float:
-    """Of the vehicle's frame over the ground [m]; 0 where it is not known."""
+    """Returns the height of the vehicle's frame over the ground [m]; 0 if it is unknown."""
     return float(recording.about["vehicle"].get("wheel_radius", 0.0))
 
 
 def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Rays and sectors at the states, as they lay in the world; orange where they met something."""
+    """Logs rays and sectors at the states in the world; orange ones met something."""
     x, y, above = recording.about["vehicle"]["sensor"]
     height = above + _axle_height(recording)
     yaw = recording.state_pose[:, 2]
@@ -185,7 +184,7 @@ def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _from(origins: Array, angles: Array, distances: Array, height: float) -> Array:
-    """Points (n, m, 3) at distances (n, m) [m] in directions (n, m) [rad] from origins (n, 2) [m]."""
+    """Returns points (n, m, 3) at distances (n, m) [m] in directions (n, m) [rad] from origins (n, 2) [m]."""
     x = origins[:, :1] + distances * np.cos(angles)
     y = origins[:, 1:] + distances * np.sin(angles)
     return np.stack([x, y, np.full_like(x, height)], axis=2)
@@ -194,7 +193,7 @@ def _from(origins: Array, angles: Array, distances: Array, height: float) -> Arr
 def _log_strips(
     stream: rr.RecordingStream, recording: Recording, entity: str, strips: Array, met: NDArray[np.bool_], radius: float
 ) -> None:
-    """Lines (n + 1, m, k, 3) [m] at the states, coloured by whether each met something (n + 1, m)."""
+    """Sends lines (n + 1, m, k, 3) [m] at the states, coloured by whether each met something (n + 1, m)."""
     states, lines = met.shape
     colours = np.where(met, _rgba(NON_SAFE), _rgba(BOX, alpha=0.5)).ravel()
     columns = rr.LineStrips3D.columns(strips=strips.reshape(states * lines, -1, 3), colors=colours)
@@ -203,7 +202,7 @@ def _log_strips(
 
 
 def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
-    """The property of each state, and the manoeuvre decided on in it until the end, and by whom."""
+    """Logs the property of each state, and the manoeuvre chosen in it with its decider."""
     values, (labels, colours) = list(PROPERTIES), zip(*PROPERTIES.values(), strict=True)
     stream.log("property", rr.StateConfiguration(values=values, labels=labels, colors=_rgba(*colours)), static=True)
     stream.send_columns(
@@ -222,14 +221,14 @@ def _log_line(
     colours: Sequence[str],
     steps: NDArray[np.integer[Any] | np.bool_],
 ) -> None:
-    """Which of the values, by number, holds in each step (n,)."""
+    """Logs the value of each step (n,) by its number."""
     stream.log(entity, rr.StateConfiguration(values=values, colors=_rgba(*colours)), static=True)
     states = [values[step] for step in steps.tolist()]
     stream.send_columns(entity, _at_states(recording), rr.StateChange.columns(state=[*states, ""]))
 
 
 def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
-    """All that is a number."""
+    """Logs all numbers as curves."""
     at_states = _at_states(recording)
     begins, ends = _at_states(recording, slice(None, -1)), _at_states(recording, slice(1, None))
     at_samples = [_times(recording.sample_time)]
@@ -248,19 +247,19 @@ def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
 def _log_curve(
     stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Array, names: Sequence[str]
 ) -> None:
-    """Values (k, m) at k times, as a line for each of m names."""
+    """Logs values (k, m) at k times, as a line for each of m names."""
     stream.log(entity, rr.SeriesLines(names=names, colors=_rgba(*LINES[: len(names)])), static=True)
     _send_numbers(stream, entity, index, values)
 
 
 def _send_numbers(stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Array) -> None:
-    """Values (k, m) at k times."""
+    """Sends values (k, m) at k times."""
     count, width = values.shape
     stream.send_columns(entity, index, rr.Scalars.columns(scalars=values.ravel()).partition([width] * count))
 
 
 def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
-    """In words: where the property changes, what a shield does, contacts (in the world too), and the ending."""
+    """Logs in words changes of the property, the shield's decisions, contacts and the ending."""
     nearest = recording.readings.min(axis=1)
     labels = [PROPERTIES[letters][0] for letters in recording.state_property.tolist()]
     events = [
@@ -286,7 +285,7 @@ def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _layout(recording: Recording) -> rrb.Blueprint:
-    """The world from above and from behind the vehicle; beside them what it read, held its turns worth and did."""
+    """Returns the layout: the world from above and from behind the vehicle, beside states, action values and curves."""
     world = recording.world
     x, y, far = world.width / 2, world.depth / 2, max(world.width, world.depth)
     whole = rrb.EyeControls3D(position=(x, y - 0.4 * far, 1.15 * far), look_target=(x, y, 0.0))
@@ -319,18 +318,18 @@ def _layout(recording: Recording) -> rrb.Blueprint:
 
 
 def _at_states(recording: Recording, which: slice | list[int] = slice(None)) -> list[rr.TimeColumn]:
-    """Where some of the states stand on both time lines."""
+    """Returns the places of some states on both time lines."""
     number = np.arange(len(recording.state_time))[which]
     return [_times(recording.state_time[which]), rr.TimeColumn(DECISION, sequence=number)]
 
 
 def _times(seconds: Array) -> rr.TimeColumn:
-    """Times [s] to the nearest nanosecond, which is what the viewer counts in."""
+    """Returns times [s] in the viewer's unit, nanoseconds."""
     return rr.TimeColumn(TIME, duration=np.round(1e9 * seconds).astype("timedelta64[ns]"))
 
 
 def _transforms(poses: Array, height: float = 0.0) -> rr.ComponentColumnList:
-    """Where the frames of poses (n, 3) lie in the world, at a height [m]."""
+    """Returns transforms from the frames of poses (n, 3) at a height [m] to the world."""
     half = poses[:, 2] / 2
     turns = np.column_stack([np.zeros((len(poses), 2)), np.sin(half), np.cos(half)])  # x, y, z, w
     places = np.column_stack([poses[:, :2], np.full(len(poses), height)])
@@ -338,7 +337,7 @@ def _transforms(poses: Array, height: float = 0.0) -> rr.ComponentColumnList:
 
 
 def _on_ground(points: Array) -> Array:
-    """Points (n, 2) as (n, 3)."""
+    """Returns points (n, 2) as (n, 3) with z = 0."""
     return np.column_stack([points, np.zeros(len(points))])
 
 

@@ -1,4 +1,4 @@
-"""How a vehicle stops: a picture, tables and numbers, measured beside paper."""
+"""Stopping of a vehicle, measured and on paper: a picture, tables and numbers."""
 
 from collections.abc import Sequence
 from math import degrees
@@ -21,12 +21,12 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
-    """Stopping distance, reaction included, over speed: a panel for each friction, a colour for each payload.
+    """Draws stopping distance with reaction over speed: a panel for each friction, a colour for each payload.
 
     Args:
-        bench: What it was measured on.
-        stops: Every one that was measured.
-        path: A PNG file.
+        bench: Bench of the measurements.
+        stops: Every measured stop.
+        path: Path of the PNG file.
     """
     way, speeds = sight(bench.vehicle), safe_speeds(bench.vehicle, stops)
     frictions = sorted({stop.conditions.friction for stop in stops})
@@ -70,7 +70,7 @@ def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> No
 
 
 def _mark_safe_speed(axes: Axes, safe: SafeSpeed, way: float, colour: str, line: int) -> None:
-    """Down from the sight to the axis, and in words on a line counted from below."""
+    """Draws a line from the sight to the axis, and the speed as text on a line counted from below."""
     words = f"({safe.on_paper:.2f})"
     if safe.measured is not None:
         axes.plot([safe.measured] * 2, [0.0, way], color=colour, lw=0.9, ls=":")
@@ -80,7 +80,7 @@ def _mark_safe_speed(axes: Axes, safe: SafeSpeed, way: float, colour: str, line:
 
 
 def stop_record(stop: Stop) -> dict[str, float]:
-    """A stop in flat names."""
+    """Returns a stop under flat names."""
     return {
         "friction": stop.conditions.friction,
         "payload_kg": stop.conditions.payload,
@@ -95,7 +95,7 @@ def stop_record(stop: Stop) -> dict[str, float]:
 
 
 def safe_speed_record(safe: SafeSpeed) -> dict[str, float | None]:
-    """A largest safe speed in flat names."""
+    """Returns a largest safe speed under flat names."""
     return {
         "friction": safe.conditions.friction,
         "payload_kg": safe.conditions.payload,
@@ -117,12 +117,12 @@ def stopping_sentences(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[str]
 
 
 def stopping_csv(stops: Sequence[Stop]) -> str:
-    """Every stop, in full precision."""
+    """Returns CSV of every stop in full precision."""
     return csv_text([stop_record(stop) for stop in stops])
 
 
 def stopping_values(bench: Bench, stops: Sequence[Stop]) -> dict[str, Any]:
-    """Everything, for JSON."""
+    """Returns all stops as plain values, for JSON."""
     return {
         "note": NOT_A_CERTIFICATE,
         "vehicle": bench.vehicle.name,
@@ -136,7 +136,7 @@ def stopping_values(bench: Bench, stops: Sequence[Stop]) -> dict[str, Any]:
 
 
 def stopping_markdown(bench: Bench, stops: Sequence[Stop]) -> str:
-    """How the vehicle stops, and from which speeds within what it sees."""
+    """Returns the report as Markdown: stops, and the speeds from which it stops within its sight."""
     vehicle = bench.vehicle
     safe_rows = [
         (

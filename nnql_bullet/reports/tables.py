@@ -1,4 +1,4 @@
-"""CSV text and values that JSON can take."""
+"""CSV text, and values for JSON."""
 
 import csv
 import io
@@ -22,7 +22,7 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each record, under the names of the first; numbers are exact."""
+    """Returns a line for each record, under the names of the first one; numbers are exact."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
     writer.writeheader()
@@ -31,5 +31,5 @@ def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values, with None for what JSON has not: NaN and infinity."""
+    """Returns the values with None for NaN and infinity, which JSON lacks."""
     return {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in values.items()}

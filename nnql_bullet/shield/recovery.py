@@ -1,7 +1,7 @@
-"""The way out for a vehicle that gets no nearer: along what is in its way, until it is nearer than ever before.
+"""Recovery of a vehicle that gets no nearer to its target: it follows the obstacle until it is nearer than ever.
 
-This is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
-Principles of Robot Motion, chapter 2), with limits of time and distance, after which it is tried the other way round.
+The method is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
+Principles of Robot Motion, chapter 2), with limits of time and distance, after which the vehicle tries the other side.
 """
 
 from dataclasses import dataclass
@@ -16,52 +16,54 @@ from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT, ray_angles
 STUCK_AFTER = 12.0
 """Time without progress after which a vehicle is stuck [s]."""
 PROGRESS = 0.5
-"""What counts as progress: so much nearer to the target than ever before [m]."""
+"""Distance by which the vehicle has to be nearer to the target than ever before to make progress [m]."""
 FIRST_LIMIT, LIMIT_GROWTH = 20.0, 2.0
-"""How long the first recovery may take [s], and what that is multiplied by after each that came to nothing."""
+"""Time that the first recovery may take [s], and its factor after each recovery that failed."""
 FARTHEST = 25.0
-"""How much farther from the target than ever before an recovery may lead [m]."""
+"""Distance by which a recovery may lead farther from the target than the vehicle has ever been near [m]."""
 FIRST_GAIN, GAIN_GROWTH = 10.0, 4.0
 """How much nearer a vehicle is guided after its first recovery before its agent ranks actions again [m], and what that
 is multiplied by with each further recovery: an agent that gets stuck again and again does not know the way."""
 KEPT_DISTANCE = 1.2
-"""From the sensor to what is followed [m]."""
+"""Distance kept between the sensor and the obstacle that is followed [m]."""
 CORRECTION = 0.5
-"""How fast that is corrected: radians of heading per metre and radian of the largest turn."""
+"""Gain of that distance's correction: fraction of the largest turn per metre of deviation [1/m]."""
 AHEAD, BEHIND = radians(30.0), radians(170.0)
-"""Between these bearings on one side lies what may be followed."""
+"""Bearings, on one side, between which the obstacle that is followed is looked for [rad]."""
 _BEARINGS = wrap_angles(ray_angles())
 
 
 @dataclass(slots=True)
 class Recovery:
-    """What is remembered of one vehicle's progress, and on which side it recoveries."""
+    """One vehicle's progress, and its recovery."""
 
     side: int = 0
-    """To which it turns away from what it follows: 1 left, -1 right, 0 while it does not recovery."""
+    """Side to which it turns away from what it follows: 1 left, -1 right, 0 while it does not recover."""
     closest: float = inf
-    """To the target so far, in steps of `PROGRESS` [m]."""
+    """Smallest distance to the target so far, in steps of `PROGRESS` [m]."""
     waited: float = 0.0
-    """Since then, or since the last recovery [s]."""
+    """Time since then, or since the last recovery [s]."""
     left: float = 0.0
-    """Time that the recovery may still take [s]."""
+    """Time left for the recovery [s]."""
     recoveries: int = 0
+    """Recoveries so far."""
     failures: int = 0
-    """Of them those that came to nothing: they took too long, or led too far away."""
+    """Recoveries that failed: they took too long, or led too far away."""
     last_side: int = 0
+    """Side of the last recovery."""
     swap: bool = False
-    """Whether the last one came to nothing, so that the next goes the other way round."""
+    """Whether the last recovery failed, so that the next goes the other way round."""
     guided_until: float = inf
     """Distance to the target up to which the vehicle is guided [m]; infinite before the first recovery."""
 
     def notice(self, distance: float, readings: Array, side: int, period: float) -> None:
-        """Takes down a decision.
+        """Updates progress and recovery at a decision.
 
         Args:
-            distance: To the target [m].
-            readings: Of the eight sensors (8,) [m].
-            side: To which the vehicle turns on the spot, if it does.
-            period: Since the last decision [s].
+            distance: Distance to the target [m].
+            readings: Readings of the eight sensors (8,) [m].
+            side: Side to which the vehicle turns on the spot; 0 if it does not.
+            period: Time since the last decision [s].
         """
         nearer = distance < self.closest - PROGRESS
         self.waited = 0.0 if nearer else self.waited + period
@@ -80,11 +82,11 @@ class Recovery:
             self.recoveries += 1
 
     def leads(self, distance: float) -> bool:
-        """Whether the vehicle, at a distance to the target [m], follows this and not its agent."""
+        """Whether the recovery, not the agent, leads the vehicle at a distance to the target [m]."""
         return self.side != 0 or (self.recoveries > 0 and distance > self.guided_until)
 
     def heading(self, target_bearing: float, ray_distances: Array) -> float:
-        """Where to turn [rad]: toward the target or, during an recovery, along what is nearest on the other side."""
+        """Heading change [rad]: toward the target or, during a recovery, along the obstacle that is followed."""
         if not self.side:
             return target_bearing
         beside = -self.side * _BEARINGS

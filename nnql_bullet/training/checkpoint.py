@@ -1,4 +1,4 @@
-"""Weights with what is known about them, as safetensors: a policy to drive with, a checkpoint to go on from."""
+"""Weights with their configuration, as safetensors: a policy to drive with, or a checkpoint to resume from."""
 
 import json
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ FORMAT = "nnql-bullet weights 1"
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What an agent has learned, and how it came to it."""
+    """The weights of an agent and the training that they come from."""
 
     config: dict[str, Any]
     """The run's configuration as plain values."""

@@ -20,14 +20,14 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 _AGENT = "agent/"
 _NONE = -1
-"""In place of the number of an episode or of an action: there is none."""
+"""Stands for no episode or no action."""
 
 
 class Training:
-    """A training as far as it has come.
+    """A training in progress, of a `LearningAgent`.
 
-    When a vehicle finishes an episode, others are under way. What is kept of those are their actions: a simulator that
-    is given the same actions again does the same again, bit for bit.
+    When a vehicle finishes an episode, others are in the midst of theirs. A checkpoint keeps the actions of those: a
+    simulator that is given the same actions again does the same again, bit for bit.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Training:
             self._step()
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """What to go on from, beside what the agent has learned."""
+        """Copies the state of the training, with the agent's `training_state`, by name."""
         longest = int((self._actions != _NONE).sum(axis=1).max())
         return {
             "next_episode": np.array([self._next_episode]),
@@ -76,7 +76,7 @@ class Training:
         }
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state_dict` gave, and drives the episodes that were under way up to where they were.
+        """Resumes from what `state_dict` gave: drives the unfinished episodes again up to where they were.
 
         Raises:
             UserError: If these are not the arrays of a training with as many vehicles.
@@ -102,7 +102,7 @@ class Training:
         self._agent.load_training_state(state)
 
     def _begin(self, vehicle: int) -> None:
-        """Draws the world of the vehicle's episode, and all the chance that there is in it."""
+        """Draws the world and all random numbers of the vehicle's episode."""
         episode = int(self._episode[vehicle])
         world = self._world_of(episode)
         self._worlds[vehicle] = world

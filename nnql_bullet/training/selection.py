@@ -1,4 +1,4 @@
-"""Which of a training's late states becomes its policy: the one that comes to the most goals in validation worlds.
+"""Selection of a policy among late states of a training: the one that reaches most targets in validation worlds.
 
 What an agent drives like goes up and down from one episode of its training to the next, and where it happens to end is
 no better than where it was a while before. So what it has learned is kept now and then, and in the end the last few of
@@ -24,31 +24,31 @@ from nnql_bullet.types import Count
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
-"""What had been learned (`Trainable.arrays`) after so many episodes, in their order."""
+"""State dicts of the agent, by the number of training episodes behind them."""
 
 
 @options
 class SelectionOptions:
-    """Among how many late states of a training the best is looked for, and how."""
+    """Options of the selection."""
 
     candidates: Count = 8
-    """How many are tried in the end, the last state among them; 1 takes that."""
+    """Number of states that are tried in the end, the last one among them; 1 takes the last state."""
     every: Count = 50
-    """Episodes from one to the next. They do not follow the number of episodes asked for, so that a run can be stopped
-    and gone on with."""
+    """Episodes from one candidate to the next. They do not follow the number of training episodes, so that a run can be
+    stopped and resumed."""
     worlds: tuple[str, ...] = ()
     """Shipped worlds or TOML files to try them in, each once; by default those of the training."""
     count: Annotated[int, Field(ge=1, le=1000)] = 100
-    """Validation worlds of each."""
+    """Validation worlds of each kind."""
 
     @property
     def seeds(self) -> range:
-        """Of the validation worlds."""
+        """Seeds of the validation worlds."""
         return VALIDATION_WORLDS[-self.count :]
 
 
 def keep(candidates: Candidates, episodes: int, agent: Trainable, options: SelectionOptions) -> None:
-    """Takes in what the agent has learned after so many episodes, if its turn has come; the oldest may go for it."""
+    """Adds the agent's state as a candidate every `options.every` episodes, and drops the oldest beyond the limit."""
     if episodes % options.every == 0:
         candidates[episodes] = agent.state_dict()
         for old in sorted(candidates)[: -options.candidates]:
@@ -56,7 +56,7 @@ def keep(candidates: Candidates, episodes: int, agent: Trainable, options: Selec
 
 
 def finalists(candidates: Candidates, episodes: int, agent: Trainable, options: SelectionOptions) -> Candidates:
-    """The last candidates of a training that is over after so many episodes, the agent as it is now among them."""
+    """The last candidates of a training that ended after so many episodes, with the agent's present state."""
     known = {**candidates, episodes: agent.state_dict()}
     return {which: known[which] for which in sorted(known)[-options.candidates :]}
 
@@ -64,7 +64,7 @@ def finalists(candidates: Candidates, episodes: int, agent: Trainable, options: 
 def count_goals(
     agent: Trainable, candidates: Candidates, navigation: Navigation, worlds: Sequence[WorldSpec]
 ) -> dict[int, int]:
-    """In how many of the worlds each candidate comes to its target, driven greedily.
+    """Counts the worlds in which each candidate, driven greedily, reaches its target.
 
     Args:
         agent: Drives; what it has learned is replaced.
@@ -80,5 +80,5 @@ def count_goals(
 
 
 def most_goals(goals: Mapping[int, int]) -> int:
-    """After how many episodes it came to the most goals; of equals, the later."""
+    """The candidate with the most goals, by its number of episodes; of equals, the later."""
     return max(goals, key=lambda episodes: (goals[episodes], episodes))

@@ -145,7 +145,7 @@ class DoubleDqn:
         """What the last actions were chosen by."""
 
     def reset(self, vehicle: int, world_seed: int) -> None:
-        """Nothing was seen yet."""
+        """Forgets a vehicle."""
         self._remembered(vehicle + 1)
         self._memory.age[vehicle] = 0
 
@@ -158,7 +158,7 @@ class DoubleDqn:
         return actions
 
     def override(self, actions: NDArray[np.int64]) -> None:
-        """Remembers what was done instead of what was last chosen."""
+        """Remembers these actions in place of those last chosen."""
         look, observations = self._decided
         self._keep(self._frames.after(look, observations, actions))
 
@@ -169,7 +169,7 @@ class DoubleDqn:
     def act_exploring(
         self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
     ) -> NDArray[np.int64]:
-        """A random action now and then, else the one that is held best by now."""
+        """A random action with the scheduled probability, else the one with the largest Q-value."""
         learning = self._learn_with(len(episodes))
         learning.look, learning.episode = self._look(observations), int(episodes.max())
         best = self._values(learning.online, learning.look).argmax(axis=-1)
@@ -178,7 +178,7 @@ class DoubleDqn:
         return np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
 
     def learn(self, transitions: Transition) -> Array:
-        """Keeps the steps, and learns from some of those that were kept.
+        """Stores the steps in the replay buffer, and learns from a sample of it.
 
         Returns:
             The root mean square of the temporal-difference errors learned from, for each vehicle (n,); NaN before there
@@ -208,7 +208,7 @@ class DoubleDqn:
         }
 
     def state_dict(self) -> dict[str, Array]:
-        """Weights and biases of the network that drives."""
+        """Copies the weights and biases of the target network, which drives."""
         return weights.state_dict(self.network)
 
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
@@ -217,12 +217,12 @@ class DoubleDqn:
         weights.load_state_dict(self.network, arrays, "a dueling network", units)
 
     def training_state(self) -> dict[str, NDArray[Any]]:
-        """The network that learns, its optimizer, the replay, and what is remembered of vehicles."""
+        """Copies the online network, its optimizer, the replay buffer and the memory of vehicles."""
         kept: dict[str, NDArray[Any]] = {f"memory/{name}": a for name, a in self._memory.state_dict().items()}
         return kept | (self._learning.state_dict() if self._learning else {})
 
     def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `under_way` gave."""
+        """Replaces all that by what `training_state` gave."""
         try:
             self._memory = Memory(*(state[f"memory/{field.name}"].copy() for field in fields(Memory)))
             if "replay/count" in state:
@@ -234,7 +234,7 @@ class DoubleDqn:
         return self._frames.look(self._remembered(len(observations.yaw_rate)), observations)
 
     def _remembered(self, size: int) -> Memory:
-        """Memory of the first vehicles, with room for those that were never heard of."""
+        """The memory of the first vehicles; adds those that were never reset."""
         more = size - len(self._memory.age)
         if more > 0:
             new = self._frames.nothing(more)
@@ -243,7 +243,7 @@ class DoubleDqn:
         return self._memory.first(size)
 
     def _keep(self, memory: Memory) -> None:
-        """Remembers this of the first vehicles."""
+        """Replaces the memory of the first vehicles."""
         for field in fields(Memory):
             kept = getattr(memory, field.name)
             getattr(self._memory, field.name)[: len(kept)] = kept
@@ -337,12 +337,12 @@ def soft_update(target: torch.nn.Module, online: torch.nn.Module, tau: float) ->
 
 
 class Learning:
-    """What learning needs beside the network that drives."""
+    """Online network, optimizer and replay buffer: what learning needs beside the target network."""
 
     look: Look
-    """What the vehicles see, between `act_exploring` and `learn`."""
+    """The vehicles' memory and inputs, between `act_exploring` and `learn`."""
     episode: int
-    """The latest."""
+    """The latest training episode."""
 
     def __init__(self, options: DoubleDqnOptions, network: DuelingNetwork, width: int, vehicles: int) -> None:
         with torch.random.fork_rng(devices=[]):  # its weights are drawn, though they are replaced at once

@@ -1,4 +1,4 @@
-"""What a vehicle sees and remembers, as frames of bytes: what a network is shown, and what a replay keeps of a step."""
+"""Frames: what a vehicle sees and remembers at a decision, as bytes for the network and the replay buffer."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -18,58 +18,58 @@ from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headi
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 FAR = 50.0
-"""Distance of the target beyond which it makes no difference [m]."""
+"""Upper bound on the target's distance in a frame [m]."""
 DETOUR = 20.0
-"""A way to the target so much longer than the straight one is as long as it gets [m]."""
+"""Upper bound on the detour in a frame: path length to the target minus its distance [m]."""
 MOST_PROGRESS = 2.0
-"""In one decision [m]: more is what the map has just come to know, and no progress."""
+"""Upper bound on the progress of one decision [m]. More is new knowledge of the map, not progress."""
 _INSTANTS = 5
-"""At which the way between two decisions is looked at."""
+"""Number of times at which the path between two decisions is computed."""
 _STATE, _ODD = 5, (3, 4)
-"""Numbers in a frame that tell of the target and the vehicle, and those of them that a mirror changes the sign of."""
+"""Count of numbers about target and vehicle in a frame, and the indices of those whose sign a mirror changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What is remembered of n vehicles. Only the age means anything in an episode of which nothing was seen yet."""
+    """Memory of n vehicles. While the age is 0, the other entries mean nothing."""
 
     age: NDArray[np.int64]
     """Decisions in the episode so far (n,)."""
     poses: Array
-    """In the frame of `grid_map` (n, 3)."""
+    """Poses at the last decision, in the frame of `grid_map` (n, 3)."""
     steps: Array
-    """What was driven since, in the vehicle frame of then (n, 2) [m]."""
+    """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
     actions: NDArray[np.int64]
-    """The last ones (n,)."""
+    """Last actions (n,)."""
     speeds: Array
-    """Commanded by now, as shares of the drive's (n,)."""
+    """Commanded speeds, as fractions of the drive's speed (n,)."""
     corners: NDArray[np.int64]
-    """Of the maps (n, 2)."""
+    """First cells of the maps (n, 2)."""
     cells: grid_map.Cells
-    """Of the maps (n, SIZE, SIZE)."""
+    """Cells of the maps (n, SIZE, SIZE)."""
     frames: Bytes
-    """The last ones, the newest first (n, frames, width)."""
+    """Last frames, the newest first (n, frames, width)."""
 
     def first(self, count: int) -> "Memory":
-        """That of the first vehicles."""
+        """The memory of the first vehicles."""
         return Memory(*(getattr(self, field.name)[:count] for field in fields(self)))
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """All of it, by name."""
+        """Copies the memory, by name."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A vehicle's memory with what it sees now entered."""
+    """The memory of vehicles, with their present observation entered."""
 
     memory: Memory
     progress: Array
-    """How much shorter the way to the target got by the last decision (n,) [m]."""
+    """Distance by which the last decision shortened the path to the target (n,) [m]."""
 
     @property
     def stacked(self) -> Bytes:
-        """What the network is shown (n, frames * width)."""
+        """Network inputs (n, frames * width)."""
         frames = self.memory.frames
         return frames.reshape(len(frames), -1)
 
@@ -106,13 +106,13 @@ class FrameMaker:
         ]
         begins = np.cumsum([0, *map(len, parts)])
         self.width = int(begins[-1])
-        """Bytes of a frame."""
+        """Number of bytes in a frame."""
         self._mirrored = np.concatenate([begin + part for begin, part in zip(begins, parts, strict=False)])
         self._odd = np.zeros(self.width, np.bool_)
         self._odd[begins[2] + np.array(_ODD)] = True
 
     def nothing(self, size: int) -> Memory:
-        """Memory of vehicles that begin."""
+        """Memory of vehicles at the start of an episode."""
         side = grid_map.SIZE if self.with_map else 0
         return Memory(
             age=np.zeros(size, np.int64),
@@ -126,7 +126,7 @@ class FrameMaker:
         )
 
     def look(self, memory: Memory, observations: Observation) -> Look:
-        """Enters what n vehicles see into their memory, of which the one given stays as it is."""
+        """Enters the observations of n vehicles into a copy of their memory."""
         o, new = observations, memory.age == 0
         first = grid_map.first_poses(o.target_distance, o.target_bearing)
         later = grid_map.tracked(memory.poses, memory.steps, o.target_distance, o.target_bearing)
@@ -147,7 +147,7 @@ class FrameMaker:
         return Look(seen, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
 
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
-        """The memory of vehicles that saw this and do `actions` (n,), manoeuvres of `env`."""
+        """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
         speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
         turns = heading_change(actions, o.target_bearing)
@@ -159,7 +159,7 @@ class FrameMaker:
         return replace(memory, age=memory.age + 1, steps=steps, actions=actions % STOP, speeds=speeds)
 
     def mirrored(self, stacked: Bytes) -> Bytes:
-        """What is shown to the network (m, frames * width) as if left were right."""
+        """Mirror images of network inputs (m, frames * width)."""
         seen = stacked.reshape(len(stacked), self.frames, self.width)[:, :, self._mirrored]
         return np.where(self._odd, 255 - seen, seen).reshape(stacked.shape)
 
@@ -184,5 +184,5 @@ class FrameMaker:
 
 
 def as_bytes(numbers: Array) -> Bytes:
-    """Numbers from -1 to 1 as bytes; -x is 255 less the byte of x, but for numbers half-way between two."""
+    """Numbers from -1 to 1 as bytes. The byte of -x is 255 minus that of x, except half-way between two bytes."""
     return np.rint(127.5 * (np.clip(numbers, -1.0, 1.0) + 1)).astype(np.uint8)

@@ -37,32 +37,25 @@ GENES = sum(prod(shape) for shape in LAYERS.values())
 
 @options
 class GeneticOptions:
-    """How genomes are tried, chosen and bred.
-
-    What was tried, before `prior` was there (kinematic model, 10 000 episodes, 300 validation worlds at 10 % cover, 2
-    seeds, which differ by as much as the choices do): the defaults gave 74 %, 100 genomes in 2 worlds each 71 %, 25 in
-    8 gave 76 %; crossover of none or nine in ten 75 and 83 %; a mutation step of 0.2 gave 76 %, a mutation share of
-    0.03 gave 73 %.
-    """
+    """Options of the genetic search."""
 
     kind: Literal["genetic"] = "genetic"
     population: Annotated[int, Field(ge=2)] = 50
     """Genomes in a generation."""
     worlds: Count = 4
-    """In which each of them is tried, the same for all of a generation."""
+    """Worlds in which each genome is tried; they are the same for all of a generation."""
     elites: Count = 5
-    """The fittest so many live on unchanged, and are tried again in the worlds of the next generation."""
+    """Fittest genomes that live on unchanged. They are tried again in the worlds of the next generation."""
     prior: NonNegative = 8.0
-    """Tries of average fitness that are added to those of each genome, in all generations that it lived through. With
-    8, 83 % reached the target at 10 % cover, with 0 it was 69 % (kinematic model, 10 000 episodes, 4 seeds)."""
+    """Tries of average fitness that are added to those of each genome, in all generations that it lived through."""
     tournament: Count = 3
-    """A parent is the fittest of so many drawn at random."""
+    """Genomes drawn at random for each parent, which is the fittest of them."""
     crossover: UnitInterval = 0.5
-    """Share of pairs of parents whose genes are blended; the others are copied."""
+    """Fraction of pairs of parents whose genes are blended; the others are copied."""
     blend: NonNegative = 0.3
-    """Two children lie between their parents, gene by gene, or beyond them by up to this share of the distance."""
+    """Fraction of the parents' distance by which a child's gene may lie beyond them."""
     mutation_share: UnitInterval = 0.1
-    """Of genes that mutate."""
+    """Probability that a gene mutates."""
     mutation_step: NonNegative = 0.5
     """Standard deviation of a mutation."""
     initial_weights: Positive = 1.0

@@ -31,22 +31,17 @@ INPUTS = len(SCALE)
 
 @options
 class Sb3DqnOptions:
-    """Those hyper-parameters that matter; all others are the library's defaults.
-
-    They were hardly tuned. After 300 to 500 episodes (kinematic model, 16 vehicles, one seed, 300 validation worlds at
-    5 % cover) a discount of 0.15, 0.5, 0.9 and 0.99 gave 23, 15, 17 and 5 % success, and 51, 84, 82 and 94 % ran out of
-    time: the paper's rewards pay for going round obstacles, and the greedy policy does.
-    """
+    """The hyper-parameters that differ from the library's defaults, or matter most; they were hardly tuned."""
 
     kind: Literal["sb3_dqn"] = "sb3_dqn"
     hidden: tuple[Count, ...] = (64, 64)
-    """Units of the hidden layers. With a discount of 0.15, 128 and 128 gave 11 % instead of 23 %."""
+    """Units of the hidden layers."""
     learning_rate: Positive = 5e-4
-    """Of Adam; the library's default is 1e-4."""
+    """Learning rate of Adam; the library's default is 1e-4."""
     discount: UnitInterval = 0.9
     """gamma; the library's default is 0.99."""
     buffer_size: Count = 1_000_000
-    """Steps that are remembered."""
+    """Steps in the replay buffer."""
     learning_starts: Annotated[int, Field(ge=0)] = 100
     """Steps before the first update."""
     batch_size: Count = 32
@@ -56,13 +51,13 @@ class Sb3DqnOptions:
     target_update_steps: Count = 500
     """Steps after which the target network is renewed; the library's default is 10 000."""
     exploration_steps: Count = 12_000
-    """Over so many the share of random actions falls from 1, linearly. They do not follow the number of episodes asked
-    for, so that a run can be gone on with."""
+    """Steps over which the probability of a random action falls from 1, linearly. They do not follow the number of
+    training episodes, so that a run can be resumed."""
     exploration_final: UnitInterval = 0.05
-    """Share of random actions after that."""
+    """Probability of a random action after that."""
 
     def exploration(self, steps: int) -> float:
-        """Share of random actions after so many steps."""
+        """Probability of a random action after so many steps."""
         progress = min(steps / self.exploration_steps, 1.0)
         return 1.0 + (self.exploration_final - 1.0) * progress
 

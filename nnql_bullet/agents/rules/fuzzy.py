@@ -48,28 +48,21 @@ UNIVERSE_DEGREES = np.arange(-90.0, 91.0, 3.0)
 
 @options
 class FuzzyOptions:
-    """Where the terms begin and end.
-
-    Percentages are goals at 5 / 10 / 15 % cover: kinematic model, validation worlds 0 to 599. The defaults got 99.8 /
-    96.3 / 81.2 %.
-    """
+    """Options of the terms: where each begins to hold, and where it holds in full."""
 
     kind: Literal["fuzzy"] = "fuzzy"
     front_near: Reading = 5.0
-    """Up to here the front is near in full [m]. Near and far at 4 and 6 m got 99.2 / 94.7 / 78.3 %, at 6 and 8 m
-    99.7 / 95.8 / 74.2 %."""
+    """Reading up to which the front is near in full [m]."""
     front_far: Reading = 7.0
-    """From here on it is far in full [m]."""
+    """Reading from which the front is far in full [m]."""
     side_near: Reading = 1.0
-    """Up to here the side is near in full [m]. Near and far at 2 and 4 m got 99.5 / 95.2 / 78.8 %."""
+    """Reading up to which a front side is near in full [m]."""
     side_far: Reading = 5.0
-    """From here on it is far in full [m]."""
+    """Reading from which a front side is far in full [m]."""
     freer_by: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = 0.1
-    """What one front side reads more than the other when it is freer in full [m]; where both read the same, the target
-    decides. 0.3 m got 99.2 / 95.3 / 81.7 %, 1 m 97.5 / 90.5 / 69.8 %."""
+    """Difference of the front sides' readings from which one is freer in full [m]; the target decides a tie."""
     aside_degrees: Annotated[float, Field(gt=0, le=180)] = 40.0
-    """Bearing of the target at which it is left or right in full. 20 degrees got 99.5 / 96.0 / 81.7 %, 90 got 99.8 /
-    94.8 / 80.5 %."""
+    """Bearing of the target from which it is left or right in full [degrees]."""
 
     def __post_init__(self) -> None:
         """Refuses a near that is farther than far."""

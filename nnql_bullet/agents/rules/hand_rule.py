@@ -18,11 +18,11 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 @options
 class HandRuleOptions:
-    """How far it turns. Percentages are goals at 5 / 10 / 15 % cover: kinematic model, validation worlds 0 to 599."""
+    """Options of the turn."""
 
     kind: Literal["hand_rule"] = "hand_rule"
     turn_degrees: Literal[30, 60] = 30
-    """Away from the fuller front side. 30 degrees got 99.2 / 93.2 / 74.0 %, 60 got 99.2 / 88.7 / 56.0 %."""
+    """Turn away from the front side with the nearer obstacle [degrees]."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "HandRule":
         """Builds the agent."""

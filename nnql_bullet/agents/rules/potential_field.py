@@ -23,23 +23,20 @@ from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 CLOSEST = 0.01
-"""What a distance counts as at least [m]: the force has no end."""
+"""Lower bound on distances [m]; it keeps the force finite."""
 
 
 @options
 class PotentialFieldOptions:
-    """The field's numbers."""
+    """Options of the repulsion; the attraction is 1."""
 
     kind: Literal["potential_field"] = "potential_field"
     gain: Positive = 100.0
-    """eta of the repulsive potential, against an attraction of 1 [m3]. 30 got 97.3 / 86.3 / 62.0 %, 100 got
-    99.5 / 93.0 / 68.8 % and 300 got 99.5 / 90.8 / 60.7 %."""
+    """eta, the strength of the repulsion [m3]."""
     influence: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = paper.SENSOR_RANGE
-    """rho_0, the distance from which on an obstacle has no effect [m]. 4 m got 98.2 / 81.7 / 51.0 %, 8 m
-    99.0 / 93.0 / 65.3 %."""
+    """rho_0, the distance from which on an obstacle has no effect [m]."""
     view_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
-    """Only what stands within this of straight ahead repels. All around (180) got 50.0 / 4.3 / 0.2 %, 90 degrees
-    got 91.3 / 54.5 / 15.5 %, 50 got 99.0 / 92.3 / 68.5 %."""
+    """Angle from straight ahead within which obstacles repel [degrees]."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "PotentialField":
         """Builds the agent."""
@@ -49,8 +46,8 @@ class PotentialFieldOptions:
 class PotentialField(Rule):
     """The direction of the force is the wanted direction; the action nearest to it is taken.
 
-    It sees the 72 rays and the target's bearing, and remembers nothing. Every point where a ray ends repels. Sector
-    readings in place of rays got 98.3 / 84.3 / 53.3 % at best (300 worlds).
+    It sees the 72 rays and the target's bearing, and remembers nothing. Every point where a ray
+    ends repels.
     """
 
     def __init__(self, options: PotentialFieldOptions, vehicle: VehicleSpec) -> None:

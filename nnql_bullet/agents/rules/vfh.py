@@ -39,27 +39,23 @@ class VfhOptions:
 
     kind: Literal["vfh"] = "vfh"
     window: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = 8.0
-    """Radius of the active window: what is farther off does not count [m]. 5 m got 98.7 / 94.5 /
-    86.2 %, 6 m 98.8 / 97.5 / 90.2 %, 8 m 99.7 / 98.7 / 96.2 % and 10 m 99.5 / 98.7 / 94.0 %."""
+    """Radius of the active window [m]. Points farther off do not count."""
     safety_distance: NonNegative = 0.2
-    """d_s, kept from the circle that holds the footprint [m]. 0 m got 99.7 / 97.8 / 90.8 %, 0.5 m 99.8 / 99.0 /
-    95.3 %."""
+    """d_s, clearance of the circle that holds the footprint [m]."""
     low_threshold: NonNegative = 2.0
-    """tau_low: below it a direction becomes free. A point at the window's edge counts 1, one at the distance d [m]
-    1 + window^2 - d^2. Thresholds of 0.5 and 0.9, where any one point blocks, got 99.8 / 99.0 / 96.5 %, 20
-    and 40 got 98.8 / 96.7 / 91.7 %."""
+    """tau_low, obstacle density below which a direction becomes free. A point at the window's edge counts 1, one at the
+    distance d [m] 1 + window^2 - d^2."""
     high_threshold: NonNegative = 5.0
-    """tau_high: above it a direction becomes blocked; in between it stays what it was."""
+    """tau_high, obstacle density above which a direction becomes blocked; in between it stays as it was."""
     wide_degrees: Annotated[float, Field(gt=0, le=180)] = 40.0
-    """s_max: an opening at least this wide is a wide valley, which is entered half of this from its border. 20 degrees
-    got 99.8 / 97.5 / 94.8 %, the article's 80 got 99.7 / 98.7 / 94.5 %."""
+    """s_max, width from which an opening is a wide valley [degrees]. A wide valley is entered half of this from its
+    border."""
     target_weight: NonNegative = 5.0
-    """mu_1, of the difference from the target's direction."""
+    """mu_1, weight of the difference from the target's direction."""
     heading_weight: NonNegative = 3.0
-    """mu_2, of the difference from the present heading."""
+    """mu_2, weight of the difference from the present heading."""
     previous_weight: NonNegative = 3.0
-    """mu_3, of the difference from the direction chosen before. The article asks that mu_1 exceed mu_2 + mu_3; its
-    5, 2, 2 got 99.8 / 98.2 / 93.3 %. 5, 0, 0 got 99.2 / 96.2 / 81.8 % and 5, 5, 5 99.7 / 97.3 / 94.5 %."""
+    """mu_3, weight of the difference from the direction chosen before. In the article mu_1 exceeds mu_2 + mu_3."""
 
     def __post_init__(self) -> None:
         """Refuses thresholds in the wrong order."""

@@ -1,0 +1,83 @@
+"""What a vehicle does when no action stays clear: it brakes, and once it stands it turns on the spot."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
+from nnql_bullet.env import STOP
+from nnql_bullet.geometry import Array
+from nnql_bullet.shield.prediction import Predictor, ShieldOptions, Situation
+
+STANDSTILL_SPEED = 0.05
+"""Speed below which a vehicle stands [m/s]."""
+FULL_TURN = 14
+"""Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """How one vehicle turns on the spot."""
+
+    side: int = 0
+    """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
+    decisions: int = 0
+    """Decisions to turn on the spot since it last drove at speed."""
+
+
+def fallback(
+    predictor: Predictor,
+    options: ShieldOptions,
+    situation: Situation,
+    ranks: Array,
+    margin: float,
+    spin: Spin,
+    preferred_side: int,
+    target_bearing: float,
+) -> tuple[int, Spin]:
+    """Brakes or turns one vehicle on the spot; beside a moving obstacle, what stays out of contact longest.
+
+    Args:
+        predictor: Predicts clearances.
+        options: Of the shield.
+        situation: Of this vehicle alone.
+        ranks: How good each action is held to be (6,).
+        margin: Clearance that it keeps if it can [m].
+        spin: Its turning on the spot so far.
+        preferred_side: Side to which it turns on the spot if it has none yet: 1 left, -1 right, 0 for none.
+        target_bearing: Bearing of the target [rad].
+
+    Returns:
+        The manoeuvre, and the turning on the spot with it.
+    """
+    stops = predictor.stop_clearances(situation)
+    if situation.moves:
+        courses = np.concatenate([predictor.drive_clearances(situation), stops])
+        return int(course_scores(courses, options.margin).argmax()), spin
+    if situation.speed[0] >= STANDSTILL_SPEED:
+        order = np.argsort(np.abs(situation.turns[0]), kind="stable")
+        return STOP + int(order[course_scores(stops, options.margin)[order].argmax()]), spin
+    side = spin.side or preferred_side or predictor.open_side(situation, target_bearing)
+    spin = Spin(side, spin.decisions + 1)
+    tight = min(margin, options.tight_margin)
+    clearances = stops.min(axis=-1)
+    turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
+    possible = [turn for turn in turns if clearances[turn] >= tight]
+    if not possible or spin.decisions > FULL_TURN:
+        for distance in (margin, margin / 2, tight):
+            clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
+            if clear.any():
+                return int(np.where(clear, ranks, -np.inf).argmax()), spin
+    if not possible:
+        return STOP, spin
+    return STOP + possible[0], replace(spin, side=1 if possible[0] in LEFT_TURNS else -1)
+
+
+def course_scores(clearances: Array, margin: float) -> Array:
+    """Scores of courses with these clearances (m, k): the number of steps without contact, then the clearance (m,).
+
+    The second part is less than 1, so that it decides only between courses with the same number of steps.
+    """
+    smallest = clearances.min(axis=-1)
+    lasts = np.where(smallest > 0, clearances.shape[-1], (clearances <= 0).argmax(axis=-1))
+    return np.asarray(lasts + np.minimum(smallest, min(margin, 0.99)))
