@@ -302,8 +302,11 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("where", "departures"),
         [
-            (("--sim", "kinematic"), ("--noise", "0.3", "--dead-sector", "0")),
-            (("--sim", "bullet", "--physics", "fast"), ("--friction", "0.2", "--payload", "80")),
+            (("--sim", "kinematic"), ("--conditions.sensor-noise", "0.3", "--conditions.dead-sector", "0")),
+            (
+                ("--sim", "bullet", "--physics", "fast"),
+                ("--conditions.wheel-friction", "0.2", "--conditions.payload", "80"),
+            ),
         ],
     )
     def test_conditions_are_those_of_a_drive_with_the_same_flags(
@@ -327,7 +330,7 @@ class TestCommand:
         assert lengths[0] != lengths[1]
         values = json.loads((out / "results.json").read_text())
         assert all(value in values["command"].split() for value in departures[1::2])
-        assert departures[0].strip("-") in (out / "evaluation.md").read_text().splitlines()[2]
+        assert departures[0].rpartition(".")[2].replace("-", " ") in (out / "evaluation.md").read_text().splitlines()[2]
 
     def test_json_is_what_the_file_holds(
         self, evaluated: tuple[Path, tuple[object, ...]], tmp_path: Path, run_cli: RunCli
@@ -349,8 +352,11 @@ class TestCommand:
             (("straight", "straight"), "straight: is given twice"),
             (("straight", "--address", "localhost:1"), "the executor 'processes' takes no address"),
             (("straight", "--workers", "-1"), "workers must be at least 1"),
-            (("straight", "--friction", "0"), "'conditions.wheel_friction': input should be greater than 0"),
-            (("straight", "--dead-sector", "8"), "'conditions.dead_sector': input should be less than 8"),
+            (
+                ("straight", "--conditions.wheel-friction", "0"),
+                "'conditions.wheel_friction': input should be greater",
+            ),
+            (("straight", "--conditions.dead-sector", "8"), "'conditions.dead_sector': input should be less than 8"),
         ],
     )
     def test_bad_input_is_one_line_and_leaves_nothing(

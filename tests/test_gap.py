@@ -280,7 +280,7 @@ class TestCommand:
         text = (report / "gap.md").read_text()
         assert all(f"| {row['fault']} |" in text for row in values["faults"])
 
-    @pytest.mark.parametrize(("fault", "flags"), [("", ()), ("payload 40 kg", ("--payload", 40))])
+    @pytest.mark.parametrize(("fault", "flags"), [("", ()), ("payload 40 kg", ("--conditions.payload", 40))])
     def test_drive_drives_the_same_again(
         self, report: Path, tiny_run: Path, run_cli: RunCli, tmp_path: Path, fault: str, flags: tuple[object, ...]
     ) -> None:
@@ -308,7 +308,7 @@ class TestCommand:
         ("arguments", "message"),
         [
             (("--worlds", 0), "the number of worlds must be from 1 to 1000"),
-            (("--sim", "bullet", "--against", "bullet"), "is the engine itself"),
+            (("--sim", "bullet", "--against", "bullet"), "is the simulator itself"),
             (("--world", "nowhere"), "nowhere"),
         ],
     )
