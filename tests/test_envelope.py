@@ -83,7 +83,7 @@ def test_watching_a_turn_changes_no_bit_of_it(engine_of: Make, physics: str, tur
     watched.reset(open_ground(start=start))
     instants = list(follow_turn(watched, radians(turn)))
     assert instants[-1].pose == motion.pose
-    assert watched.wheel_speeds() == motion.wheel_speeds
+    assert watched.wheel_speeds() == advanced.wheel_speeds()
     poses = {round(instant.time, 9): instant.pose for instant in instants}
     assert [poses[round(sample.time, 9)] for sample in trace] == [sample.pose for sample in trace]
     assert instants[-1].time == pytest.approx(period)
@@ -513,7 +513,7 @@ def test_pictures_are_drawn(
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two turns and two stops."""
-    from nnql_bullet.cli import envelope as command
+    from nnql_bullet.api import fidelity as command
 
     slices = lambda vehicle: (Slice("speed", (2.0, 2.5), (0.9, 1.2), base_case(vehicle)),)  # noqa: E731
     stops = lambda bench: [StopTask(bench, StopConditions(0.0, 0.8), v, i) for i, v in enumerate((2.0, 9.0))]  # noqa: E731
