@@ -87,7 +87,7 @@ def train(
     run = load_run(folder)
     if run.episodes:
         say(f"learning curve: {folder / LEARNING_CURVE}")
-    if run.is_over:
+    if run.is_over and not died:
         if run.config.training.selection:
             say(f"selection: {folder / SELECTION}")
         say(f"policy: {folder / POLICY}; drive it with: nnql-bullet drive {folder}")
