@@ -77,7 +77,7 @@ def as_numbers(observation: Observation) -> NDArray[np.float32]:
     numbers = np.empty((len(o.readings), paper.SECTORS + 3), np.float32)
     numbers[:, : paper.SECTORS] = o.readings
     numbers[:, -3], numbers[:, -2] = o.target_distance, o.target_bearing
-    numbers[:, -1] = np.clip(o.yaw_rate, -MOST_YAW_RATE, MOST_YAW_RATE)
+    numbers[:, -1] = np.minimum(np.maximum(o.yaw_rate, -MOST_YAW_RATE), MOST_YAW_RATE)
     return numbers
 
 

@@ -35,12 +35,12 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, REWARD_TERMS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
-_LABELS = np.array([*(state.label for state in StateProperty), None], dtype=object)
-_NOBODY = -1
+_LABELS = np.array([state.label for state in StateProperty], dtype=object)
+_BLANK: dict[str, Any] = {"O": None, "f": 0.0}  # in `info`, of a vehicle that stands by, by kind of value
 _REWARDS = tuple(f"reward/{name}" for name in REWARD_TERMS)
 
 
@@ -59,18 +59,16 @@ def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray
 
 def _vectors(observation: Observation, space: gymnasium.spaces.Space[NDArray[np.float32]]) -> NDArray[np.float32]:
     """The observation as rows (n, 11) of the module's table."""
-    numbers = as_numbers(observation)
-    return np.clip(numbers, space.low, space.high, out=numbers)  # type: ignore[attr-defined]
+    return np.minimum(np.maximum(as_numbers(observation), space.low), space.high)  # type: ignore[attr-defined]
 
 
 def _infos(t: Transition) -> dict[str, NDArray[Any]]:
-    """What `info` tells of a step, by name (n,); nothing, or zero, of vehicles that stood by."""
-    active = t.active
+    """The values of `info` after a step, by name (n,)."""
     return {
-        "ending": _ENDINGS[np.where(active, t.ending, NO_ENDING)],
-        "state_property": _LABELS[np.where(active, t.s_t.state_property, _NOBODY)],
-        "heading_error": np.where(active, t.motion.heading_error, 0.0),
-        **dict(zip(_REWARDS, np.where(active, t.terms.T, 0.0), strict=True)),
+        "ending": _ENDINGS[t.ending],
+        "state_property": _LABELS[t.s_t.state_property],
+        "heading_error": t.motion.heading_error,
+        **dict(zip(_REWARDS, t.terms.T, strict=True)),
     }
 
 
@@ -210,6 +208,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         t = self._navigation.step(np.asarray(actions), None if active.all() else active)
         terminated, truncated = _over(t)
         named = _infos(t)
+        if not active.all():
+            named = {name: np.where(active, values, _BLANK[values.dtype.kind]) for name, values in named.items()}
         infos = named | {f"_{name}": active for name in named} if active.any() else {}
         if begun.any():
             infos |= self._begin(begun, None)[1]

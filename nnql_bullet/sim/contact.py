@@ -140,7 +140,8 @@ class ContactEngine(VehiclePhysics):
             speed_scale: Wanted speed as a share of the drive's.
             look: Called after every physics step; it may read the engine, not change it.
         """
-        begin, first_step = self.pose(), self._steps
+        first_step, (position, orientation) = self._steps, self._frame()
+        begin = Pose(*rear_axle(position, orientation, self._com[0], self._com[2]))
         plan = plan_period(
             self._planned_yaw_rate,
             self._planned_speed,
@@ -155,7 +156,6 @@ class ContactEngine(VehiclePhysics):
         episode, footprint, solids = self._episode, self._footprint, self._solids
         command, last, touching = 0, len(feed_forward), False
         while True:
-            position, orientation = self._frame()
             near, at_target, commands = _look_and_command(
                 position, orientation, progress, headings, feed_forward, command, speeds, episode, footprint, solids
             )
@@ -168,6 +168,7 @@ class ContactEngine(VehiclePhysics):
             command += carried_out
             if not near:
                 self._move_patrols()
+            position, orientation = self._frame()
         x, y, yaw, path_length, smallest, _ = progress.tolist()
         self._clearance = clearance_at(x, y, yaw, footprint, solids)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])

@@ -14,7 +14,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 from nnql_bullet.types import NonNegative, Positive
-from nnql_bullet.vehicle.profiles import plan_turn, sample_ramp, sample_turn, wheel_speeds
+from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import Limits
 
 COMMAND_RATE = 120.0
@@ -70,11 +70,31 @@ def plan_period(
         limits: Limits of the vehicle.
         times: See `command_times`.
     """
-    yaw_rates, headings = sample_turn(plan_turn(yaw_rate, heading_change, limits), times)
-    speeds = np.empty(len(times))
-    sample_ramp(speed, wanted_speed, limits.acceleration, times, speeds)
-    feed_forward = np.stack([(speeds[:-1] + speeds[1:]) / 2, (headings[1:] - headings[:-1]) * COMMAND_RATE], axis=1)
-    return Plan(headings, yaw_rates, speeds, feed_forward)
+    bounds = limits.yaw_rate, limits.yaw_acceleration, limits.acceleration
+    return Plan(*_profiles(yaw_rate, speed, heading_change, wanted_speed, *bounds, times))
+
+
+@njit()
+def _profiles(
+    yaw_rate: float,
+    speed: float,
+    heading_change: float,
+    wanted_speed: float,
+    max_yaw_rate: float,
+    yaw_acceleration: float,
+    acceleration: float,
+    times: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Computes the fields of a `Plan`, as a kernel."""
+    headings, yaw_rates, speeds = np.empty(len(times)), np.empty(len(times)), np.empty(len(times))
+    peak, rise, hold, fall = turn_profile(yaw_rate, heading_change, max_yaw_rate, yaw_acceleration)
+    sample_profile(yaw_rate, peak, rise, hold, fall, times, yaw_rates, headings)
+    sample_ramp(speed, wanted_speed, acceleration, times, speeds)
+    feed_forward = np.empty((len(times) - 1, 2))
+    for k in range(len(feed_forward)):
+        feed_forward[k, 0] = (speeds[k] + speeds[k + 1]) / 2
+        feed_forward[k, 1] = (headings[k + 1] - headings[k]) * COMMAND_RATE
+    return headings, yaw_rates, speeds, feed_forward
 
 
 @njit()
