@@ -318,6 +318,11 @@ class BulletEngine(ContactEngine):
         bullet.stepSimulation(self.client)
         self._steps += 1
 
+    def _advance_freely(self, steps: int) -> None:
+        for _ in range(steps):
+            bullet.stepSimulation(self.client)
+        self._steps += steps
+
     def _place_patrols(self) -> None:
         """Says how fast they go, too, which the engine forgets whenever a place is set: a hit is as hard as that."""
         places, velocities = self._movers[:, :2].tolist(), track_velocities(self._tracks, self.time()).tolist()

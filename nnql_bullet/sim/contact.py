@@ -201,16 +201,26 @@ class ContactEngine(VehiclePhysics):
             The number of commands carried out, and whether there was contact.
         """
         self._engage_motors()
-        step, steps = self.step if near or look else self._step, self._steps_per_command
+        steps, command = self._steps_per_command, self._command
+        if not near and look is None:
+            for pair in speeds:
+                command(pair)
+                self._advance_freely(steps)
+            return len(speeds), False
         for number, pair in enumerate(speeds, 1):
-            self._command(pair)
+            command(pair)
             for _ in range(steps):
-                step()
+                self.step()
                 if look:
                     look()
                 if near and self.touching():
                     return number, True
         return len(speeds), False
+
+    def _advance_freely(self, steps: int) -> None:
+        """Takes physics steps in which no contact is possible; the patrols stay where they were."""
+        for _ in range(steps):
+            self._step()
 
 
 @njit()
