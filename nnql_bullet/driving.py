@@ -43,8 +43,8 @@ def drive(
 
     Args:
         policy: A run folder, a policy file, a shipped policy or rule by name, what `load_policy` returned, or an object
-            of your own: `act(observations)` gives the actions (n,) of n vehicles. It may have `reset(vehicle,
-            world_seed)` to forget what it remembers of a vehicle.
+            of your own: `act(observations)` gives the actions (n,) of n vehicles. One with a memory has the methods of
+            `rollout.Policy`.
         world: A shipped world, a TOML file or a `World`; by default that of the training.
         seed: Seed of the world.
         simulator: Where it drives, wherever it was trained.
@@ -63,7 +63,7 @@ def drive(
     asked["robot"] = None if vehicle is None else robot_name(vehicle)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
-    recorder = Recorder(experiment.vehicle, experiment.policy)
+    recorder = Recorder(experiment.vehicle)
     summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(

@@ -4,10 +4,11 @@ from contextlib import closing
 from functools import cached_property, partial
 from os import cpu_count
 
-from nnql_bullet.agents import Agent, LearningAgent, Trainable
+from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
+from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.shield.shield import Shield
@@ -31,7 +32,7 @@ PATH_MARGIN = 0.15
 class Experiment:
     """The objects of one run, made when first asked for."""
 
-    def __init__(self, config: RunConfig, agent: Agent | None = None) -> None:
+    def __init__(self, config: RunConfig, agent: Policy | None = None) -> None:
         """Reads vehicle and world.
 
         Args:
@@ -142,12 +143,12 @@ class Experiment:
         return FaultySimulator(simulator, faults) if faults.any else simulator
 
     @cached_property
-    def agent(self) -> Agent:
+    def agent(self) -> Policy:
         """The agent that was given, or the untrained one that the configuration describes."""
         return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
-    def policy(self) -> Agent:
+    def policy(self) -> Policy:
         """What drives for good: the agent, in its shield if it has one."""
         c = self.config
         return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet import paper
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
-from nnql_bullet.rollout import Agent, EpisodeSummary, overridden
+from nnql_bullet.rollout import Decision, EpisodeSummary
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
@@ -179,10 +180,9 @@ def load_recording(path: Path) -> Recording:
 class Recorder:
     """Watches an episode and turns it into a `Recording`."""
 
-    def __init__(self, vehicle: VehicleSpec, agent: Agent) -> None:
+    def __init__(self, vehicle: VehicleSpec) -> None:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
-        self._agent = agent
 
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""
@@ -191,15 +191,15 @@ class Recorder:
         self.trace.clear()
         self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))
         self._note_state(observation, vehicle)
-        self._note(q_values=self._values(observation, vehicle))
 
-    def on_step(self, transition: Transition, vehicle: int) -> None:
+    def on_step(self, transition: Transition, decision: Decision, vehicle: int) -> None:
         """Records a step."""
         t, m, v = transition, transition.motion, vehicle
         self._ending = int(t.ending[v])
         self._note(
             action=t.a_tm1[v],
-            overridden=overridden(self._agent, len(t.active))[v],
+            overridden=decision.overridden[v],
+            q_values=np.full(len(paper.TURNS), np.nan) if decision.action_values is None else decision.action_values[v],
             heading_command=t.heading_command[v],
             heading_error=m.heading_error[v],
             clearance=m.clearance[v],
@@ -209,13 +209,10 @@ class Recorder:
             state_pose=m.pose[v],
         )
         self._note_state(t.s_t, v)
-        if self._ending == NO_ENDING:
-            self._note(q_values=self._values(t.s_t, v))
 
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
         vehicle, columns, samples = self._vehicle, self._columns, self.trace
-        columns["q_values"] = columns["q_values"][: len(columns["action"])]
         return Recording(
             about={
                 **about,
@@ -241,10 +238,6 @@ class Recorder:
         o, v = observation, vehicle
         label = StateProperty(int(o.state_property[v])).label
         self._note(readings=o.readings[v], ray_distances=o.ray_distances[v], state_property=label)
-
-    def _values(self, observation: Observation, vehicle: int) -> Array:
-        """The agent's values of the five turns, before it decides (5,)."""
-        return np.asarray(self._agent.action_values(observation)[vehicle])
 
     def _note(self, **values: Any) -> None:
         """Adds a value to columns of the recording."""

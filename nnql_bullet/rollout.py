@@ -1,8 +1,8 @@
 """Drives episodes with a policy, sums them up, and shows them to watchers."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,50 +13,76 @@ from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
+PolicyState: TypeAlias = Any
+"""What a policy remembers of n vehicles; None if it has no memory. Only the policy itself looks inside."""
+Actions: TypeAlias = NDArray[np.int64]
+"""An action of each vehicle (n,): one of `paper.TURNS`, `env.TOWARD_TARGET` or, from a shield, a manoeuvre of `env`."""
 
+
+@runtime_checkable
 class Policy(Protocol):
-    """Decides for vehicles, and may remember what each one saw and did. Every agent is one."""
+    """Decides for n vehicles. Every agent is a policy, and so is an agent in a shield.
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Forgets a vehicle, which is put into a world, and restarts the random numbers for it."""
+    A policy changes nothing of itself when it drives: its memory of the vehicles is the state, which the caller keeps.
+    A state is used once; the caller goes on with the state that it got back.
+    """
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The best actions (n,) for vehicles 0 to n - 1, as the policy judges them."""
+    def initial_state(self, size: int) -> PolicyState:
+        """Returns the state of n vehicles that have seen nothing."""
 
+    def reset(self, state: PolicyState, world_seeds: Mapping[int, int]) -> PolicyState:
+        """Forgets vehicles that are put into worlds, and restarts their random numbers.
 
-class Agent(Policy, Protocol):
-    """A policy that can also tell how good it holds the paper's turns to be."""
+        Args:
+            state: The state so far.
+            world_seeds: Seed of the world of each of these vehicles.
+        """
 
-    def action_values(self, observations: Observation) -> Array:
-        """Values of the five turns (n, 5); NaN where they are not computed, for example by a rule."""
+    def act(self, observations: Observation, state: PolicyState) -> tuple[Actions, PolicyState]:
+        """Returns the best actions (n,), as the policy judges them, and the next state."""
+
+    def action_values(self, observations: Observation, state: PolicyState) -> Array:
+        """Returns values of the five turns (n, 5); NaN where they are not computed, for example by a rule."""
 
 
 @runtime_checkable
 class Overriding(Protocol):
     """A policy that may replace the decisions of its agent, as a shield does."""
 
-    overridden: NDArray[np.bool_]
-    """Whether it replaced the last decision for each vehicle (n,)."""
-
-
-def overridden(policy: Policy, size: int) -> NDArray[np.bool_]:
-    """Whether the policy replaced the last decision of its agent for each vehicle (n,); never without a shield."""
-    return policy.overridden if isinstance(policy, Overriding) else np.zeros(size, np.bool_)
+    def overridden(self, state: PolicyState) -> NDArray[np.bool_]:
+        """Returns whether it replaced the last decision for each vehicle (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Reflex:
-    """A policy without memory."""
+class Decision:
+    """One decision of a policy for n vehicles."""
 
-    policy: Callable[[Observation], NDArray[np.int64]]
-    """Gives actions (n,) for an observation of n vehicles."""
+    actions: Actions
+    """(n,)"""
+    overridden: NDArray[np.bool_]
+    """Whether a shield replaced the agent's decision (n,)."""
+    action_values: Array | None
+    """Values of the five turns before the decision (n, 5), or None if no watcher sees them."""
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Does nothing."""
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The actions that the function gives."""
-        return self.policy(observations)
+def decide(
+    policy: Policy, observations: Observation, state: PolicyState, with_values: bool = False
+) -> tuple[Decision, PolicyState]:
+    """Lets a policy decide.
+
+    Args:
+        policy: The policy.
+        observations: What n vehicles see.
+        state: The policy's state.
+        with_values: Whether to compute the action values too.
+
+    Returns:
+        The decision and the policy's next state.
+    """
+    values = policy.action_values(observations, state) if with_values else None
+    actions, state = policy.act(observations, state)
+    overridden = policy.overridden(state) if isinstance(policy, Overriding) else np.zeros(len(actions), np.bool_)
+    return Decision(actions, overridden, values), state
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +220,8 @@ class Watcher(Protocol):
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Is shown the start of the episode: the observation of n vehicles, and which of them it is about."""
 
-    def on_step(self, transition: Transition, vehicle: int) -> None:
-        """Is shown a step of n vehicles, and which of them it is about."""
+    def on_step(self, transition: Transition, decision: Decision, vehicle: int) -> None:
+        """Is shown a step of n vehicles, the decision that led to it, and which vehicle it is about."""
 
 
 def run_episode(
@@ -241,7 +267,7 @@ def finished_episodes(
         The place in `worlds` of each episode that finishes, and its result.
     """
     n, watchers = navigation.simulator.size, watchers or {}
-    tally, place = Tally(navigation), np.full(n, -1)
+    tally, place, state = Tally(navigation), np.full(n, -1), policy.initial_state(n)
     watched: dict[int, Watcher] = {}
     waiting = iter(range(len(worlds)))
     while True:
@@ -253,7 +279,7 @@ def finished_episodes(
         begun = {vehicle: worlds[place[vehicle]] for vehicle in free if place[vehicle] >= 0}
         for vehicle, world in begun.items():
             tally.reset(vehicle, world.seed)
-            policy.reset(vehicle, world.seed)
+        state = policy.reset(state, {vehicle: world.seed for vehicle, world in begun.items()})
         navigation.reset(begun)
         active = place >= 0
         if not active.any():
@@ -264,8 +290,8 @@ def finished_episodes(
                 if vehicle in watched:
                     watched[vehicle].on_reset(world, navigation.observation, vehicle)
         traces = {vehicle: watcher.trace for vehicle, watcher in watched.items() if watcher.trace is not None}
-        actions = policy.act(navigation.observation)
-        transition = navigation.step(actions, None if active.all() else active, traces)
+        decision, state = decide(policy, navigation.observation, state, with_values=bool(watched))
+        transition = navigation.step(decision.actions, None if active.all() else active, traces)
         for vehicle, watcher in watched.items():
-            watcher.on_step(transition, vehicle)
-        tally.add(transition, overridden(policy, n))
+            watcher.on_step(transition, decision, vehicle)
+        tally.add(transition, decision.overridden)

@@ -27,7 +27,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
 from nnql_bullet.presets import load_config
-from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
@@ -184,7 +184,7 @@ class LoadedPolicy:
         return LoadedPolicy(self.name, experiment, self.episodes)
 
 
-PolicyLike = str | Path | LoadedPolicy | Decider
+PolicyLike = str | Path | LoadedPolicy | Policy | Decider
 """A policy by its path or name, one that `load_policy` returned, or an object of your own."""
 
 
@@ -225,7 +225,7 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
     return LoadedPolicy(name, experiment, weights.episodes)
 
 
-def _own_policy(policy: Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
+def _own_policy(policy: Policy | Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
     """An object of the caller as a policy.
 
     Raises:
@@ -233,6 +233,9 @@ def _own_policy(policy: Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
     """
     if not isinstance(policy, Decider):
         raise UserError(f"{type(policy).__name__} is no policy: it has no method act(observations)")
+    lacking = [name for name in ("action_values", "reset") if not hasattr(policy, name)]
+    if hasattr(policy, "initial_state") and lacking:
+        raise UserError(f"{type(policy).__name__} has a memory but lacks: {', '.join(lacking)}; see rollout.Policy")
     agent = policy if isinstance(policy, Custom) else Custom(policy)
     return LoadedPolicy(agent.name, Experiment(changed(RunConfig(), **changes), agent), 0)
 

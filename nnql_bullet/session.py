@@ -10,9 +10,10 @@ from pathlib import Path
 
 import torch
 
-from nnql_bullet.agents import Agent, Trainable
+from nnql_bullet.agents import Trainable
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
@@ -30,7 +31,7 @@ def train(
     config: RunConfig,
     out: Path,
     *,
-    agent: Agent | None = None,
+    agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = None,
     overwrite: bool = False,
@@ -67,7 +68,7 @@ def resume(
     folder: Path,
     episodes: int | None = None,
     *,
-    agent: Agent | None = None,
+    agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = None,
     on_progress: OnProgress = silent,
@@ -103,7 +104,7 @@ class _Session:
     """A training that goes on until it is over or stopped."""
 
     run: Run
-    agent: Agent | None
+    agent: Policy | None
     reward: Reward | None
     workers: int | None
     on_progress: OnProgress

@@ -20,7 +20,7 @@ from rich.progress import track
 
 import nnql_bullet as nb
 from nnql_bullet import __version__, paper
-from nnql_bullet.agents.rules.straight import Straight
+from nnql_bullet.agents.base import Reflex
 from nnql_bullet.colours import INK, NON_SAFE, SAFE, VEHICLE
 from nnql_bullet.env import Navigation, Transition
 from nnql_bullet.experiment import Experiment
@@ -37,7 +37,7 @@ from nnql_bullet.reports.drawing import (
     save_figure,
     without_ticks,
 )
-from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.runs import CHECKPOINT, Run, load_run
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.sim.base import Motion, Simulator, Traces
@@ -126,7 +126,7 @@ def record(
     waiting = iter(decisions)
     policy = Reflex(lambda observations: np.array([next(waiting)[0]]))
     navigation = Navigation(Told(experiment.simulator, decisions), experiment.config.task)
-    recorder = Recorder(experiment.vehicle, Straight())  # what the network thought of the turns changed at every step
+    recorder = Recorder(experiment.vehicle)  # what the network thought of the turns changed at every step
     if run_episode(navigation, world, policy, watcher=recorder) != summary:
         raise RuntimeError(f"world {world.seed}: the drive is not repeated; report this with your machine's name")
     return recorder.recording(version=__version__)

@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from nnql_bullet.agents.base import Overridable
 from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.rollout import Actions, Overriding, Policy
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.task import ENDINGS, NO_ENDING
+from nnql_bullet.training.base import LearningAgent
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -74,3 +77,37 @@ def ending(transition: Transition) -> str | None:
 def observed(*vehicles: Iterable[Any]) -> Observation:
     """An observation of n vehicles, each given as the values of the record's fields in their order."""
     return Observation(*(np.array(column) for column in zip(*vehicles, strict=True)))
+
+
+class Driving:
+    """A policy and its state for n vehicles."""
+
+    def __init__(self, policy: Policy, size: int = 1) -> None:
+        self.policy = policy
+        self.state = policy.initial_state(size)
+
+    def reset(self, *vehicles: int) -> "Driving":
+        """Puts vehicles into worlds whose seeds are their numbers."""
+        self.state = self.policy.reset(self.state, {vehicle: vehicle for vehicle in vehicles})
+        return self
+
+    def act(self, observations: Observation) -> Actions:
+        actions, self.state = self.policy.act(observations, self.state)
+        return actions
+
+    def action_values(self, observations: Observation) -> Array:
+        return self.policy.action_values(observations, self.state)
+
+    def override(self, actions: Actions) -> None:
+        assert isinstance(self.policy, Overridable)
+        self.state = self.policy.override(self.state, actions)
+
+    @property
+    def overridden(self) -> list[bool]:
+        assert isinstance(self.policy, Overriding)
+        return [bool(one) for one in self.policy.overridden(self.state)]
+
+
+def learn(agent: LearningAgent, transitions: Transition) -> Array:
+    """Lets an agent without memory learn in its first episode."""
+    return agent.learn(transitions, None, np.zeros(len(transitions.a_tm1), np.int64))

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import Driving
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents import KINDS, RULES, Agent, AgentOptions, Trainable
+from nnql_bullet.agents import KINDS, RULES, AgentOptions, Trainable
 from nnql_bullet.agents.base import Overridable
-from nnql_bullet.env import ACTIONS, Navigation, Observation
+from nnql_bullet.env import ACTIONS, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
-from nnql_bullet.rollout import run_episodes
+from nnql_bullet.rollout import Policy, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -39,7 +40,7 @@ VEHICLES, DECISIONS = 5, 40
 
 Drive = list[Observation]
 """What vehicles see at one decision after the other."""
-Make = Callable[[str], Agent]
+Make = Callable[[str], Policy]
 
 
 def options_of(kind: str, **changes: object) -> AgentOptions:
@@ -76,11 +77,12 @@ def rows(observations: Observation, vehicles: list[int]) -> Observation:
     return Observation(*(getattr(observations, field.name)[vehicles] for field in fields(Observation)))
 
 
-def decided(agent: Agent, drive: Drive, vehicles: list[int], order: list[int] | None = None) -> NDArray[np.int64]:
+def decided(agent: Policy, drive: Drive, vehicles: list[int], order: list[int] | None = None) -> NDArray[np.int64]:
     """What an agent does with some of the drive's vehicles (decisions, vehicles), begun in an `order`."""
+    driving = Driving(agent, len(vehicles))
     for place in order or range(len(vehicles)):
-        agent.reset(place, vehicles[place])  # the vehicle's number is its world's seed
-    return np.array([agent.act(rows(observations, vehicles)) for observations in drive])
+        driving.state = agent.reset(driving.state, {place: vehicles[place]})  # a vehicle's number is its world's seed
+    return np.array([driving.act(rows(observations, vehicles)) for observations in drive])
 
 
 @kinds
@@ -90,10 +92,7 @@ class TestEveryAgent:
         assert np.array_equal(decided(make(kind), drive, everybody), decided(make(kind), drive, everybody))
 
     def test_actions_are_actions(self, kind: str, make: Make, drive: Drive) -> None:
-        agent = make(kind)
-        for vehicle in range(VEHICLES):
-            agent.reset(vehicle, vehicle)
-        actions = agent.act(drive[-1])
+        actions = Driving(make(kind), VEHICLES).reset(*range(VEHICLES)).act(drive[-1])
         assert (actions.shape, actions.dtype) == ((VEHICLES,), np.int64)
         assert set(actions.tolist()) <= set(range(ACTIONS))
 
@@ -108,33 +107,30 @@ class TestEveryAgent:
         assert np.array_equal(decided(make(kind), drive, shuffled, order=[2, 0, 1]), together[:, shuffled])
 
     def test_beginning_forgets_that_vehicle_and_no_other(self, kind: str, make: Make, drive: Drive) -> None:
-        agent, half = make(kind), DECISIONS // 2
-        first = decided(agent, drive[:half], [0, 1])
-        agent.reset(1, 2)  # vehicle 1 goes into another world in the midst of the drive of vehicle 0
+        agent, half = Driving(make(kind), 2).reset(0, 1), DECISIONS // 2
+        first = [agent.act(rows(observations, [0, 1])) for observations in drive[:half]]
+        agent.state = agent.policy.reset(agent.state, {1: 2})  # another world in the midst of the drive of vehicle 0
         second = [agent.act(mixed(drive[half + k], drive[k])) for k in range(half)]
         alone, fresh = decided(make(kind), drive, [0]), decided(make(kind), drive[:half], [2])
         assert np.array_equal(np.concatenate([first, second])[:, 0], alone[:, 0])
         assert np.array_equal(np.array(second)[:, 1], fresh[:, 0])
 
     def test_observations_stay_as_they_were(self, kind: str, make: Make, drive: Drive) -> None:
-        agent, (seen, kept) = make(kind), (rows(drive[-1], list(range(VEHICLES))) for _ in range(2))
-        for vehicle in range(VEHICLES):
-            agent.reset(vehicle, vehicle)
+        agent = Driving(make(kind), VEHICLES).reset(*range(VEHICLES))
+        seen, kept = (rows(drive[-1], list(range(VEHICLES))) for _ in range(2))
         agent.act(seen)
         agent.action_values(seen)
         assert all(np.array_equal(getattr(seen, field.name), getattr(kept, field.name)) for field in fields(seen))
 
     def test_action_values_are_of_the_five_turns(self, kind: str, make: Make, drive: Drive) -> None:
-        values = make(kind).action_values(drive[-1])
+        values = Driving(make(kind), VEHICLES).action_values(drive[-1])
         assert values.shape == (VEHICLES, len(paper.TURNS))
         assert np.isnan(values).all() == (kind in RULES)
 
     def test_asking_for_values_changes_no_drive(self, kind: str, make: Make, drive: Drive) -> None:
-        agent = make(kind)
-        agent.reset(0, 0)
-        asked = []
+        agent, asked = Driving(make(kind)).reset(0), []
         for observations in drive:
-            agent.action_values(observations)
+            agent.action_values(rows(observations, [0]))
             asked.append(agent.act(rows(observations, [0])))
         assert np.array_equal(np.array(asked), decided(make(kind), drive, [0]))
 
@@ -152,15 +148,24 @@ class TestEveryAgent:
         assert isinstance(agents[0], Overridable) == (not np.array_equal(*later))
 
     def test_told_of_its_own_choice_it_goes_on_as_untold(self, kind: str, make: Make, drive: Drive) -> None:
-        agent, everybody = opinionated(make(kind)), list(range(VEHICLES))
-        for vehicle in everybody:
-            agent.reset(vehicle, vehicle)
-        told = []
+        everybody = list(range(VEHICLES))
+        agent, told = Driving(opinionated(make(kind)), VEHICLES).reset(*everybody), []
         for observations in drive:
             told.append(agent.act(observations))
-            if isinstance(agent, Overridable):
+            if isinstance(agent.policy, Overridable):
                 agent.override(told[-1])
         assert np.array_equal(told, decided(opinionated(make(kind)), drive, everybody))
+
+    def test_the_last_override_counts(self, kind: str, make: Make, drive: Drive) -> None:
+        """Whatever it was told before, as a shield may tell it to stop."""
+        everybody = list(range(VEHICLES))
+        once, twice = (Driving(opinionated(make(kind)), VEHICLES).reset(*everybody) for _ in range(2))
+        for observations in drive:
+            assert np.array_equal(once.act(observations), twice.act(observations))
+            if isinstance(once.policy, Overridable):
+                twice.override(np.full(VEHICLES, STOP + 1))
+                for driving in (once, twice):
+                    driving.override(np.full(VEHICLES, STOP))
 
     def test_there_may_be_more_vehicles_than_worlds(
         self, kind: str, make: Make, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
@@ -175,7 +180,7 @@ class TestEveryAgent:
             options_of(kind, colour=3)
 
 
-def opinionated(agent: Agent) -> Agent:
+def opinionated(agent: Policy) -> Policy:
     """The agent with some chance in its weights: untrained, some do the same whatever they see."""
     if isinstance(agent, Trainable):
         chance = np.random.default_rng(1)

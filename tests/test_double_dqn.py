@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers import observed
+from helpers import Driving, observed
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
@@ -438,15 +438,16 @@ def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
     vehicle: VehicleSpec, kinematic_drive: list[tuple[Any, Observation, Any]]
 ) -> None:
     """One of another mind does as it likes; another is told to do that, and then the first one comes to its senses."""
-    one, other, untold = (DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3))
+    agents = [DoubleDqn(SMALL, 0, vehicle, DriveOptions()) for _ in range(3)]
+    one, other, untold = (Driving(agent, len(kinematic_drive[0][1].yaw_rate)) for agent in agents)
     minds = [
         {
             name: values + chance.normal(size=values.shape).astype(values.dtype)
-            for name, values in one.state_dict().items()
+            for name, values in agents[0].state_dict().items()
         }
         for chance in map(np.random.default_rng, range(2))
     ]
-    for agent, mind in ((one, 0), (other, 1), (untold, 1)):
+    for agent, mind in zip(agents, (0, 1, 1), strict=True):
         agent.load_state_dict(minds[mind])
     half = len(kinematic_drive) // 2
     for _, seen, _ in kinematic_drive[:half]:
@@ -454,7 +455,7 @@ def test_told_what_was_done_it_goes_on_as_one_that_chose_it(
         assert not np.array_equal(other.act(seen), done)
         other.override(done)
         untold.act(seen)
-    one.load_state_dict(minds[1])
+    agents[0].load_state_dict(minds[1])
     mine, told, its_own = (agent.action_values(kinematic_drive[half][1]) for agent in (one, other, untold))
     assert np.array_equal(mine, told)
     assert not np.array_equal(mine, its_own)

@@ -79,12 +79,10 @@ class Constant:
 
     def __init__(self, action: int) -> None:
         self.action = action
-        self.resets: list[tuple[int, int]] = []
-
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        self.resets.append((vehicle, world_seed))
+        self.decisions = 0
 
     def act(self, observations: Any) -> Any:
+        self.decisions += 1
         return np.full(len(observations.readings), self.action)
 
 
@@ -94,7 +92,7 @@ class TestOwnPolicy:
         mine = nb.drive(own, world="cover_10", seed=3, simulator="kinematic")
         rule = nb.drive("straight", world="cover_10", seed=3, simulator="kinematic")
         assert mine.summary == rule.summary
-        assert (mine.about["policy"], own.resets) == ("Constant", [(0, 3)])
+        assert mine.about["policy"] == "Constant"
         assert not list(here.iterdir()), "a drive writes nothing by itself"
         assert capfd.readouterr().out == ""
 
@@ -112,9 +110,41 @@ class TestOwnPolicy:
         arguments: dict[str, Any] = {"worlds": ["cover_10"], "n_worlds": 2, "simulator": "kinematic", "out": "out"}
         own = Constant(5)
         nb.evaluate(own, **arguments)
-        before = len(own.resets)
+        before = own.decisions
         nb.evaluate(own, **arguments)
-        assert len(own.resets) > before
+        assert own.decisions > before
+
+    def test_may_have_memory(self, here: Path) -> None:
+        class Alternating:
+            """Turns left and right by turns, in every world from the left."""
+
+            def initial_state(self, size: int) -> Any:
+                return np.zeros(size, int)
+
+            def reset(self, state: Any, world_seeds: Any) -> Any:
+                state = state.copy()
+                state[list(world_seeds)] = 0
+                return state
+
+            def act(self, observations: Any, state: Any) -> Any:
+                return np.where(state % 2, 3, 1), state + 1
+
+            def action_values(self, observations: Any, state: Any) -> Any:
+                return np.repeat(state[:, None], 5, axis=1).astype(float)
+
+        own = nb.load_policy(Alternating())
+        for seed in (3, 4):
+            recording = nb.drive(own, world="cover_10", seed=seed, simulator="kinematic")
+            assert recording.action[:4].tolist() == [1, 3, 1, 3]
+            assert recording.q_values[:4, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
+
+    def test_has_to_be_whole(self) -> None:
+        class Forgetful:
+            def initial_state(self, size: int) -> None: ...
+            def act(self, observations: Any, state: Any) -> Any: ...
+
+        with pytest.raises(nb.UserError, match=r"Forgetful has a memory but lacks: action_values, reset"):
+            nb.drive(Forgetful(), simulator="kinematic")  # type: ignore[arg-type]
 
     def test_cannot_leave_this_process(self) -> None:
         with pytest.raises(nb.UserError, match="'Constant' is an object of this process"):

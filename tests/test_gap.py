@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.base import Reflex
 from nnql_bullet.cli import main
 from nnql_bullet.env import TOWARD_TARGET, Navigation, Observation
 from nnql_bullet.evaluation.causes import apart, explain, parting, period_errors
@@ -20,7 +20,7 @@ from nnql_bullet.evaluation.gap import Pair, differences, divergence, outcome_ma
 from nnql_bullet.evaluation.statistics import mcnemar, proportion
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
-from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -41,7 +41,7 @@ def recorded(simulator: Simulator, world: WorldSpec, actions: list[int]) -> Reco
     def policy(observations: Observation) -> np.ndarray[Any, Any]:
         return np.array([next(waiting, STRAIGHT)])
 
-    recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
+    recorder = Recorder(vehicle)
     run_episode(Navigation(simulator, TaskOptions(max_steps=len(actions))), world, Reflex(policy), watcher=recorder)
     simulator.close()
     return recorder.recording()

@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
+from nnql_bullet.agents.base import Reflex
 from nnql_bullet.agents.learning.genetic import (
     GENES,
     Genetic,
@@ -28,7 +29,7 @@ from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sensing import RAYS
@@ -116,14 +117,14 @@ class TestNetworks:
         assert GENES == sum(weights.size for weights in nnql.state_dict().values()) == 89
         nnql.load_state_dict(agent.state_dict())
         seen = observed(np.random.default_rng(0).uniform(0, 10, (50, 8)))
-        assert agent.action_values(seen) == pytest.approx(nnql.action_values(seen), abs=1e-12)
-        assert agent.act(seen).tolist() == nnql.act(seen).tolist()
+        assert agent.action_values(seen, None) == pytest.approx(nnql.action_values(seen, None), abs=1e-12)
+        assert agent.act(seen, None)[0].tolist() == nnql.act(seen, None)[0].tolist()
 
     def test_in_safe_states_it_turns_toward_the_target(self) -> None:
         agent = Genetic(GeneticOptions(), 3)
         seen = observed(np.full((2, 8), 9.0), StateProperty.SAFE)
-        assert agent.act(seen).tolist() == [5, 5]
-        assert np.isnan(agent.action_values(seen)).all()
+        assert agent.act(seen, None)[0].tolist() == [5, 5]
+        assert np.isnan(agent.action_values(seen, None)).all()
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:
         agent = Genetic(GeneticOptions(), 3)

@@ -5,6 +5,7 @@ import helpers
 import numpy as np
 import pytest
 import torch
+from helpers import learn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import softmax
@@ -57,13 +58,13 @@ def together(*records):
 
 def q_values(agent, observations=None):
     """Of one vehicle."""
-    (values,) = agent.action_values(observations or observed())
+    (values,) = agent.action_values(observations or observed(), None)
     return values
 
 
 def learned(agent, step):
     """The temporal-difference error of a step of one vehicle."""
-    (td_error,) = agent.learn(step)
+    (td_error,) = learn(agent, step)
     return float(td_error)
 
 
@@ -71,12 +72,12 @@ def explored(agent, observations, uniforms, episode=0):
     """The actions of one vehicle for each of several uniforms."""
     rows = (np.repeat(getattr(observations, field.name), len(uniforms), axis=0) for field in fields(Observation))
     many = Observation(*rows)
-    return agent.act_exploring(many, np.full(len(uniforms), episode), np.array(uniforms)).tolist()
+    return agent.act_exploring(many, None, np.full(len(uniforms), episode), np.array(uniforms))[0].tolist()
 
 
 def exploited(agent, observations=None):
     """Of one vehicle."""
-    (action,) = agent.act(observations or observed()).tolist()
+    (action,) = agent.act(observations or observed(), None)[0].tolist()
     return action
 
 
@@ -152,7 +153,7 @@ def test_action_values_are_the_networks_outputs(readings, seed):
 def test_action_values_of_many_vehicles_are_those_of_each(rows):
     agent = random_agent()
     seen = [observed(readings, StateProperty.SAFE if safe else StateProperty.NON_SAFE) for readings, safe in rows]
-    values = agent.action_values(together(*seen))
+    values = agent.action_values(together(*seen), None)
     assert values.shape == (len(rows), 5)
     for (readings, safe), got in zip(rows, values, strict=True):
         expected = np.full(5, np.nan) if safe else forward(agent.state_dict(), inputs(readings))[1]
@@ -211,7 +212,7 @@ def test_learning_matches_numerical_gradients():
     before, x = agent.state_dict(), inputs(BEFORE)
     q = forward(before, x)[1][2]
     target = q + 0.1 * (1.0 + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
-    agent.learn(transition(2, reward=1.0))
+    learn(agent, transition(2, reward=1.0))
     for name, value in agent.state_dict().items():
         for index in np.ndindex(value.shape):
             errors = []
@@ -229,7 +230,7 @@ def test_steps_do_not_add_up_old_gradients():
         before = agent.state_dict()
         q = forward(before, inputs(BEFORE))[1][action]
         target = q + 0.1 * (reward + 0.15 * forward(before, inputs(AFTER))[1].max() - q)
-        agent.learn(transition(action, reward))
+        learn(agent, transition(action, reward))
         assert close(agent.state_dict(), stepped(before, inputs(BEFORE), action, target, 0.5))
 
 
@@ -262,7 +263,7 @@ def test_steps_at_once_are_gradient_descent_on_the_sum_of_their_errors(steps):
     agent = random_agent(gradient_step=0.3)
     before = agent.state_dict()
     wants, td_errors = zip(*(wanted(before, *step) for step in steps), strict=True)
-    assert agent.learn(as_transitions(steps)) == pytest.approx(np.array(td_errors), abs=1e-12)
+    assert learn(agent, as_transitions(steps)) == pytest.approx(np.array(td_errors), abs=1e-12)
     assert close(agent.state_dict(), summed(before, wants, 0.3))
 
 
@@ -275,8 +276,8 @@ def test_a_mirrored_step_teaches_as_the_step_and_its_mirror_image_at_once(action
     step = transition(action, reward=-0.3, discount=0.5)
     image = transition(mirror_image, reward=-0.3, discount=0.5, before=in_a_mirror(BEFORE), after=in_a_mirror(AFTER))
     mirrored, both = Nnql(NnqlOptions(mirrored=True), 3), Nnql(NnqlOptions(), 3)
-    (td_error,) = mirrored.learn(step)
-    td_errors = both.learn(together(step, image))
+    (td_error,) = learn(mirrored, step)
+    td_errors = learn(both, together(step, image))
     for name in NAMES:
         assert np.allclose(mirrored.state_dict()[name], both.state_dict()[name], rtol=0, atol=1e-14)
     assert td_error == pytest.approx(td_errors[0], abs=1e-14)
@@ -285,7 +286,7 @@ def test_a_mirrored_step_teaches_as_the_step_and_its_mirror_image_at_once(action
 def test_one_step_at_once_is_not_several_one_after_another():
     steps = [(BEFORE, 1, 0.4, 1.0, AFTER), (AFTER, 1, -0.6, 0.0, BEFORE), (BEFORE, 4, -0.4, 1.0, AFTER)]
     at_once, one_by_one = random_agent(gradient_step=0.3), random_agent(gradient_step=0.3)
-    at_once.learn(as_transitions(steps))
+    learn(at_once, as_transitions(steps))
     for step in steps:
         weights = one_by_one.state_dict()
         want, td_error = wanted(weights, *step)
@@ -301,13 +302,13 @@ def test_vehicles_that_stood_by_teach_nothing():
     idle = replace(transition(2, np.nan, np.nan, nobody, nobody), active=np.zeros(1, np.bool_))
     one, other = random_agent(), random_agent()
     before = one.state_dict()
-    errors = one.learn(together(idle, transition(1), idle, transition(4, -0.6, 0.0), idle))
+    errors = learn(one, together(idle, transition(1), idle, transition(4, -0.6, 0.0), idle))
     assert np.isnan(errors).tolist() == [True, False, True, False, True]
-    assert other.learn(together(transition(1), transition(4, -0.6, 0.0))).tolist() == errors[[1, 3]].tolist()
+    assert learn(other, together(transition(1), transition(4, -0.6, 0.0))).tolist() == errors[[1, 3]].tolist()
     assert same(one.state_dict(), other.state_dict())
     assert not same(one.state_dict(), before)
     after = one.state_dict()
-    assert np.isnan(one.learn(together(idle, idle))).all()
+    assert np.isnan(learn(one, together(idle, idle))).all()
     assert same(one.state_dict(), after)
 
 
@@ -315,7 +316,7 @@ def test_of_many_vehicles_only_those_in_non_safe_states_teach():
     safe = transition(TOWARD, reward=-0.2, before=observed(state=StateProperty.SAFE))
     one, other = random_agent(), random_agent()
     before = one.state_dict()
-    errors = one.learn(together(transition(3), safe, safe))
+    errors = learn(one, together(transition(3), safe, safe))
     assert np.isnan(errors).tolist() == [False, True, True]
     assert errors[0] == learned(other, transition(3))
     assert same(one.state_dict(), other.state_dict())
@@ -325,7 +326,7 @@ def test_of_many_vehicles_only_those_in_non_safe_states_teach():
 def test_repeated_learning_of_an_ending_converges_to_its_reward():
     agent = Nnql(NnqlOptions(gradient_step=1.0), 0)
     for _ in range(1500):
-        agent.learn(transition(3, reward=-0.6, discount=0.0))
+        learn(agent, transition(3, reward=-0.6, discount=0.0))
     assert q_values(agent)[3] == pytest.approx(-0.6, abs=1e-3)
 
 
@@ -446,7 +447,7 @@ def test_exploration_of_many_vehicles_is_that_of_each():
     agent, generator = random_agent(1), np.random.default_rng(5)
     seen = [observed(generator.uniform(0, 10, 8), StateProperty(int(generator.integers(2)))) for _ in range(60)]
     episodes, uniforms = generator.integers(0, 1200, 60), generator.random(60)
-    actions = agent.act_exploring(together(*seen), episodes, uniforms).tolist()
+    actions = agent.act_exploring(together(*seen), None, episodes, uniforms)[0].tolist()
     assert actions == [
         explored(agent, one, [uniform], episode)[0]
         for one, episode, uniform in zip(seen, episodes, uniforms, strict=True)
@@ -471,7 +472,7 @@ def test_exploitation_takes_the_largest_q_value(readings, seed):
 def test_exploitation_of_many_vehicles_is_that_of_each():
     agent, generator = random_agent(), np.random.default_rng(6)
     seen = [observed(generator.uniform(0, 10, 8), StateProperty(int(generator.integers(2)))) for _ in range(40)]
-    actions = agent.act(together(*seen)).tolist()
+    actions = agent.act(together(*seen), None)[0].tolist()
     for one, action in zip(seen, actions, strict=True):
         best = int(forward(agent.state_dict(), inputs(one.readings[0]))[1].argmax())
         assert action == (TOWARD if one.state_property[0] == StateProperty.SAFE else best)
@@ -558,7 +559,7 @@ def test_diagnostics_are_the_temperature_of_the_episode():
 
 def test_arrays_and_load_are_a_round_trip():
     trained, fresh = random_agent(1), Nnql(NnqlOptions(), 2)
-    trained.learn(transition())
+    learn(trained, transition())
     fresh.load_state_dict(trained.state_dict())
     assert same(fresh.state_dict(), trained.state_dict())
     assert q_values(fresh).tolist() == q_values(trained).tolist()
@@ -570,7 +571,7 @@ def test_arrays_are_copies_that_learning_does_not_change():
     agent = random_agent()
     arrays = agent.state_dict()
     kept = {name: value.copy() for name, value in arrays.items()}
-    agent.learn(transition())
+    learn(agent, transition())
     assert same(arrays, kept)
     assert not same(agent.state_dict(), kept)
 
@@ -587,7 +588,7 @@ def test_loaded_arrays_stay_the_callers():
     agent, arrays = Nnql(NnqlOptions(), 0), random_agent().state_dict()
     kept = {name: value.copy() for name, value in arrays.items()}
     agent.load_state_dict(arrays)
-    agent.learn(transition())
+    learn(agent, transition())
     assert same(arrays, kept)
     for array in arrays.values():
         array[:] = 9.0
@@ -619,10 +620,10 @@ def test_arrays_of_another_network_are_refused_and_change_nothing(change):
 
 def test_observations_are_not_changed():
     agent, step = random_agent(learn_in_safe_states=True), transition()
-    agent.learn(step)
-    agent.act_exploring(step.s_tm1, np.zeros(1, np.int64), np.full(1, 0.5))
-    agent.act(step.s_t)
-    agent.action_values(step.s_t)
+    learn(agent, step)
+    agent.act_exploring(step.s_tm1, None, np.zeros(1, np.int64), np.full(1, 0.5))[0]
+    agent.act(step.s_t, None)[0]
+    agent.action_values(step.s_t, None)
     assert np.array_equal(step.s_tm1.readings, [BEFORE])
     assert np.array_equal(step.s_t.readings, [AFTER])
     assert (step.a_tm1.tolist(), step.r_t.tolist(), step.active.tolist()) == ([1], [0.4], [True])
@@ -632,7 +633,7 @@ def test_learning_is_reproducible():
     agents = [Nnql(NnqlOptions(), 9) for _ in range(2)]
     for agent in agents:
         for action in (0, 4, 2, 2, 1):
-            agent.learn(transition(action, reward=0.1 * action))
+            learn(agent, transition(action, reward=0.1 * action))
     assert same(agents[0].state_dict(), agents[1].state_dict())
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import observed
+from helpers import learn, observed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
-from nnql_bullet.agents.base import NoMemory, NoTrainingState
+from nnql_bullet.agents.base import NoTrainingState
 from nnql_bullet.agents.learning.q_table import QTable
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation, Transition
@@ -72,10 +72,10 @@ def near(front: float) -> list[float]:
 
 
 def q(agent: QTable, readings: list[float]) -> list[float]:
-    return [float(value) for value in agent.action_values(seen(readings))[0]]
+    return [float(value) for value in agent.action_values(seen(readings), None)[0]]
 
 
-class Dictionary(NoMemory, NoTrainingState):
+class Dictionary(NoTrainingState):
     """The same learner written anew: a dictionary for the table, one vehicle after the other, Python's floats."""
 
     def __init__(self, options: QTableOptions) -> None:
@@ -89,8 +89,8 @@ class Dictionary(NoMemory, NoTrainingState):
         return self.table.get(self.state(readings), [0.0] * 5)
 
     def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+        self, observations: Observation, state: None, episodes: NDArray[np.int64], uniforms: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], None]:
         actions = []
         for i, uniform in enumerate(uniforms):
             if observations.state_property[i] == StateProperty.SAFE:
@@ -105,9 +105,9 @@ class Dictionary(NoMemory, NoTrainingState):
                 if uniform < total:
                     actions.append(turn)
                     break
-        return np.array(actions)
+        return np.array(actions), None
 
-    def learn(self, transitions: Transition) -> NDArray[np.float64]:
+    def learn(self, transitions: Transition, state: None, episodes: NDArray[np.int64]) -> NDArray[np.float64]:
         t = transitions
         errors, updates = [], []
         for i in range(len(t.r_t)):
@@ -194,37 +194,37 @@ class TestStates:
 class TestLearning:
     def test_by_hand(self) -> None:
         agent = agent_of()
-        assert agent.learn(steps(seen(near(3.0)), [2], [0.4], seen(near(5.0)))).tolist() == [0.4]
+        assert learn(agent, steps(seen(near(3.0)), [2], [0.4], seen(near(5.0)))).tolist() == [0.4]
         assert q(agent, near(3.0)) == pytest.approx([0.0, 0.0, 0.04, 0.0, 0.0])  # 0.1 of it
         # From another state into that one: 1.0 + 0.15 * 0.04
-        assert agent.learn(steps(seen(near(5.0)), [0], [1.0], seen(near(3.9)))) == pytest.approx([1.006])
+        assert learn(agent, steps(seen(near(5.0)), [0], [1.0], seen(near(3.9)))) == pytest.approx([1.006])
         assert q(agent, near(5.0)) == pytest.approx([0.1006, 0.0, 0.0, 0.0, 0.0])
         # Again, to an end for good: nothing is expected after it.
-        assert agent.learn(steps(seen(near(5.0)), [0], [-0.6], seen(near(3.0)), 0.0)) == pytest.approx([-0.7006])
+        assert learn(agent, steps(seen(near(5.0)), [0], [-0.6], seen(near(3.0)), 0.0)) == pytest.approx([-0.7006])
         assert q(agent, near(5.0))[0] == pytest.approx(0.1006 - 0.07006)
 
     def test_vehicles_that_meet_in_one_entry_add_up(self) -> None:
         agent = agent_of()
-        agent.learn(steps(seen(near(3.0)), [1], [1.0], seen(near(9.0))))
+        learn(agent, steps(seen(near(3.0)), [1], [1.0], seen(near(9.0))))
         before = q(agent, near(3.0))[1]
         rewards = [0.4, -0.4, 1.0]
-        errors = agent.learn(steps(seen(*[near(3.0)] * 3), [1, 1, 1], rewards, seen(*[near(9.0)] * 3)))
+        errors = learn(agent, steps(seen(*[near(3.0)] * 3), [1, 1, 1], rewards, seen(*[near(9.0)] * 3)))
         assert errors == pytest.approx([reward - before for reward in rewards])
         assert q(agent, near(3.0))[1] == pytest.approx(before + 0.1 * (sum(rewards) - 3 * before))
 
     def test_safe_states_teach_nothing(self) -> None:
         agent = agent_of()
         before = seen(near(6.0), state=StateProperty.SAFE)
-        assert np.isnan(agent.learn(steps(before, [TOWARD], [-0.2], seen(near(3.0))))).all()
+        assert np.isnan(learn(agent, steps(before, [TOWARD], [-0.2], seen(near(3.0))))).all()
         assert len(agent.state_dict()["states"]) == 0
-        assert np.isnan(agent.action_values(before)).all()
-        assert agent.act(before).tolist() == [TOWARD]
+        assert np.isnan(agent.action_values(before, None)).all()
+        assert agent.act(before, None)[0].tolist() == [TOWARD]
 
     def test_those_that_stand_by_teach_nothing(self) -> None:
         agent = agent_of()
         t = steps(seen(near(3.0), near(1.0)), [1, 1], [1.0, 1.0], seen(near(9.0), near(9.0)))
         t.active[0] = False
-        assert np.isnan(agent.learn(t)).tolist() == [True, False]
+        assert np.isnan(learn(agent, t)).tolist() == [True, False]
         assert agent.state_dict()["states"].tolist() == agent.state(np.array([near(1.0)])).tolist()
 
     def test_it_ends_where_value_iteration_ends(self) -> None:
@@ -244,9 +244,9 @@ class TestLearning:
             seen(*(places[s] for s in after.ravel())),
         )
         for _ in range(200):
-            agent.learn(everything)
+            learn(agent, everything)
         assert np.array([q(agent, place) for place in places]) == pytest.approx(expected, abs=1e-9)
-        assert agent.act(seen(*places)).tolist() == expected.argmax(axis=1).tolist()
+        assert agent.act(seen(*places), None)[0].tolist() == expected.argmax(axis=1).tolist()
 
 
 @pytest.fixture
@@ -256,7 +256,7 @@ def taught() -> QTable:
     for _ in range(20):
         rows = generator.uniform(0, 10, (2, 3, 8)).tolist()
         turns, rewards = generator.integers(0, 5, 3).tolist(), generator.normal(size=3).tolist()
-        agent.learn(steps(seen(*rows[0]), turns, rewards, seen(*rows[1])))
+        learn(agent, steps(seen(*rows[0]), turns, rewards, seen(*rows[1])))
     return agent
 
 
@@ -267,7 +267,7 @@ class TestArrays:
         other = agent_of()
         other.load_state_dict(arrays)
         rows = np.random.default_rng(2).uniform(0, 10, (200, 8)).tolist()
-        assert np.array_equal(other.action_values(seen(*rows)), taught.action_values(seen(*rows)))
+        assert np.array_equal(other.action_values(seen(*rows), None), taught.action_values(seen(*rows), None))
         assert other.diagnostics(7) == taught.diagnostics(7)
         assert {name: values.tolist() for name, values in other.state_dict().items()} == {
             name: values.tolist() for name, values in arrays.items()
@@ -277,7 +277,7 @@ class TestArrays:
         taught.load_state_dict(agent_of().state_dict())
         assert taught.diagnostics(0)["states"] == 0
         assert taught.state_dict()["values"].shape == (0, 5)
-        assert not taught.action_values(seen(*np.random.default_rng(2).uniform(0, 10, (50, 8)).tolist())).any()
+        assert not taught.action_values(seen(*np.random.default_rng(2).uniform(0, 10, (50, 8)).tolist()), None).any()
 
     @pytest.mark.parametrize(
         "arrays",

@@ -20,7 +20,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.reports.plots import draw_learning_curve, draw_trajectory
-from nnql_bullet.rollout import EpisodeSummary, Reflex, run_episode
+from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.task import REWARD_TERMS, TaskOptions
 from nnql_bullet.training.loop import TrainingEpisode
@@ -40,14 +40,17 @@ def record(vehicle: VehicleSpec) -> Record:
 
     def make(world: WorldSpec, *actions: int, max_steps: int = 500) -> tuple[Recording, EpisodeSummary]:
         simulator = contact_simulator("bullet", "fast", vehicle, DriveOptions(), 1)
-        recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
+        recorder = Recorder(vehicle)
         script = cycle(actions)
 
-        def policy(observations: Observation) -> NDArray[np.int64]:
-            return np.array([next(script)])
+        class Scripted(Nnql):
+            """Follows the script, whatever its network says."""
+
+            def act(self, observations: Observation, state: None) -> tuple[NDArray[np.int64], None]:
+                return np.array([next(script)]), None
 
         navigation = Navigation(simulator, TaskOptions(max_steps=max_steps))
-        summary = run_episode(navigation, world, Reflex(policy), watcher=recorder)
+        summary = run_episode(navigation, world, Scripted(NnqlOptions(), 0), watcher=recorder)
         simulator.close()
         return recorder.recording(policy="script", physics="fast"), summary
 

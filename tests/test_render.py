@@ -33,7 +33,7 @@ from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import write_pictures, write_video
-from nnql_bullet.rollout import Reflex, run_episode
+from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet
 from nnql_bullet.sim.bullet_scene import BulletScene, _one_look_a_link, works
@@ -53,12 +53,16 @@ Run = Callable[..., tuple[int, str, str]]
 def record(vehicle: VehicleSpec, world: WorldSpec, action: int, max_steps: int = 500, **about: object) -> Recording:
     """A drive of one action over and over, by an ideal vehicle."""
     simulator = KinematicSimulator(vehicle, DriveOptions(), 1)
-    recorder = Recorder(vehicle, Nnql(NnqlOptions(), 0))
+    recorder = Recorder(vehicle)
 
-    def policy(observations: Observation) -> NDArray[np.int64]:
-        return np.full(len(observations.state_property), action)
+    class Scripted(Nnql):
+        """Takes the action, whatever its network says."""
 
-    run_episode(Navigation(simulator, TaskOptions(max_steps=max_steps)), world, Reflex(policy), watcher=recorder)
+        def act(self, observations: Observation, state: None) -> tuple[NDArray[np.int64], None]:
+            return np.full(len(observations.state_property), action), None
+
+    navigation = Navigation(simulator, TaskOptions(max_steps=max_steps))
+    run_episode(navigation, world, Scripted(NnqlOptions(), 0), watcher=recorder)
     simulator.close()
     return recorder.recording(policy="script", simulator="kinematic", **about)
 

@@ -10,13 +10,12 @@ import helpers
 import numpy as np
 import pytest
 import shapely
+from helpers import Driving
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
 from nnql_bullet import paper
-from nnql_bullet.agents import Agent
-from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.rules.look_ahead import LookAhead, LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import repulsion
 from nnql_bullet.agents.rules.vfh import (
@@ -52,17 +51,16 @@ NEEDS_BASELINES = pytest.mark.skipif(
     find_spec("skfuzzy") is None, reason="needs the extra: pip install 'nnql-bullet[baselines]'"
 )
 
-Make = Callable[..., Agent]
+Make = Callable[..., Driving]
 
 
 @pytest.fixture(scope="module")
 def make(vehicle: VehicleSpec) -> Make:
     """Makes a rule that has begun with vehicle 0 in world 0."""
 
-    def made(kind: str, **options: object) -> Agent:
+    def made(kind: str, **options: object) -> Driving:
         agent = load_config("paper", {"agent": {"kind": kind, **options}}).agent.make_agent(0, vehicle, DRIVE)
-        agent.reset(0, 0)
-        return agent
+        return Driving(agent).reset(0)
 
     return made
 
@@ -74,7 +72,7 @@ def observed(
     return helpers.observed((sector_readings(rays), 50.0, bearing, yaw_rate, state, rays))
 
 
-def action(agent: Agent, observations: Observation) -> int:
+def action(agent: Driving, observations: Observation) -> int:
     """Of one vehicle."""
     (chosen,) = agent.act(observations).tolist()
     return int(chosen)
@@ -152,7 +150,7 @@ class TestRandom:
         drives = []
         for world_seed in (7, 7, 8):
             agent = make("random")
-            agent.reset(0, world_seed)
+            agent.state = agent.policy.reset(agent.state, {0: world_seed})
             drives.append([action(agent, observed()) for _ in range(30)])
         assert drives[0] == drives[1] != drives[2]
 
@@ -224,7 +222,7 @@ class TestLookAhead:
     ) -> None:
         horizon, slack = 1.5, 0.03  # what the sweep, ten times as fine, may see between two foreseen poses
         agent = LookAhead(LookAheadOptions(horizon=horizon, margin=margin), vehicle, DRIVE)
-        chosen = action(agent, observed(rays, bearing, yaw_rate))
+        chosen = action(Driving(agent), observed(rays, bearing, yaw_rate))
         points = point_cloud(rays, vehicle.sensor)
         cloud = shapely.MultiPoint(points[np.isfinite(points[:, 0])])
         turns = [float(heading_change(a, bearing)) for a in range(ACTIONS)]
@@ -437,7 +435,6 @@ class TestVfh:
     ) -> None:
         """In the open one chooses what leads to the target; another, whose target is elsewhere, is told to do that."""
         one, other = make("vfh"), make("vfh")
-        assert isinstance(other, Overridable)
         for turn, elsewhere, rate in past:
             action(one, observed(bearing=paper.TURNS[turn], yaw_rate=rate))
             action(other, observed(bearing=elsewhere, yaw_rate=rate))
@@ -485,7 +482,7 @@ def turn(make: Make) -> Callable[..., float]:
 
     def crisp(front: float = 10.0, left: float = 10.0, right: float = 10.0, bearing: float = 0.0) -> float:
         readings = np.array([[front, left, 10.0, 10.0, 10.0, 10.0, 10.0, right]])
-        (value,) = agent.turns_degrees(readings, np.radians([bearing]))  # type: ignore[attr-defined]
+        (value,) = agent.policy.turns_degrees(readings, np.radians([bearing]))  # type: ignore[attr-defined]
         return float(value)
 
     return crisp

@@ -88,10 +88,10 @@ class TestNetwork:
         rows = numbers(300)
         scaled = (rows / SCALE).astype(np.float32)
         actions, _ = dqn.predict(scaled, deterministic=True)
-        assert agent.act(observed(rows)).tolist() == actions.tolist()
+        assert agent.act(observed(rows), None)[0].tolist() == actions.tolist()
         with torch.no_grad():
             values = dqn.q_net(torch.from_numpy(scaled)).numpy()
-        assert agent.action_values(observed(rows)) == pytest.approx(values[:, :5], abs=1e-5)
+        assert agent.action_values(observed(rows), None) == pytest.approx(values[:, :5], abs=1e-5)
 
     def test_it_sees_the_environments_numbers(self, small_world: Path) -> None:
         with closing(gymnasium.make("nnql_bullet/Tricycle-v0", simulator="kinematic", world=str(small_world))) as env:
@@ -108,7 +108,7 @@ class TestNetwork:
             agent.load_state_dict(weights | {"4.bias": bias})
             for state in (StateProperty.SAFE, StateProperty.NON_SAFE):
                 seen = helpers.observed((np.full(8, 9.0), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)))
-                assert agent.act(seen).tolist() == [action]
+                assert agent.act(seen, None)[0].tolist() == [action]
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:
         agent = Sb3Dqn(SMALL, 0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from helpers import Alone, begun, ending, row, step
+from helpers import Alone, Driving, begun, ending, row, step
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
 from nnql_bullet.mapping.sector_faults import completed, contradictions
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, load_recording
-from nnql_bullet.rollout import EpisodeSummary, overridden, run_episode, run_episodes
+from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles
 from nnql_bullet.shield.recovery import (
@@ -77,11 +77,11 @@ class Wilful(Rule):
     def __init__(self, choose: Callable[[Observation], NDArray[np.int64]], values: Array | None = None) -> None:
         self._choose, self._values = choose, values
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> NDArray[np.int64]:
         return self._choose(observations)
 
-    def action_values(self, observations: Observation) -> Array:
-        nothing = super().action_values(observations)
+    def action_values(self, observations: Observation, state: None) -> Array:
+        nothing = super().action_values(observations, state)
         return nothing if self._values is None else np.broadcast_to(self._values, nothing.shape)
 
 
@@ -122,7 +122,7 @@ class Noting:
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         self.poses.append(world.start)
 
-    def on_step(self, transition: Transition, vehicle: int) -> None:
+    def on_step(self, transition: Transition, decision: Decision, vehicle: int) -> None:
         self.done.append(int(transition.a_tm1[vehicle]))
         self.poses.append(row(transition.motion, vehicle).pose)
 
@@ -188,22 +188,19 @@ class TestWhatPasses:
             ([4.0, 5.0, 9.0, 3.0, 1.0], 0),
             ([0.0, 5.0, 9.0, 3.0, 3.5], 4),
         ):
-            shield = around(always(2, np.array(values)))
-            shield.reset(0, 0)
+            shield = Driving(around(always(2, np.array(values))))
             assert shield.act(observed).tolist() == [expected]
-            assert shield.overridden.tolist() == [True]
-        shield = around(always(4))
-        shield.reset(0, 0)
+            assert shield.overridden == [True]
+        shield = Driving(around(always(4)))
         assert shield.act(observed).tolist() == [4]
-        assert shield.overridden.tolist() == [False]
+        assert shield.overridden == [False]
 
     def test_without_values_the_nearest_turn_is_taken(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         wall = OrientedBox(MIDDLE.x + 10.0, MIDDLE.y + 1.6, 20.0, 0.5)
         observed = begun(Navigation(kinematic, TaskOptions()), world_of(wall, target=(190.0, 100.0)))
-        shield = around(always(2))
-        shield.reset(0, 0)
+        shield = Driving(around(always(2)))
         assert shield.act(observed)[0] in (0, TOWARD_TARGET)
 
     @pytest.mark.parametrize("seed", range(8))
@@ -222,8 +219,7 @@ class TestWhatPasses:
                 if ending(transition):
                     return
                 observed = transition.s_t
-            shield = around(always(wanted))
-            shield.reset(0, 0)
+            shield = Driving(around(always(wanted)))
             passes = int(shield.act(observed)[0]) == wanted
             trace: list[Sample] = []
             first = Alone(kinematic).advance(paper.TURNS[wanted], trace)
@@ -277,12 +273,12 @@ class TestStops:
         """As much as a control period and stopping take, and that is enough for contact physics."""
         laden = loaded(vehicle.gripping(friction), deck_load(vehicle, load))
         for its in (vehicle, laden):
-            shield = Shield(ShieldOptions(recovers=False), always(0), its, DRIVE, TaskOptions())
+            shield = Driving(Shield(ShieldOptions(recovers=False), always(0), its, DRIVE, TaskOptions()))
             with closing(KinematicSimulator(its, DRIVE, 1)) as simulator:
                 passes = []
                 for gap in np.arange(1.5, 6.0, 0.1):
                     wall = world_of(OrientedBox(MIDDLE.x + 0.9 + gap + 1.0, MIDDLE.y, 1.0, 60.0))
-                    shield.reset(0, 0)
+                    shield.reset(0)
                     observed = begun(Navigation(simulator, TaskOptions()), wall)
                     passes.append(shield.act(observed)[0] == 0)
             assert passes == sorted(passes)
@@ -291,7 +287,7 @@ class TestStops:
             assert 1.5 + 0.1 * passes.index(True) == pytest.approx(needed, abs=0.3)
         with closing(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as simulator:
             world = load_world("cover_10").draw(9, 0.8)
-            assert drive(simulator, world, shield, steps=120)[0].ending == "timeout"
+            assert drive(simulator, world, shield.policy, steps=120)[0].ending == "timeout"
 
     def test_a_standing_vehicle_makes_way_for_what_comes(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
@@ -309,14 +305,13 @@ class TestMemory:
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], empty_world: WorldSpec
     ) -> None:
         wanted = iter([0, 1, 2, 4, TOWARD_TARGET, 3, 0, 2])
-        shield = around(Wilful(lambda o: np.array([next(wanted)])))
+        shield = Driving(around(Wilful(lambda o: np.array([next(wanted)]))))
         navigation = Navigation(kinematic, TaskOptions())
         observed, before = begun(navigation, empty_world), empty_world.start
-        shield.reset(0, 0)
         for _ in range(8):
             transition = navigation.step(shield.act(observed))
             pose, observed = row(transition.motion, 0).pose, transition.s_t
-            memory, dx, dy = shield._memories[0], pose.x - before.x, pose.y - before.y
+            memory, dx, dy = shield.state.memories[0], pose.x - before.x, pose.y - before.y
             c, s = cos(before.yaw), sin(before.yaw)
             assert memory.scan.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
             assert memory.speed == DRIVE.speed
@@ -326,11 +321,11 @@ class TestMemory:
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:
         class Remembering(Wilful):
-            def act(self, observations: Observation) -> NDArray[np.int64]:
-                wanted.append(int(super().act(observations)[0]))
+            def decide(self, observations: Observation) -> NDArray[np.int64]:
+                wanted.append(int(super().decide(observations)[0]))
                 return np.array(wanted[-1:])
 
-            def override(self, actions: NDArray[np.int64]) -> None:
+            def override(self, state: None, actions: NDArray[np.int64]) -> None:
                 told.extend(actions.tolist())
 
         wanted: list[int] = []
@@ -345,17 +340,16 @@ class TestMemory:
     ) -> None:
         """Against the simulator's, though the shield turns it, at speed and on the spot."""
         agent = Vfh(VfhOptions(), vehicle, DRIVE)
-        shield, navigation = around(agent), Navigation(kinematic, TaskOptions())
+        shield, navigation = Driving(around(agent)), Navigation(kinematic, TaskOptions())
         world = load_world("traps").draw(0, 0.8)
         observed = begun(navigation, world)
-        shield.reset(0, 0)
         instead = []
         for _ in range(150):
             actions = shield.act(observed)
             instead += actions.tolist() if shield.overridden[0] else []
             transition = navigation.step(actions)
             observed, turned = transition.s_t, float(transition.motion.pose[0, 2]) - world.start.yaw
-            assert wrap_angle(float(agent._headings[0]) - turned) == pytest.approx(0.0, abs=1e-6)
+            assert wrap_angle(float(shield.state.agent.headings[0]) - turned) == pytest.approx(0.0, abs=1e-6)
         assert min(instead) < STOP < max(instead)
 
     def test_vehicles_of_a_fleet_are_driven_as_each_alone(
@@ -372,8 +366,11 @@ class TestMemory:
             assert found.pop("episode_return") == pytest.approx(expected.pop("episode_return"))
             assert found == expected
 
-    def test_an_agent_without_a_shield_is_never_overridden(self) -> None:
-        assert overridden(always(0), 3).tolist() == [False] * 3
+    def test_an_agent_without_a_shield_is_never_overridden(
+        self, kinematic: KinematicSimulator, empty_world: WorldSpec
+    ) -> None:
+        decision, _ = decide(always(0), begun(Navigation(kinematic, TaskOptions()), empty_world), None)
+        assert decision.overridden.tolist() == [False]
 
 
 def arc(way: float, turn: float) -> Array:
@@ -425,12 +422,12 @@ class TestReckoning:
         laden, shares = loaded(vehicle.gripping(friction), deck_load(vehicle, load)), []
         with closing(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as simulator:
             for seed in (1, 8, 16):
-                shield = Shield(ShieldOptions(), always(TOWARD_TARGET), laden, DRIVE, TaskOptions())
+                bare = Shield(ShieldOptions(), always(TOWARD_TARGET), laden, DRIVE, TaskOptions())
+                shield = Driving(bare)
                 navigation = Navigation(simulator, TaskOptions())
                 observed, moving = begun(navigation, load_world("cover_20").draw(seed, 0.8)), 0
-                shield.reset(0, 0)
                 for _ in range(80):
-                    moving += int(shield.perceived(observed)[1].any())
+                    moving += int(bare.perceived(observed, shield.state.memories)[1].any())
                     transition = navigation.step(shield.act(observed))
                     assert not transition.motion.touching
                     observed = transition.s_t
@@ -531,13 +528,12 @@ class TestSectorFaults:
     ) -> None:
         doubted = decisions = 0
         for seed in range(4):
-            shield = around(always(TOWARD_TARGET))
+            shield = Driving(around(always(TOWARD_TARGET)))
             navigation = Navigation(kinematic, TaskOptions())
             observed = begun(navigation, load_world("cover_10").draw(seed, 0.8))
-            shield.reset(0, 0)
             for _ in range(90):
                 transition = navigation.step(shield.act(observed))
-                doubted += int(shield._memories[0].scan.dead.any())
+                doubted += int(shield.state.memories[0].scan.dead.any())
                 decisions += 1
                 if ending(transition):
                     break
@@ -548,22 +544,25 @@ class TestSectorFaults:
 class TestEscape:
     SEES = np.array([5.0, 6.0, 10.0, 10.0, 10.0, 10.0, 10.0, 4.0])
 
-    def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> None:
-        for _ in range(round(seconds / 0.5)):
-            recovery.notice(distance, self.SEES, 0, 0.5)
+    def after(self, recovery: Recovery, *distances: float) -> Recovery:
+        """A decision at each of these distances from the target."""
+        for distance in distances:
+            recovery = recovery.updated(distance, self.SEES, 0, 0.5)
+        return recovery
+
+    def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> Recovery:
+        return self.after(recovery, *[distance] * round(seconds / 0.5))
 
     def test_it_begins_after_some_time_without_progress_to_the_more_open_side(self) -> None:
-        recovery = Recovery()
-        self.waiting(recovery, STUCK_AFTER)
+        recovery = self.waiting(Recovery(), STUCK_AFTER)
         assert recovery.side == 0
-        self.waiting(recovery, 1.0)
+        recovery = self.waiting(recovery, 1.0)
         assert recovery.side == 1
         assert recovery.leads(50.0)
 
     def test_it_ends_nearer_than_ever_and_leads_on_for_a_while(self) -> None:
-        recovery = Recovery()
-        self.waiting(recovery, STUCK_AFTER + 1)
-        recovery.notice(49.0, self.SEES, 0, 0.5)
+        recovery = self.waiting(Recovery(), STUCK_AFTER + 1)
+        recovery = self.after(recovery, 49.0)
         assert recovery.side == 0
         assert recovery.leads(50.0 - FIRST_GAIN + 0.1)
         assert not recovery.leads(50.0 - FIRST_GAIN - 0.1)
@@ -572,7 +571,7 @@ class TestEscape:
         recovery, begun = Recovery(), []
         for _ in range(round(10 * FIRST_LIMIT / 0.5)):
             before = recovery.side
-            recovery.notice(50.0, self.SEES, 0, 0.5)
+            recovery = self.after(recovery, 50.0)
             if recovery.side and not before:
                 begun.append((recovery.side, recovery.left))
         assert [side for side, _ in begun[:3]] == [1, -1, 1]
@@ -580,11 +579,10 @@ class TestEscape:
         assert recovery.guided_until == pytest.approx(50.0 - FIRST_GAIN * GAIN_GROWTH ** (recovery.recoveries - 1))
 
     def test_one_that_leads_far_away_comes_to_nothing(self) -> None:
-        recovery = Recovery()
-        self.waiting(recovery, STUCK_AFTER + 1)
-        recovery.notice(50.0 + FARTHEST - 0.1, self.SEES, 0, 0.5)
+        recovery = self.waiting(Recovery(), STUCK_AFTER + 1)
+        recovery = self.after(recovery, 50.0 + FARTHEST - 0.1)
         assert recovery.side == 1
-        recovery.notice(50.0 + FARTHEST + 0.1, self.SEES, 0, 0.5)
+        recovery = self.after(recovery, 50.0 + FARTHEST + 0.1)
         assert (recovery.side, recovery.swap) == (0, True)
 
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
@@ -604,7 +602,7 @@ class TestRecords:
         self, vehicle: VehicleSpec, kinematic: KinematicSimulator, around: Callable[..., Shield], tmp_path: Path
     ) -> None:
         shield = around(Wilful(suicidal))
-        recorder = Recorder(vehicle, shield)
+        recorder = Recorder(vehicle)
         world = load_world("cover_20").draw(2, 0.8)
         summary = run_episode(Navigation(kinematic, TaskOptions(max_steps=40)), world, shield, watcher=recorder)
         recording = recorder.recording()

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import begun, ending
+from helpers import begun, ending, learn
 from helpers import row as of_vehicle
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
@@ -30,7 +30,7 @@ from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
-from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.rollout import Actions, EpisodeSummary, PolicyState
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sim.base import Motion, Simulator, Traces, WorkerDied
@@ -104,14 +104,14 @@ class Spy:
         """What `learn` gave, by episode."""
 
     def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
-    ) -> NDArray[np.int64]:
+        self, observations: Observation, state: PolicyState, episodes: NDArray[np.int64], uniforms: Array
+    ) -> tuple[Actions, PolicyState]:
         self.asked.append(episodes.tolist())
         self.uniforms.append(uniforms.tolist())
-        return self._agent.act_exploring(observations, episodes, uniforms)
+        return self._agent.act_exploring(observations, state, episodes, uniforms)
 
-    def learn(self, transitions: Transition) -> Array:
-        errors = self._agent.learn(transitions)
+    def learn(self, transitions: Transition, state: PolicyState, episodes: NDArray[np.int64]) -> Array:
+        errors = self._agent.learn(transitions, state, episodes)
         for episode, error in zip(self.asked[-1], errors.tolist(), strict=True):
             self.errors.setdefault(episode, []).append(error)
         return errors
@@ -164,8 +164,9 @@ def online(experiment: Experiment, episodes: int) -> tuple[list[TrainingEpisode]
             steps, errors = [], []
             while not steps or ending(steps[-1]) is None:
                 chance = uniforms[len(steps) : len(steps) + 1]
-                steps.append(navigation.step(agent.act_exploring(observation, np.array([episode]), chance)))
-                errors += agent.learn(steps[-1]).tolist()
+                actions, _ = agent.act_exploring(observation, None, np.array([episode]), chance)
+                steps.append(navigation.step(actions))
+                errors += learn(agent, steps[-1]).tolist()
                 observation = steps[-1].s_t
             learned = [error for error in errors if error == error]
             diagnostics = agent.diagnostics(episode)

@@ -45,10 +45,9 @@ def recording(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> Recor
     boxes = OrientedBox(13.0, 8.0, 1.0, 0.6, 0.5), OrientedBox(17.0, 15.0, 1.5, 1.0)
     world = world_of(*boxes, side=28.0, start=Pose(6.0, 9.0, 0.25), target=(25.0, 25.0))
     simulator = contact_simulator("bullet", "fast", vehicle, DriveOptions(), 1)
-    agent = Straight()
-    recorder = Recorder(vehicle, agent)
+    recorder = Recorder(vehicle)
     navigation = Navigation(simulator, TaskOptions(max_steps=4))
-    run_episode(navigation, replace(world, patrols=(moves,)), agent, watcher=recorder)
+    run_episode(navigation, replace(world, patrols=(moves,)), Straight(), watcher=recorder)
     simulator.close()
     return recorder.recording(policy="straight")
 

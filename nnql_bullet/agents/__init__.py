@@ -19,7 +19,6 @@ from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import VfhOptions
-from nnql_bullet.rollout import Agent
 from nnql_bullet.training.base import LearningAgent, Trainable
 
 LearnerOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions
@@ -42,7 +41,6 @@ KINDS: tuple[str, ...] = tuple(options.kind for options in get_args(AgentOptions
 __all__ = [
     "KINDS",
     "RULES",
-    "Agent",
     "AgentOptions",
     "AnyAgentOptions",
     "LearningAgent",

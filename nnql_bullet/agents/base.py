@@ -1,6 +1,7 @@
 """The parts that agents share."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -9,76 +10,106 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.env import TOWARD_TARGET, Observation
 from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.task import StateProperty
 
 
 @runtime_checkable
-class Overridable(Protocol):
-    """An agent that remembers what it did, and can be told what was done in its place."""
+class Overridable(Policy, Protocol):
+    """A policy that remembers its actions, and can remember others in their place."""
 
-    def override(self, actions: NDArray[np.int64]) -> None:
-        """Vehicles 0 to n - 1 do this instead of what was last chosen for them: manoeuvres of `env` (n,)."""
-
-
-class NoTrainingState:
-    """The part of a learning agent whose training resumes from its `state_dict` alone."""
-
-    def training_state(self) -> dict[str, NDArray[Any]]:
-        """Nothing."""
-        return {}
-
-    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Does nothing."""
+    def override(self, state: PolicyState, actions: Actions) -> PolicyState:
+        """Returns the state after `actions` (n,), manoeuvres of `env`, in place of the actions last chosen."""
 
 
 class NoMemory:
-    """The part of an agent without memory of vehicles."""
+    """The part of an agent without memory of vehicles: its state is None."""
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
+    def initial_state(self, size: int) -> None:
+        """Returns None."""
+
+    def reset(self, state: None, world_seeds: Mapping[int, int]) -> None:
+        """Returns None."""
+
+
+class NoTrainingState(NoMemory):
+    """The part of a learning agent without memory whose training resumes from its `state_dict` alone."""
+
+    def training_state(self, state: None) -> dict[str, NDArray[Any]]:
+        """Returns no arrays."""
+        return {}
+
+    def load_training_state(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Does nothing."""
 
 
-class Rule(NoMemory):
-    """The parts of an agent that computes no action values; without memory unless it defines `reset`."""
+class NoValues:
+    """The part of an agent that computes no action values."""
 
-    def action_values(self, observations: Observation) -> Array:
-        """NaN (n, 5): it computes none."""
+    def action_values(self, observations: Observation, state: PolicyState) -> Array:
+        """Returns NaN (n, 5)."""
         return np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
+
+
+class Rule(NoMemory, NoValues, ABC):
+    """An agent without memory and without action values."""
+
+    @abstractmethod
+    def decide(self, observations: Observation) -> Actions:
+        """Returns the actions (n,)."""
+
+    def act(self, observations: Observation, state: None) -> tuple[Actions, None]:
+        """Returns the actions (n,) and no state."""
+        return self.decide(observations), None
+
+
+class Reflex(Rule):
+    """A function of the observation as an agent."""
+
+    def __init__(self, function: Callable[[Observation], Actions]) -> None:
+        """Takes a function that gives actions (n,) for an observation of n vehicles."""
+        self._function = function
+
+    def decide(self, observations: Observation) -> Actions:
+        """Returns the actions that the function gives."""
+        return np.asarray(self._function(observations), np.int64)
 
 
 @runtime_checkable
 class Decider(Protocol):
-    """The least that an object needs to drive. It may have `reset` and `action_values` of `Agent` too."""
+    """The least that an object without memory needs to drive."""
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """Actions (n,) for vehicles 0 to n - 1, one of `paper.TURNS` or of the manoeuvres of `env` each."""
+    def act(self, observations: Observation) -> Actions:
+        """Returns an action (n,) for each of n vehicles: one of `paper.TURNS`, or `env.TOWARD_TARGET`."""
 
 
-class Custom(Rule):
-    """An object of somebody else as an agent."""
+class Custom:
+    """An object of the caller as an agent: a `Policy`, or a `Decider`, which has no memory."""
 
-    def __init__(self, decider: Decider) -> None:
-        self.decider = decider
+    def __init__(self, given: Policy | Decider) -> None:
+        self.given = given
+        self._policy: Policy = given if isinstance(given, Policy) else Reflex(given.act)
 
     @property
     def name(self) -> str:
         """Name of the object's class."""
-        return type(self.decider).__name__
+        return type(self.given).__name__
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Tells the object that a vehicle is put into a world, if it listens to that."""
-        if hasattr(self.decider, "reset"):
-            self.decider.reset(vehicle, world_seed)
+    def initial_state(self, size: int) -> PolicyState:
+        """Returns the object's state of n vehicles that have seen nothing."""
+        return self._policy.initial_state(size)
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The object's actions (n,)."""
-        return np.asarray(self.decider.act(observations), np.int64)
+    def reset(self, state: PolicyState, world_seeds: Mapping[int, int]) -> PolicyState:
+        """Lets the object forget vehicles that are put into worlds."""
+        return self._policy.reset(state, world_seeds)
 
-    def action_values(self, observations: Observation) -> Array:
-        """The object's values of the five turns (n, 5); NaN if it has none."""
-        if hasattr(self.decider, "action_values"):
-            return np.asarray(self.decider.action_values(observations))
-        return super().action_values(observations)
+    def act(self, observations: Observation, state: PolicyState) -> tuple[Actions, PolicyState]:
+        """Returns the object's actions (n,) and its next state."""
+        return self._policy.act(observations, state)
+
+    def action_values(self, observations: Observation, state: PolicyState) -> Array:
+        """Returns the object's values of the five turns (n, 5); NaN if it has none."""
+        return np.asarray(self._policy.action_values(observations, state))
 
 
 class TurnChooser(NoMemory, ABC):
@@ -93,15 +124,15 @@ class TurnChooser(NoMemory, ABC):
         """Which vehicles ask (n,)."""
         return np.asarray(observations.state_property != StateProperty.SAFE)
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """Toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
+    def act(self, observations: Observation, state: None) -> tuple[Actions, None]:
+        """Chooses the turn toward the target in a safe state, else the turn with the largest Q-value: eq. (4)."""
         actions = np.full(len(observations.state_property), TOWARD_TARGET)
         asked = self.asks(observations)
         if asked.any():
             actions[asked] = self.values(observations, asked).argmax(axis=-1)
-        return actions
+        return actions, None
 
-    def action_values(self, observations: Observation) -> Array:
+    def action_values(self, observations: Observation, state: PolicyState) -> Array:
         """Q(s, a) of the five turns (n, 5); NaN in safe states, where it is not asked."""
         values = np.full((len(observations.state_property), len(paper.TURNS)), np.nan)
         asked = self.asks(observations)

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from nnql_bullet import session
-from nnql_bullet.agents import Agent
 from nnql_bullet.env import Reward
 from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
+from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.runs import LEARNING_CURVE, Run
 from nnql_bullet.work import OnProgress, silent
@@ -23,7 +23,7 @@ def train(
     config: str | Path | RunConfig = "paper",
     *,
     out: Path | str | None = None,
-    agent: Agent | None = None,
+    agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = 1,
     overwrite: bool = False,
@@ -82,7 +82,7 @@ def resume(
     folder: Path | str,
     episodes: int | None = None,
     *,
-    agent: Agent | None = None,
+    agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = 1,
     on_progress: OnProgress | None = None,

@@ -227,7 +227,7 @@ class FilmTask:
 def film(task: FilmTask) -> Recording:
     """Records the drive."""
     experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
-    recorder = Recorder(experiment.vehicle, experiment.policy)
+    recorder = Recorder(experiment.vehicle)
     run_episode(experiment.navigation, experiment.world(task.seed), experiment.policy, watcher=recorder)
     config = experiment.config
     return recorder.recording(

@@ -158,7 +158,7 @@ def _experiment(policy: Policy, world: str | World | None, side: Side, fault: st
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
-    recorder = Recorder(experiment.vehicle, experiment.policy)
+    recorder = Recorder(experiment.vehicle)
     summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     c = experiment.config
     return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from nnql_bullet import assets
-from nnql_bullet.agents import RULES, Agent, Trainable
+from nnql_bullet import assets, rollout
+from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom
 from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
@@ -115,7 +115,7 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
             seed=experiment.config.seed,
             episodes=its.episodes,
             learned=sum(values.size for values in _learned(agent).values()),
-            about=(getdoc(type(agent.decider if isinstance(agent, Custom) else agent)) or "").partition("\n")[0],
+            about=(getdoc(type(agent.given if isinstance(agent, Custom) else agent)) or "").partition("\n")[0],
             room=experiment.room,
             fingerprint=fingerprint(experiment),
             custom=agent if isinstance(agent, Custom) else None,
@@ -146,7 +146,7 @@ def _named(policy: PolicyLike) -> PolicyLike:
     return policy.name if isinstance(policy, LoadedPolicy) and not own else policy
 
 
-def _paths(policies: Sequence[PolicyLike], agents: Sequence[Agent]) -> list[str]:
+def _paths(policies: Sequence[PolicyLike], agents: Sequence[rollout.Policy]) -> list[str]:
     """The path of each policy, or the name of its class with a number if that is taken.
 
     Raises:
@@ -188,7 +188,7 @@ def _short_names(paths: Sequence[str]) -> list[str]:
     return list(paths)
 
 
-def _learned(agent: Agent) -> dict[str, Array]:
+def _learned(agent: rollout.Policy) -> dict[str, Array]:
     return agent.state_dict() if isinstance(agent, Trainable) else {}
 
 

@@ -4,7 +4,7 @@ The method is the boundary following of the Bug algorithms (Lumelsky and Stepano
 Principles of Robot Motion, chapter 2), with limits of time and distance, after which the vehicle tries the other side.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, pi, radians
 
 import numpy as np
@@ -33,7 +33,7 @@ AHEAD, BEHIND = radians(30.0), radians(170.0)
 _BEARINGS = wrap_angles(ray_angles())
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Recovery:
     """One vehicle's progress, and its recovery."""
 
@@ -56,8 +56,8 @@ class Recovery:
     guided_until: float = inf
     """Distance to the target up to which the vehicle is guided [m]; infinite before the first recovery."""
 
-    def notice(self, distance: float, readings: Array, side: int, period: float) -> None:
-        """Updates progress and recovery at a decision.
+    def updated(self, distance: float, readings: Array, side: int, period: float) -> "Recovery":
+        """Returns progress and recovery at the next decision.
 
         Args:
             distance: Distance to the target [m].
@@ -66,20 +66,27 @@ class Recovery:
             period: Time since the last decision [s].
         """
         nearer = distance < self.closest - PROGRESS
-        self.waited = 0.0 if nearer else self.waited + period
-        self.closest = distance if nearer else self.closest
+        waited = 0.0 if nearer else self.waited + period
+        closest = distance if nearer else self.closest
+        now = replace(self, waited=waited, closest=closest)
         if self.side:
-            self.left -= period
-            if nearer or self.left < 0 or distance > self.closest + FARTHEST:
-                self.swap = not nearer
-                self.failures += self.swap
-                self.side, self.waited = 0, 0.0
-        elif self.waited > STUCK_AFTER:
-            opener = 1 if readings[FRONT_LEFT] > readings[FRONT_RIGHT] else -1
-            self.side = self.last_side = -self.last_side if self.swap else side or opener
-            self.left = FIRST_LIMIT * LIMIT_GROWTH**self.failures
-            self.guided_until = self.closest - FIRST_GAIN * GAIN_GROWTH**self.recoveries
-            self.recoveries += 1
+            now = replace(now, left=self.left - period)
+            if nearer or now.left < 0 or distance > closest + FARTHEST:
+                failures = self.failures + (not nearer)
+                return replace(now, side=0, waited=0.0, swap=not nearer, failures=failures)
+            return now
+        if waited <= STUCK_AFTER:
+            return now
+        opener = 1 if readings[FRONT_LEFT] > readings[FRONT_RIGHT] else -1
+        chosen = -self.last_side if self.swap else side or opener
+        return replace(
+            now,
+            side=chosen,
+            last_side=chosen,
+            left=FIRST_LIMIT * LIMIT_GROWTH**self.failures,
+            guided_until=closest - FIRST_GAIN * GAIN_GROWTH**self.recoveries,
+            recoveries=self.recoveries + 1,
+        )
 
     def leads(self, distance: float) -> bool:
         """Whether the recovery, not the agent, leads the vehicle at a distance to the target [m]."""

@@ -12,7 +12,7 @@ Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choic
 Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from nnql_bullet.env import STOP, Observation, heading_change
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import predicted_poses
-from nnql_bullet.rollout import Agent
+from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.shield.fallback import STANDSTILL_SPEED, Spin, fallback
 from nnql_bullet.shield.perception import LastScan, perceived
 from nnql_bullet.shield.prediction import Predictor, ShieldOptions, Situation
@@ -39,21 +39,31 @@ __all__ = ["Shield", "ShieldOptions"]
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What the shield remembers of one vehicle."""
+    """The shield's memory of one vehicle."""
 
     speed: float
     """Commanded speed [m/s]."""
     spin: Spin = field(default_factory=Spin)
     scan: LastScan = field(default_factory=LastScan)
     recovery: Recovery = field(default_factory=Recovery)
-    """Progress and recovery; the only part that changes in place."""
+    """Progress and recovery."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShieldState:
+    """The shield's memory of n vehicles, and the state of its agent."""
+
+    memories: tuple[Memory, ...]
+    overridden: NDArray[np.bool_]
+    """Whether the shield replaced the agent's last decision for each vehicle (n,)."""
+    agent: PolicyState
 
 
 class Shield:
-    """Drives for an agent, see the module. It is an agent that also gives manoeuvres beyond the actions."""
+    """Drives for an agent, see the module. It is a policy that also chooses manoeuvres beyond the actions."""
 
     def __init__(
-        self, options: ShieldOptions, agent: Agent, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions
+        self, options: ShieldOptions, agent: Policy, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions
     ) -> None:
         """Puts the shield around the agent.
 
@@ -66,33 +76,37 @@ class Shield:
         """
         self.options = options
         self.agent = agent
-        self.overridden = np.zeros(0, np.bool_)
-        """Whether the shield replaced the agent's last decision for each vehicle (n,)."""
         self._vehicle, self._drive, self._task = vehicle, drive, task
         self._predictor = Predictor(options, vehicle, drive)
-        self._memories: list[Memory] = []
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Forgets a vehicle, which is put into a world at the drive's speed."""
-        self._make_room(vehicle + 1)
-        self._memories[vehicle] = Memory(self._drive.speed)
-        self.agent.reset(vehicle, world_seed)
+    def initial_state(self, size: int) -> ShieldState:
+        """Returns the state of n vehicles at the drive's speed."""
+        memories = (Memory(self._drive.speed),) * size
+        return ShieldState(memories, np.zeros(size, np.bool_), self.agent.initial_state(size))
 
-    def action_values(self, observations: Observation) -> Array:
-        """The agent's values of the paper's five turns (n, 5)."""
-        return self.agent.action_values(observations)
+    def reset(self, state: ShieldState, world_seeds: Mapping[int, int]) -> ShieldState:
+        """Forgets vehicles, which are put into worlds at the drive's speed."""
+        new = Memory(self._drive.speed)
+        memories = tuple(new if i in world_seeds else memory for i, memory in enumerate(state.memories))
+        return replace(state, memories=memories, agent=self.agent.reset(state.agent, world_seeds))
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The manoeuvres (n,): the agent's best action that stays clear or, where there is none, the fallback."""
-        n = len(observations.yaw_rate)
-        self._make_room(n)
-        memories = self._memories[:n]
-        o, moving, scans = self.perceived(observations)
-        values = self.agent.action_values(o)  # before it acts, which changes what it remembers
-        wanted, turns = self.agent.act(o), offered_turns(o.target_bearing)
-        ranks = action_ranks(values, wanted, turns)
+    def action_values(self, observations: Observation, state: ShieldState) -> Array:
+        """Returns the agent's values of the paper's five turns (n, 5)."""
+        return self.agent.action_values(observations, state.agent)
+
+    def overridden(self, state: ShieldState) -> NDArray[np.bool_]:
+        """Returns whether the shield replaced the agent's last decision for each vehicle (n,)."""
+        return state.overridden
+
+    def act(self, observations: Observation, state: ShieldState) -> tuple[Actions, ShieldState]:
+        """Chooses the agent's best action that stays clear or, where there is none, the fallback."""
+        o, moving, scans = self.perceived(observations, state.memories)
+        values = self.agent.action_values(o, state.agent)
+        wanted, agent_state = self.agent.act(o, state.agent)
+        turns = offered_turns(o.target_bearing)
+        ranks, memories = action_ranks(values, wanted, turns), state.memories
         if self.options.recovers:
-            self._recover(ranks, o, turns, memories)
+            memories = self._recovering(ranks, o, turns, memories)
         points = point_cloud(o.ray_distances, self._vehicle.sensor)
         speed = np.array([memory.speed for memory in memories])
         situation = Situation(o.yaw_rate, speed, turns, points, np.where(moving[..., None], points, np.nan))
@@ -111,40 +125,39 @@ class Shield:
                 memories[i].recovery.side,
                 float(o.target_bearing[i]),
             )
-        self.overridden = np.asarray(chosen != wanted)
         if isinstance(self.agent, Overridable):
-            self.agent.override(chosen)
-        self._memories[:n] = self._remembered(o, chosen, memories, spins, scans)
-        return chosen
+            agent_state = self.agent.override(agent_state, chosen)
+        after = self._remembered(o, chosen, memories, spins, scans)
+        return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
 
-    def perceived(self, observations: Observation) -> tuple[Observation, NDArray[np.bool_], list[LastScan]]:
-        """What the shield takes the observations of vehicles 0 to n - 1 for; see `perception.perceived`."""
-        memories = self._memories[: len(observations.yaw_rate)]
+    def perceived(
+        self, observations: Observation, memories: Sequence[Memory]
+    ) -> tuple[Observation, NDArray[np.bool_], list[LastScan]]:
+        """Completes the scans of n vehicles, and finds moving obstacles; see `perception.perceived`."""
         standing = [memory.speed < STANDSTILL_SPEED for memory in memories]
         last = [memory.scan for memory in memories]
         return perceived(observations, last, standing, self._vehicle.sensor, self._task)
 
-    def _make_room(self, size: int) -> None:
-        """Adds memory for vehicles that were never reset."""
-        self._memories += [Memory(self._drive.speed) for _ in range(len(self._memories), size)]
-
-    def _recover(self, ranks: Array, o: Observation, turns: Array, memories: list[Memory]) -> None:
-        """Ranks the actions of vehicles that are led by their nearness to where the recovery leads, in place."""
+    def _recovering(self, ranks: Array, o: Observation, turns: Array, memories: Sequence[Memory]) -> tuple[Memory, ...]:
+        """Updates the recoveries, and ranks in place the actions of the vehicles that they lead."""
+        after = []
         for i, memory in enumerate(memories):
-            recovery, distance = memory.recovery, float(o.target_distance[i])
-            recovery.notice(distance, o.readings[i], memory.spin.side, self._drive.decision_period)
+            distance = float(o.target_distance[i])
+            recovery = memory.recovery.updated(distance, o.readings[i], memory.spin.side, self._drive.decision_period)
             if recovery.leads(distance):
                 heading = recovery.heading(float(o.target_bearing[i]), o.ray_distances[i])
                 ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
+            after.append(replace(memory, recovery=recovery))
+        return tuple(after)
 
     def _remembered(
         self,
         o: Observation,
         chosen: NDArray[np.int64],
-        memories: list[Memory],
+        memories: Sequence[Memory],
         spins: Iterable[Spin],
         scans: Iterable[LastScan],
-    ) -> list[Memory]:
+    ) -> tuple[Memory, ...]:
         """The memories after the decisions, with the pose and speed that each vehicle should have then."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
         speed = np.array([memory.speed for memory in memories])
@@ -159,7 +172,7 @@ class Shield:
             if now >= 0.9 * self._drive.speed:
                 spin = Spin(spin.side if memory.recovery.side else 0)
             after.append(Memory(now, spin, replace(scan, moved=pose), memory.recovery))
-        return after
+        return tuple(after)
 
 
 def action_ranks(values: Array, wanted: NDArray[np.int64], turns: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.env import Navigation, Observation, Transition
 from nnql_bullet.geometry import Array
-from nnql_bullet.rollout import Agent, EpisodeSummary
+from nnql_bullet.rollout import Actions, EpisodeSummary, Policy, PolicyState
 from nnql_bullet.worlds.spec import WorldSpec
 
 RECENT = 100
@@ -49,7 +49,7 @@ class Trainer(Protocol):
 
 
 @runtime_checkable
-class Trainable(Agent, Protocol):
+class Trainable(Policy, Protocol):
     """An agent with weights, however they are found."""
 
     def state_dict(self) -> dict[str, Array]:
@@ -85,18 +85,27 @@ class LearningAgent(Trainable, Protocol):
     """An agent that learns from every step, as Q-learning does; `training.loop` trains it."""
 
     def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
-    ) -> NDArray[np.int64]:
-        """Chooses actions for learning (n,).
+        self, observations: Observation, state: PolicyState, episodes: NDArray[np.int64], uniforms: Array
+    ) -> tuple[Actions, PolicyState]:
+        """Chooses actions for learning.
 
         Args:
             observations: What n vehicles see.
+            state: The agent's memory of the vehicles.
             episodes: Training episode of each vehicle (n,), counted from 0.
             uniforms: A random number in [0, 1) for each vehicle (n,), the only randomness.
+
+        Returns:
+            The actions (n,) and the next state.
         """
 
-    def learn(self, transitions: Transition) -> Array:
+    def learn(self, transitions: Transition, state: PolicyState, episodes: NDArray[np.int64]) -> Array:
         """Learns from one step of all n vehicles at once.
+
+        Args:
+            transitions: The step.
+            state: The state that `act_exploring` returned with the actions of the step.
+            episodes: Training episode of each vehicle (n,), counted from 0.
 
         Returns:
             Temporal-difference errors (n,); NaN where nothing was learned.
@@ -105,11 +114,11 @@ class LearningAgent(Trainable, Protocol):
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Named numbers of a training episode for the log."""
 
-    def training_state(self) -> dict[str, NDArray[Any]]:
-        """Copies what resumed learning needs beside `state_dict`, by name."""
+    def training_state(self, state: PolicyState) -> dict[str, NDArray[Any]]:
+        """Copies what resumed learning needs beside `state_dict`, the memory of vehicles too, by name."""
 
-    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Replaces all that by what `training_state` gave.
+    def load_training_state(self, arrays: dict[str, NDArray[Any]]) -> PolicyState:
+        """Replaces all that by what `training_state` gave, and returns the memory of vehicles.
 
         Raises:
             UserError: If it is not the state of such an agent.

@@ -45,6 +45,7 @@ class Training:
         self._uniforms = np.zeros((n, most))
         self._squared_errors, self._updates = np.zeros(n), np.zeros(n, np.int64)
         self._tally = Tally(navigation)
+        self._state = agent.initial_state(n)
         self._worlds: dict[int, WorldSpec] = {}
 
     def episodes(self) -> Iterator[TrainingEpisode]:
@@ -72,7 +73,7 @@ class Training:
             "actions": self._actions[:, :longest].copy(),
             "squared_errors": self._squared_errors.copy(),
             "updates": self._updates.copy(),
-            **{_AGENT + name: values for name, values in self._agent.training_state().items()},
+            **{_AGENT + name: values for name, values in self._agent.training_state(self._state).items()},
         }
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -98,8 +99,8 @@ class Training:
             if not active.any():
                 break
             self._tally.add(self._navigation.step(np.where(active, actions, 0), active))
-        state = {name.removeprefix(_AGENT): values for name, values in arrays.items() if name.startswith(_AGENT)}
-        self._agent.load_training_state(state)
+        kept = {name.removeprefix(_AGENT): values for name, values in arrays.items() if name.startswith(_AGENT)}
+        self._state = self._agent.load_training_state(kept)
 
     def _begin(self, vehicle: int) -> None:
         """Draws the world and all random numbers of the vehicle's episode."""
@@ -107,7 +108,7 @@ class Training:
         world = self._world_of(episode)
         self._worlds[vehicle] = world
         self._tally.reset(vehicle, world.seed)
-        self._agent.reset(vehicle, world.seed)
+        self._state = self._agent.reset(self._state, {vehicle: world.seed})
         self._uniforms[vehicle] = rng(self._seed, Stream.POLICY, episode).random(self._uniforms.shape[1])
 
     def _put_into_worlds(self) -> None:
@@ -118,9 +119,11 @@ class Training:
         """One decision of every vehicle, and one update."""
         self._put_into_worlds()
         now = self._vehicles, self._tally.steps
-        actions = self._agent.act_exploring(self._navigation.observation, self._episode, self._uniforms[now])
+        observations, uniforms = self._navigation.observation, self._uniforms[now]
+        actions, state = self._agent.act_exploring(observations, self._state, self._episode, uniforms)
         transitions = self._navigation.step(actions)
-        td_errors = self._agent.learn(transitions)
+        td_errors = self._agent.learn(transitions, state, self._episode)
+        self._state = state
         self._actions[now] = actions
         self._tally.add(transitions)
         self._squared_errors += np.nan_to_num(td_errors) ** 2

@@ -57,7 +57,7 @@ def film_over_bare(renderer: RendererName, seconds: float) -> float:
 
 def _record(path: Path) -> None:
     experiment = Experiment(RunConfig(simulator="kinematic", world="cover_10"))
-    recorder = Recorder(experiment.vehicle, experiment.agent)
+    recorder = Recorder(experiment.vehicle)
     world = max((experiment.world(seed) for seed in range(6)), key=lambda world: len(world.obstacles))
     run_episode(experiment.navigation, world, experiment.agent, watcher=recorder)
     recorder.recording(policy="untrained", simulator="kinematic").save(path)

@@ -4,7 +4,8 @@ Mnih et al. (Nature 518, 2015), with the double estimator of van Hasselt et al. 
 al. (ICML 2016), n-step returns, and a target network that follows slowly, which also drives.
 """
 
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -22,6 +23,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.task import NO_ENDING, StateProperty
@@ -128,6 +130,16 @@ class DuelingNetwork(torch.nn.Module):
         return q
 
 
+@dataclass(frozen=True, slots=True)
+class DoubleDqnState:
+    """Memory of n vehicles."""
+
+    memory: Memory
+    """Memory at the next decision."""
+    last: tuple[Look, Observation] | None = None
+    """What the last actions were chosen by; None before the first."""
+
+
 class DoubleDqn:
     """Chooses among all six actions at every step, by what a network expects of them from what was seen so far."""
 
@@ -139,54 +151,54 @@ class DoubleDqn:
         with fenced(rng(seed, Stream.WEIGHTS)):
             self.network = DuelingNetwork(self._inputs, options.hidden)
         self.network.requires_grad_(False)
-        self._memory = self._frames.nothing(0)
         self._learning: Learning | None = None
-        self._decided: tuple[Look, Observation]
-        """What the last actions were chosen by."""
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Forgets a vehicle."""
-        self._remembered(vehicle + 1)
-        self._memory.age[vehicle] = 0
+    def initial_state(self, size: int) -> DoubleDqnState:
+        """Returns an empty memory of n vehicles."""
+        return DoubleDqnState(self._frames.nothing(size))
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The action with the largest Q-value."""
-        look = self._look(observations)
+    def reset(self, state: DoubleDqnState, world_seeds: Mapping[int, int]) -> DoubleDqnState:
+        """Forgets these vehicles."""
+        age = state.memory.age.copy()
+        age[list(world_seeds)] = 0
+        return replace(state, memory=replace(state.memory, age=age))
+
+    def act(self, observations: Observation, state: DoubleDqnState) -> tuple[Actions, DoubleDqnState]:
+        """Chooses the action with the largest Q-value."""
+        look = self._frames.look(state.memory, observations)
         actions = np.asarray(self._values(self.network, look).argmax(axis=-1))
-        self._keep(self._frames.after(look, observations, actions))
-        self._decided = look, observations
-        return actions
+        return actions, self._after(look, observations, actions)
 
-    def override(self, actions: NDArray[np.int64]) -> None:
-        """Remembers these actions in place of those last chosen."""
-        look, observations = self._decided
-        self._keep(self._frames.after(look, observations, actions))
+    def override(self, state: DoubleDqnState, actions: Actions) -> DoubleDqnState:
+        """Returns the state after these actions in place of those last chosen."""
+        return self._after(*state.last, actions) if state.last else state
 
-    def action_values(self, observations: Observation) -> Array:
+    def action_values(self, observations: Observation, state: DoubleDqnState) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
-        return self._values(self.network, self._look(observations))[:, : len(paper.TURNS)]
+        return self._values(self.network, self._frames.look(state.memory, observations))[:, : len(paper.TURNS)]
 
     def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
-    ) -> NDArray[np.int64]:
-        """A random action with the scheduled probability, else the one with the largest Q-value."""
-        learning = self._learn_with(len(episodes))
-        learning.look, learning.episode = self._look(observations), int(episodes.max())
-        best = self._values(learning.online, learning.look).argmax(axis=-1)
+        self, observations: Observation, state: DoubleDqnState, episodes: NDArray[np.int64], uniforms: Array
+    ) -> tuple[Actions, DoubleDqnState]:
+        """Chooses a random action with the scheduled probability, else the one with the largest Q-value."""
+        look = self._frames.look(state.memory, observations)
+        best = self._values(self._learn_with(len(episodes)).online, look).argmax(axis=-1)
         chance = self.options.exploration(episodes)
         drawn = (uniforms / np.maximum(chance, 1e-9) * ACTIONS).astype(np.int64)
-        return np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
+        actions = np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
+        return actions, self._after(look, observations, actions)
 
-    def learn(self, transitions: Transition) -> Array:
+    def learn(self, transitions: Transition, state: DoubleDqnState, episodes: NDArray[np.int64]) -> Array:
         """Stores the steps in the replay buffer, and learns from a sample of it.
 
         Returns:
             The root mean square of the temporal-difference errors learned from, for each vehicle (n,); NaN before there
             is enough to learn from.
         """
-        o, t = self.options, transitions
-        learning = self._learn_with(len(t.a_tm1))
-        look = learning.look
+        o, t, learning = self.options, transitions, self._learn_with(len(transitions.a_tm1))
+        if state.last is None:
+            raise ValueError("learn needs the state that act_exploring returned")
+        look, _ = state.last
         ends = np.where(t.discount_t == 0, TERMINATED, np.where(t.ending == NO_ENDING, CONTINUES, TRUNCATED))
         learning.replay.add(
             look.memory.frames[:, 0],
@@ -196,8 +208,7 @@ class DoubleDqn:
             ends,
             o.reward_progress * look.progress,
         )
-        self._keep(self._frames.after(look, t.s_tm1, t.a_tm1))
-        return np.full(len(t.a_tm1), self._update(learning))
+        return np.full(len(t.a_tm1), self._update(learning, int(episodes.max())))
 
     def diagnostics(self, episode: int) -> dict[str, float]:
         """Probability of a random action and learning rate."""
@@ -216,37 +227,24 @@ class DoubleDqn:
         units = self._inputs, *self.options.hidden, ACTIONS
         weights.load_state_dict(self.network, arrays, "a dueling network", units)
 
-    def training_state(self) -> dict[str, NDArray[Any]]:
+    def training_state(self, state: DoubleDqnState) -> dict[str, NDArray[Any]]:
         """Copies the online network, its optimizer, the replay buffer and the memory of vehicles."""
-        kept: dict[str, NDArray[Any]] = {f"memory/{name}": a for name, a in self._memory.state_dict().items()}
+        kept: dict[str, NDArray[Any]] = {f"memory/{name}": a for name, a in state.memory.state_dict().items()}
         return kept | (self._learning.state_dict() if self._learning else {})
 
-    def load_training_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Replaces all that by what `training_state` gave."""
+    def load_training_state(self, arrays: dict[str, NDArray[Any]]) -> DoubleDqnState:
+        """Replaces all that by what `training_state` gave, and returns the memory of vehicles."""
         try:
-            self._memory = Memory(*(state[f"memory/{field.name}"].copy() for field in fields(Memory)))
-            if "replay/count" in state:
-                self._learn_with(len(self._memory.age)).load_state_dict(state)
+            memory = Memory(*(arrays[f"memory/{field.name}"].copy() for field in fields(Memory)))
+            if "replay/count" in arrays:
+                self._learn_with(len(memory.age)).load_state_dict(arrays)
         except (KeyError, ValueError, TypeError, UserError):
             raise UserError("this is not the state of such a double_dqn") from None
+        return DoubleDqnState(memory)
 
-    def _look(self, observations: Observation) -> Look:
-        return self._frames.look(self._remembered(len(observations.yaw_rate)), observations)
-
-    def _remembered(self, size: int) -> Memory:
-        """The memory of the first vehicles; adds those that were never reset."""
-        more = size - len(self._memory.age)
-        if more > 0:
-            new = self._frames.nothing(more)
-            pairs = ((getattr(self._memory, field.name), getattr(new, field.name)) for field in fields(Memory))
-            self._memory = Memory(*(np.concatenate(pair) for pair in pairs))
-        return self._memory.first(size)
-
-    def _keep(self, memory: Memory) -> None:
-        """Replaces the memory of the first vehicles."""
-        for field in fields(Memory):
-            kept = getattr(memory, field.name)
-            getattr(self._memory, field.name)[: len(kept)] = kept
+    def _after(self, look: Look, observations: Observation, actions: Actions) -> DoubleDqnState:
+        """Returns the state after these actions."""
+        return DoubleDqnState(self._frames.after(look, observations, actions), (look, observations))
 
     def _learn_with(self, vehicles: int) -> "Learning":
         if self._learning is None:
@@ -259,8 +257,8 @@ class DoubleDqn:
             values: Array = network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
         return values
 
-    def _update(self, learning: "Learning") -> float:
-        """Takes gradient steps on batches from the replay buffer.
+    def _update(self, learning: "Learning", episode: int) -> float:
+        """Takes gradient steps on batches from the replay buffer, in a training episode.
 
         Returns:
             Root mean square of the temporal-difference errors; NaN while there are too few steps.
@@ -272,7 +270,7 @@ class DoubleDqn:
         batch = replay.sample(o.gradient_steps * o.batch_size, o.n_step, o.discount, generator)
         if o.mirrored:
             batch = partly_mirrored(batch, self._frames, generator)
-        learning.optimizer.param_groups[0]["lr"] = o.learning_rate_at(learning.episode)
+        learning.optimizer.param_groups[0]["lr"] = o.learning_rate_at(episode)
         errors = []
         for part in batch.split(o.gradient_steps):
             td_error = td_errors(learning.online, self.network, part)
@@ -338,11 +336,6 @@ def soft_update(target: torch.nn.Module, online: torch.nn.Module, tau: float) ->
 
 class Learning:
     """Online network, optimizer and replay buffer: what learning needs beside the target network."""
-
-    look: Look
-    """The vehicles' memory and inputs, between `act_exploring` and `learn`."""
-    episode: int
-    """The latest training episode."""
 
     def __init__(self, options: DoubleDqnOptions, network: DuelingNetwork, width: int, vehicles: int) -> None:
         with torch.random.fork_rng(devices=[]):  # its weights are drawn, though they are replaced at once

@@ -12,7 +12,7 @@ A checkpoint holds the number of episodes of the generation that have finished. 
 from its beginning, with the same results bit for bit.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,12 +20,12 @@ import numpy as np
 from deap import tools
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.base import TurnChooser
+from nnql_bullet.agents.base import NoValues, TurnChooser
 from nnql_bullet.agents.learning.genetic import Genetic, GeneticOptions, first_generation, layers, network_outputs
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, distance
-from nnql_bullet.rollout import finished_episodes
+from nnql_bullet.rollout import Actions, finished_episodes
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
@@ -57,7 +57,7 @@ class Evolution:
             ended = finished_episodes(self._navigation, worlds * o.population, crowd)
             for count, (place, summary) in enumerate(ended):
                 world = worlds[place % o.worlds]
-                nearer = 1.0 - crowd.left[place] / distance(world.start, *world.target)
+                nearer = 1.0 - crowd.remaining[place] / distance(world.start, *world.target)
                 fitness[place] = episode_fitness(summary.ending, nearer)
                 if count < self._given:
                     continue
@@ -104,30 +104,51 @@ class Evolution:
         self._tries = np.concatenate([self._tries[elites], nothing])
 
 
-class Crowd(TurnChooser):
-    """Drives one episode with each of several genomes, given in the order in which the episodes begin."""
+class Networks(TurnChooser):
+    """Drives each of n vehicles by a network of its own, given by its genome (n, 89)."""
 
     def __init__(self, genomes: Array) -> None:
         self._genomes = genomes
-        self._begun = 0
-        self._driving: dict[int, int] = {}
-        self.left = np.zeros(len(genomes))
-        """How far from its target each was last seen [m]."""
-
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """The vehicle is given the next genome."""
-        self._driving[vehicle] = self._begun
-        self._begun += 1
-
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """As each vehicle's network says."""
-        self.left[list(self._driving.values())] = observations.target_distance[list(self._driving)]
-        return super().act(observations)
 
     def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
-        """What each vehicle's network puts out."""
-        genomes = [self._driving.get(vehicle, 0) for vehicle in np.flatnonzero(asked).tolist()]  # some stand by
-        return network_outputs(self._genomes[genomes], observations.readings[asked])
+        """Returns the outputs of the networks."""
+        return network_outputs(self._genomes[asked], observations.readings[asked])
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdState:
+    """Which genome drives which of n vehicles."""
+
+    genomes: NDArray[np.int64]
+    """Index of each vehicle's genome (n,); -1 before its first episode."""
+    begun: int = 0
+    """Number of genomes that have begun their episode."""
+
+
+class Crowd(NoValues):
+    """Drives one episode with each of several genomes, in the order in which the episodes begin."""
+
+    def __init__(self, genomes: Array) -> None:
+        self._genomes = genomes
+        self.remaining = np.zeros(len(genomes))
+        """Distance of each genome's vehicle from its target at its last decision [m]; `act` writes it."""
+
+    def initial_state(self, size: int) -> CrowdState:
+        """Returns a state in which no genome drives."""
+        return CrowdState(np.full(size, -1))
+
+    def reset(self, state: CrowdState, world_seeds: Mapping[int, int]) -> CrowdState:
+        """Gives each of these vehicles the next genome."""
+        genomes = state.genomes.copy()
+        genomes[list(world_seeds)] = state.begun + np.arange(len(world_seeds))
+        return CrowdState(genomes, state.begun + len(world_seeds))
+
+    def act(self, observations: Observation, state: CrowdState) -> tuple[Actions, CrowdState]:
+        """Chooses the action with the largest output of each vehicle's network."""
+        driven = state.genomes >= 0
+        self.remaining[state.genomes[driven]] = observations.target_distance[driven]
+        actions, _ = Networks(self._genomes[state.genomes]).act(observations, None)
+        return actions, state
 
 
 @dataclass(frozen=True, slots=True)

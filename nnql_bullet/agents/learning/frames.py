@@ -50,10 +50,6 @@ class Memory:
     frames: Bytes
     """Last frames, the newest first (n, frames, width)."""
 
-    def first(self, count: int) -> "Memory":
-        """The memory of the first vehicles."""
-        return Memory(*(getattr(self, field.name)[:count] for field in fields(self)))
-
     def state_dict(self) -> dict[str, NDArray[Any]]:
         """Copies the memory, by name."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}

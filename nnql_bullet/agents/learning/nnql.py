@@ -77,7 +77,7 @@ class Nnql(QLearning):
             values: Array = self.network(self._encoded(observations.readings[asked])).numpy()
         return values
 
-    def learn(self, transitions: Transition) -> Array:
+    def learn(self, transitions: Transition, state: None, episodes: NDArray[np.int64]) -> Array:
         """Updates the network by eq. (2), whose right-hand side is the target of the selected output (III.B).
 
         The gradients of the vehicles' squared errors add up: the network stands still while they are computed.

@@ -14,6 +14,7 @@ from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation, Transition, heading_change
 from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Actions
 from nnql_bullet.types import Positive, UnitInterval
 
 
@@ -58,8 +59,8 @@ class QLearning(TurnChooser, NoTrainingState):
     options: QLearningOptions
 
     def act_exploring(
-        self, observations: Observation, episodes: NDArray[np.int64], uniforms: Array
-    ) -> NDArray[np.int64]:
+        self, observations: Observation, state: None, episodes: NDArray[np.int64], uniforms: Array
+    ) -> tuple[Actions, None]:
         """Chooses the turn toward the target in a safe state (III.C), else draws from the Boltzmann distribution."""
         actions = np.full(len(uniforms), TOWARD_TARGET)
         asked = self.asks(observations)
@@ -67,7 +68,7 @@ class QLearning(TurnChooser, NoTrainingState):
             probabilities = boltzmann(self.values(observations, asked), self.options.temperature(episodes[asked]))
             cumulated = probabilities.cumsum(axis=-1)
             actions[asked] = (cumulated / cumulated[:, -1:] <= uniforms[asked, None]).sum(axis=-1)
-        return actions
+        return actions, None
 
     def diagnostics(self, episode: int) -> dict[str, float]:
         """The temperature."""

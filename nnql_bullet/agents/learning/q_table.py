@@ -74,7 +74,7 @@ class QTable(QLearning):
         """Rows of the table."""
         return np.asarray(self._table[self.state(observations.readings[asked])])
 
-    def learn(self, transitions: Transition) -> Array:
+    def learn(self, transitions: Transition, state: None, episodes: NDArray[np.int64]) -> Array:
         """Updates the table by eq. (2).
 
         Several vehicles learn from the table as it stands; where they meet in one entry, their updates add up.

@@ -17,6 +17,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Navigation, Observation, as_numbers
 from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.types import Count, Positive, UnitInterval
@@ -76,11 +77,11 @@ class Sb3Dqn(NoMemory):
             hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
             self.network = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], ACTIONS))
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """The action with the largest Q-value."""
-        return np.asarray(self._values(observations).argmax(axis=-1))
+    def act(self, observations: Observation, state: None) -> tuple[Actions, None]:
+        """Chooses the action with the largest Q-value."""
+        return np.asarray(self._values(observations).argmax(axis=-1)), None
 
-    def action_values(self, observations: Observation) -> Array:
+    def action_values(self, observations: Observation, state: None) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(observations)[:, : len(paper.TURNS)]
 

@@ -8,7 +8,6 @@ from functools import reduce
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
@@ -18,6 +17,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -101,7 +101,7 @@ class Fuzzy(Rule):
             for name, centre in TURNS_DEGREES.items()
         }
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> Actions:
         """What the rule base says."""
         wanted = np.radians(self.turns_degrees(observations.readings, observations.target_bearing))
         return nearest_actions(wanted, observations.target_bearing)

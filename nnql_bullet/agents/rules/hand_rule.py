@@ -4,12 +4,12 @@ from math import radians
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
+from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.task import StateProperty
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -39,7 +39,7 @@ class HandRule(Rule):
         angle = radians(options.turn_degrees)
         self._left, self._right = nearest_turns(np.array([angle, -angle])).tolist()
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> Actions:
         """Toward the target, or away; where both sides are as full, to the target's side."""
         o = observations
         left, right = o.readings[:, FRONT_LEFT], o.readings[:, FRONT_RIGHT]

@@ -3,7 +3,6 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet.agents.base import Rule
@@ -13,6 +12,7 @@ from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
+from nnql_bullet.rollout import Actions
 from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -48,7 +48,7 @@ class LookAhead(Rule):
         self._speed = drive.speed
         self._times = PREDICTION_STEP * np.arange(1.0, options.horizon / PREDICTION_STEP + 1e-9)
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> Actions:
         """The best of the six as foreseen."""
         o = observations
         turns = offered_turns(o.target_bearing)

@@ -7,7 +7,6 @@ from math import radians
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
@@ -17,6 +16,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array, OrientedBox, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
+from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.types import Positive
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -55,7 +55,7 @@ class PotentialField(Rule):
         self._vehicle = vehicle
         self._in_view = np.abs(wrap_angles(ray_angles())) < radians(options.view_degrees) + 1e-9
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> Actions:
         """Where the force points."""
         o, bearing = self.options, observations.target_bearing
         points = point_cloud(observations.ray_distances, self._vehicle.sensor)[:, self._in_view]

@@ -1,18 +1,22 @@
 """Turns by chance where something is near: what a rule has to be better than to have understood anything."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents.base import Rule
+from nnql_bullet.agents.base import NoValues
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
+from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import StateProperty
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+
+Generators: TypeAlias = dict[int, np.random.Generator]
+"""Random generator of each vehicle's drive."""
 
 
 @options
@@ -26,23 +30,24 @@ class RandomTurnsOptions:
         return RandomTurns()
 
 
-class RandomTurns(Rule):
+class RandomTurns(NoValues):
     """Toward the target in a safe state, else one of the paper's five turns, each as likely.
 
     It sees the state property, that is the eight readings against the task's thresholds. It remembers where the chance
     of each drive has come to, which is a function of the world's seed.
     """
 
-    def __init__(self) -> None:
-        self._chance: dict[int, np.random.Generator] = {}
+    def initial_state(self, size: int) -> Generators:
+        """Returns no generators yet."""
+        return {}
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """The chance of this drive."""
-        self._chance[vehicle] = rng(world_seed, Stream.CHANCE)
+    def reset(self, state: Generators, world_seeds: Mapping[int, int]) -> Generators:
+        """Seeds the generators of these vehicles by their worlds."""
+        return state | {vehicle: rng(seed, Stream.CHANCE) for vehicle, seed in world_seeds.items()}
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """Toward the target, or any turn."""
+    def act(self, observations: Observation, state: Generators) -> tuple[Actions, Generators]:
+        """Chooses the turn toward the target in a safe state, else any of the five; the generators advance."""
         actions = np.full(len(observations.state_property), TOWARD_TARGET)
         for vehicle in np.flatnonzero(observations.state_property != StateProperty.SAFE).tolist():
-            actions[vehicle] = self._chance[vehicle].integers(len(paper.TURNS))
-        return actions
+            actions[vehicle] = state[vehicle].integers(len(paper.TURNS))
+        return actions, state

@@ -3,11 +3,11 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.config import options
 from nnql_bullet.env import TOWARD_TARGET, Observation
+from nnql_bullet.rollout import Actions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -29,6 +29,6 @@ class Straight(Rule):
     It sees the target's bearing alone, and remembers nothing.
     """
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
+    def decide(self, observations: Observation) -> Actions:
         """Toward the target."""
         return np.full(len(observations.state_property), TOWARD_TARGET)

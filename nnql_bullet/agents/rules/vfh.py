@@ -4,7 +4,8 @@ Ulrich and Borenstein, "VFH+: Reliable Obstacle Avoidance for Fast Mobile Robots
 the directions of histograms do not turn with the vehicle: they are those of the frame that it starts in.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import ceil, cos, floor, hypot, pi, radians, sin
 from typing import Annotated, Literal
 
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
-from nnql_bullet.agents.base import Rule
+from nnql_bullet.agents.base import NoValues
 from nnql_bullet.agents.turns import nearest_actions
 from nnql_bullet.config import options
 from nnql_bullet.env import Observation, heading_change
 from nnql_bullet.geometry import Array, OrientedBox, wrap_angle, wrap_angles
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import seen_distances
+from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.types import NonNegative
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -70,19 +72,33 @@ class VfhOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class _Decided:
-    """What n vehicles decided last."""
+class LastDecision:
+    """The last decision for n vehicles."""
 
-    seen: Observation
+    observations: Observation
     headings: Array
-    """At that time (n,) [rad]."""
+    """Headings at that time (n,) [rad]."""
     chosen: Array
-    """Directions (n,) [rad]."""
-    actions: NDArray[np.int64]
+    """Directions chosen (n,) [rad]."""
+    actions: Actions
     """(n,)"""
 
 
-class Vfh(Rule):
+@dataclass(frozen=True, slots=True)
+class VfhState:
+    """Memory of n vehicles. Directions are those of the frame that each vehicle starts in."""
+
+    headings: Array
+    """Headings at the next decision, by dead reckoning (n,) [rad]."""
+    chosen: Array
+    """Directions of the last actions (n,) [rad]."""
+    blocked: Blocked
+    """Binary histograms (n, 72)."""
+    last: LastDecision | None = None
+    """None before the first."""
+
+
+class Vfh(NoValues):
     """The direction of least cost among the openings; the action nearest to it is taken.
 
     It sees the 72 rays, the yaw rate and the target's bearing, and knows the circle around the sensor that holds the
@@ -102,47 +118,46 @@ class Vfh(Rule):
         self._radius = _radius_about(self._sensor, vehicle.footprint) + options.safety_distance
         self._bearings = wrap_angles(ray_angles())
         self._weights = np.array([options.target_weight, options.heading_weight, options.previous_weight])
-        self._headings, self._chosen, self._blocked = np.zeros(0), np.zeros(0), np.zeros((0, BINS), np.bool_)
-        self._decided: _Decided
 
-    def reset(self, vehicle: int, world_seed: int) -> None:
-        """Nothing is blocked, and the direction chosen last is straight ahead."""
-        self._make_room(vehicle + 1)
-        self._headings[vehicle] = self._chosen[vehicle] = 0.0
-        self._blocked[vehicle] = False
+    def initial_state(self, size: int) -> VfhState:
+        """Returns a memory in which no direction is blocked and straight ahead was chosen last."""
+        return VfhState(np.zeros(size), np.zeros(size), np.zeros((size, BINS), np.bool_))
 
-    def act(self, observations: Observation) -> NDArray[np.int64]:
-        """Toward the opening of least cost."""
-        o, n, bearing = self.options, len(observations.yaw_rate), observations.target_bearing
-        self._make_room(n)
-        headings, distances = self._headings[:n].copy(), seen_distances(observations.ray_distances)
+    def reset(self, state: VfhState, world_seeds: Mapping[int, int]) -> VfhState:
+        """Unblocks all directions of these vehicles; straight ahead counts as chosen last."""
+        new = np.isin(np.arange(len(state.headings)), list(world_seeds))
+        return replace(
+            state,
+            headings=np.where(new, 0.0, state.headings),
+            chosen=np.where(new, 0.0, state.chosen),
+            blocked=state.blocked & ~new[:, None],
+        )
+
+    def act(self, observations: Observation, state: VfhState) -> tuple[Actions, VfhState]:
+        """Chooses the action nearest to the opening of least cost."""
+        o, bearing, headings = self.options, observations.target_bearing, state.headings
+        distances = seen_distances(observations.ray_distances)
         density = primary_histograms(distances, headings[:, None] + self._bearings, o.window, self._radius)
-        blocked = binary_histograms(density, self._blocked[:n], o.low_threshold, o.high_threshold)
+        blocked = binary_histograms(density, state.blocked, o.low_threshold, o.high_threshold)
         limits = turning_limits(distances, self._bearings, o.window, self._radius, self._sensor, self._turning_radius)
         masked = masked_histograms(blocked, headings, limits)
         chosen: Array = _chosen_directions(
-            masked, density, headings, headings + bearing, self._chosen[:n], radians(o.wide_degrees), self._weights
+            masked, density, headings, headings + bearing, state.chosen, radians(o.wide_degrees), self._weights
         )
         actions = nearest_actions(wrap_angles(chosen - headings), bearing)
-        self._blocked[:n] = blocked
-        self._decided = _Decided(observations, headings, chosen, actions)
-        self.override(actions)
-        return actions
+        decision = LastDecision(observations, headings, chosen, actions)
+        return actions, self._after(decision, actions, blocked)
 
-    def override(self, actions: NDArray[np.int64]) -> None:
-        """Remembers how far these turn and, where they are not its own, their directions as the ones chosen last."""
-        last, n = self._decided, len(actions)
-        turns = heading_change(actions, last.seen.target_bearing)
-        turned = turn_headings(last.seen.yaw_rate, turns, self._limits, self._period)
-        self._headings[:n] = last.headings + turned[:, 0]
-        self._chosen[:n] = np.where(actions == last.actions, last.chosen, last.headings + turns)
+    def override(self, state: VfhState, actions: Actions) -> VfhState:
+        """Returns the state after these actions; where they differ, their directions count as chosen last."""
+        return state if state.last is None else self._after(state.last, actions, state.blocked)
 
-    def _make_room(self, size: int) -> None:
-        """Lets so many vehicles be remembered."""
-        more = size - len(self._headings)
-        if more > 0:
-            self._headings, self._chosen = np.pad(self._headings, (0, more)), np.pad(self._chosen, (0, more))
-            self._blocked = np.pad(self._blocked, ((0, more), (0, 0)))
+    def _after(self, last: LastDecision, actions: Actions, blocked: Blocked) -> VfhState:
+        """Returns the state after a decision and the actions (n,) that were then carried out."""
+        turns = heading_change(actions, last.observations.target_bearing)
+        turned = turn_headings(last.observations.yaw_rate, turns, self._limits, self._period)
+        chosen = np.where(actions == last.actions, last.chosen, last.headings + turns)
+        return VfhState(last.headings + turned[:, 0], chosen, blocked, last)
 
 
 def _radius_about(place: tuple[float, float], box: OrientedBox) -> float:
