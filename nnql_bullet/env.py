@@ -19,7 +19,9 @@ from nnql_bullet.task import (
     TaskOptions,
     ending,
     is_terminal,
+    look_up,
     paper_reward,
+    paper_table,
     readings_of,
     reward_terms,
     state_property,
@@ -107,26 +109,26 @@ class Transition:
     """Whether the vehicle took a step (n,)."""
 
 
-Reward = Callable[[Transition], Array]
-"""Rewards (n,) of the transitions of n vehicles, in place of the paper's."""
+Reward = tuple[RewardTerm, ...] | Callable[[Transition], Array]
+"""A reward in place of the paper's: terms whose sum it is, or a function that gives the rewards (n,) of the transitions
+of n vehicles. Beside a function, the terms stay the paper's."""
 
 
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
-    def __init__(
-        self, simulator: Simulator, task: TaskOptions, reward: tuple[RewardTerm, ...] | Reward | None = None
-    ) -> None:
+    def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
         """Makes the environment.
 
         Args:
             simulator: The simulator of n vehicles.
             task: Options of states, rewards and endings.
-            reward: Terms whose sum is the reward, or a function that gives it; by default the paper's terms.
+            reward: A reward in place of the paper's.
         """
         self.simulator = simulator
         self.task = task
         self.terms = reward if isinstance(reward, tuple) else paper_reward(task)
+        self._table = None if isinstance(reward, tuple) else paper_table(task)
         self._reward = None if isinstance(reward, tuple) else reward
         n = simulator.size
         self._target = np.zeros((n, 2))
@@ -183,7 +185,11 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
-        terms = reward_terms(s_tm1, s_t, self.task, self.terms)
+        terms = (
+            reward_terms(s_tm1, s_t, self.task, self.terms)
+            if self._table is None
+            else look_up(s_tm1, s_t, self.task, self._table)
+        )
         t = Transition(
             s_tm1=s_tm1,
             a_tm1=actions,
