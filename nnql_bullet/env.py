@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import (
+    REWARD_TERMS,
     RewardTerm,
     StateProperty,
     TaskOptions,
@@ -99,7 +101,7 @@ class Transition:
     """(n,)"""
     s_t: Observation
     terms: Array
-    """Terms of the reward (n, number of terms), in the order of `Navigation.terms`."""
+    """Terms of the reward (n, number of terms)."""
     ending: NDArray[np.int64]
     """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     heading_command: Array
@@ -107,9 +109,11 @@ class Transition:
     motion: Motion
     active: NDArray[np.bool_]
     """Whether the vehicle took a step (n,)."""
+    term_names: tuple[str, ...] = REWARD_TERMS
+    """Names of `terms`."""
 
 
-Reward = tuple[RewardTerm, ...] | Callable[[Transition], Array]
+Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
 """A reward in place of the paper's: terms whose sum it is, or a function that gives the rewards (n,) of the transitions
 of n vehicles. Beside a function, the terms stay the paper's."""
 
@@ -124,12 +128,19 @@ class Navigation:
             simulator: The simulator of n vehicles.
             task: Options of states, rewards and endings.
             reward: A reward in place of the paper's.
+
+        Raises:
+            UserError: If two terms of the reward have the same name.
         """
         self.simulator = simulator
         self.task = task
-        self.terms = reward if isinstance(reward, tuple) else paper_reward(task)
-        self._table = None if isinstance(reward, tuple) else paper_table(task)
-        self._reward = None if isinstance(reward, tuple) else reward
+        given = None if reward is None or callable(reward) else tuple(reward)
+        self._terms = paper_reward(task) if given is None else given
+        self._table = paper_table(task) if given is None else None
+        self._reward = reward if callable(reward) else None
+        self.term_names = tuple(term.name for term in self._terms)
+        if len(set(self.term_names)) < len(self.term_names):
+            raise UserError(f"each term of a reward needs a name of its own, not {', '.join(self.term_names)}")
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -186,7 +197,7 @@ class Navigation:
         self._observation = s_t
         self._steps += active
         terms = (
-            reward_terms(s_tm1, s_t, self.task, self.terms)
+            reward_terms(s_tm1, s_t, self.task, self._terms)
             if self._table is None
             else look_up(s_tm1, s_t, self.task, self._table)
         )
@@ -201,6 +212,7 @@ class Navigation:
             heading_command=turns,
             motion=motion,
             active=active,
+            term_names=self.term_names,
         )
         return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
 
