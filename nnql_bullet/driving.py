@@ -8,6 +8,7 @@ from typing import Any
 
 from nnql_bullet import __version__
 from nnql_bullet.config import to_values
+from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
@@ -31,6 +32,7 @@ def drive(
     vehicle: str | Path | VehicleSpec | None = None,
     shield: bool = False,
     conditions: Conditions | None = None,
+    reward: Reward | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
 ) -> Recording:
     """Drives a policy through a world and records it.
@@ -52,6 +54,7 @@ def drive(
         vehicle: A shipped robot, a TOML file or a `Vehicle`; by default that of the training.
         shield: Whether to put the policy into a shield.
         conditions: Conditions in place of the policy's own.
+        reward: A reward in place of the paper's, to record; the policy does not see it.
         changes: Nested values laid over the rest of the policy's configuration (see `config.merged`).
 
     Raises:
@@ -64,7 +67,8 @@ def drive(
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     recorder = Recorder(experiment.vehicle)
-    summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
+    navigation = Navigation(experiment.simulator, config.task, reward)
+    summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(
         policy=loaded.label,

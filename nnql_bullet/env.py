@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import (
+    REWARD_TERMS,
     RewardTerm,
     StateProperty,
     TaskOptions,
     ending,
     is_terminal,
+    look_up,
     paper_reward,
+    paper_table,
     readings_of,
     reward_terms,
     state_property,
@@ -97,7 +101,7 @@ class Transition:
     """(n,)"""
     s_t: Observation
     terms: Array
-    """Terms of the reward (n, number of terms), in the order of `Navigation.terms`."""
+    """Terms of the reward (n, number of terms)."""
     ending: NDArray[np.int64]
     """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     heading_command: Array
@@ -105,29 +109,38 @@ class Transition:
     motion: Motion
     active: NDArray[np.bool_]
     """Whether the vehicle took a step (n,)."""
+    term_names: tuple[str, ...] = REWARD_TERMS
+    """Names of `terms`."""
 
 
-Reward = Callable[[Transition], Array]
-"""Rewards (n,) of the transitions of n vehicles, in place of the paper's."""
+Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
+"""A reward in place of the paper's: terms whose sum it is, or a function that gives the rewards (n,) of the transitions
+of n vehicles. Beside a function, the terms stay the paper's."""
 
 
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
-    def __init__(
-        self, simulator: Simulator, task: TaskOptions, reward: tuple[RewardTerm, ...] | Reward | None = None
-    ) -> None:
+    def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
         """Makes the environment.
 
         Args:
             simulator: The simulator of n vehicles.
             task: Options of states, rewards and endings.
-            reward: Terms whose sum is the reward, or a function that gives it; by default the paper's terms.
+            reward: A reward in place of the paper's.
+
+        Raises:
+            UserError: If two terms of the reward have the same name.
         """
         self.simulator = simulator
         self.task = task
-        self.terms = reward if isinstance(reward, tuple) else paper_reward(task)
-        self._reward = None if isinstance(reward, tuple) else reward
+        given = None if reward is None or callable(reward) else tuple(reward)
+        self._terms = paper_reward(task) if given is None else given
+        self._table = paper_table(task) if given is None else None
+        self._reward = reward if callable(reward) else None
+        self.term_names = tuple(term.name for term in self._terms)
+        if len(set(self.term_names)) < len(self.term_names):
+            raise UserError(f"each term of a reward needs a name of its own, not {', '.join(self.term_names)}")
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
@@ -183,7 +196,11 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
-        terms = reward_terms(s_tm1, s_t, self.task, self.terms)
+        terms = (
+            reward_terms(s_tm1, s_t, self.task, self._terms)
+            if self._table is None
+            else look_up(s_tm1, s_t, self.task, self._table)
+        )
         t = Transition(
             s_tm1=s_tm1,
             a_tm1=actions,
@@ -195,6 +212,7 @@ class Navigation:
             heading_command=turns,
             motion=motion,
             active=active,
+            term_names=self.term_names,
         )
         return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
 

@@ -11,7 +11,7 @@ Observation, `Box` of 11 float32:
 
 Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target.
 
-Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero. An episode terminates at the
+Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode terminates at the
 target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step also `ending`,
 `state_property`, `heading_error` and a `reward/NAME` for each term.
 """
@@ -35,13 +35,12 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, REWARD_TERMS, StateProperty
+from nnql_bullet.task import ENDINGS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
 _LABELS = np.array([state.label for state in StateProperty], dtype=object)
 _BLANK: dict[str, Any] = {"O": None, "f": 0.0}  # in `info`, of a vehicle that stands by, by kind of value
-_REWARDS = tuple(f"reward/{name}" for name in REWARD_TERMS)
 
 
 def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
@@ -68,7 +67,7 @@ def _infos(t: Transition) -> dict[str, NDArray[Any]]:
         "ending": _ENDINGS[t.ending],
         "state_property": _LABELS[t.s_t.state_property],
         "heading_error": t.motion.heading_error,
-        **dict(zip(_REWARDS, t.terms.T, strict=True)),
+        **{f"reward/{name}": values for name, values in zip(t.term_names, t.terms.T, strict=True)},
     }
 
 

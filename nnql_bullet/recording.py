@@ -21,7 +21,7 @@ from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.rollout import Decision, EpisodeSummary
 from nnql_bullet.sim.base import Sample
-from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
+from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -60,7 +60,7 @@ class Recording:
     contact: NDArray[np.bool_]
     """(n,)"""
     reward_terms: Array
-    """(n, 6) in the order of `task.REWARD_TERMS`."""
+    """(n, number of terms), see `term_names`."""
     sample_time: Array
     """Samples between decisions (m,) [s]."""
     sample_pose: Array
@@ -69,6 +69,11 @@ class Recording:
     """Left drive, right drive, swivel, caster roll (m, 4) [rad]."""
     wheel_speeds: Array
     """Left, right (m, 2) [rad/s]."""
+
+    @property
+    def term_names(self) -> tuple[str, ...]:
+        """Names of the reward terms; the file names them only if they are not the paper's."""
+        return tuple(self.about.get("reward_terms", REWARD_TERMS))
 
     @cached_property
     def world(self) -> WorldSpec:
@@ -186,7 +191,7 @@ class Recorder:
 
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""
-        self._world, self._ending = world, NO_ENDING
+        self._world, self._ending, self._term_names = world, NO_ENDING, REWARD_TERMS
         self._columns: defaultdict[str, list[Any]] = defaultdict(list)
         self.trace.clear()
         self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))
@@ -195,7 +200,7 @@ class Recorder:
     def on_step(self, transition: Transition, decision: Decision, vehicle: int) -> None:
         """Records a step."""
         t, m, v = transition, transition.motion, vehicle
-        self._ending = int(t.ending[v])
+        self._ending, self._term_names = int(t.ending[v]), t.term_names
         self._note(
             action=t.a_tm1[v],
             overridden=decision.overridden[v],
@@ -213,6 +218,8 @@ class Recorder:
     def recording(self, **about: Any) -> Recording:
         """The episode so far; `about` is kept with it."""
         vehicle, columns, samples = self._vehicle, self._columns, self.trace
+        if self._term_names != REWARD_TERMS:
+            about["reward_terms"] = self._term_names
         return Recording(
             about={
                 **about,

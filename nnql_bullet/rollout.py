@@ -139,8 +139,8 @@ class Tally:
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
-        self._term_names = [term.name for term in navigation.terms]
-        self._terms = np.zeros((size, len(navigation.terms)))
+        self._term_names = navigation.term_names
+        self._terms = np.zeros((size, len(self._term_names)))
 
     @property
     def steps(self) -> NDArray[np.int64]:

@@ -37,6 +37,8 @@ from nnql_bullet.training.selection import Candidates, most_goals
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
 SELECTION = "selection.csv"
+_REWARD = "reward/"
+"""Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
 _UNDER_WAY, _CANDIDATE = "under_way/", "candidate/"
 _NUMBERS = ("duration", "path_length", "clearance", "mean_clearance", "lateral_acceleration", "heading_error")
 
@@ -302,30 +304,33 @@ def _candidates(arrays: Mapping[str, NDArray[Any]]) -> Candidates:
 def _as_csv(episodes: list[TrainingEpisode]) -> str:
     """A line for each episode; numbers are exact, so that reading them back gives the same ones."""
     text = io.StringIO()
-    names = list(episodes[0].diagnostics) if episodes else []
+    terms = list(episodes[0].summary.terms) if episodes else REWARD_TERMS
+    names = [name if name in REWARD_TERMS else _REWARD + name for name in terms]
+    names += list(episodes[0].diagnostics) if episodes else []
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return", *REWARD_TERMS, *names]
-    )
+    writer.writerow(["episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return", *names])
     for e in episodes:
         s = e.summary
         numbers = [getattr(s, name) for name in _NUMBERS]
-        numbers += [s.episode_return, *(s.terms[name] for name in REWARD_TERMS), *e.diagnostics.values()]
+        numbers += [s.episode_return, *(s.terms[name] for name in terms), *e.diagnostics.values()]
         row = [e.episode, s.world_seed, s.ending, s.steps, s.non_safe_steps, *(repr(float(n)) for n in numbers)]
         writer.writerow(row)
     return text.getvalue()
 
 
 def _read_csv(path: Path) -> list[TrainingEpisode]:
-    known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return", *REWARD_TERMS}
+    known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return"}
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            return [_episode(row, [name for name in row if name not in known]) for row in csv.DictReader(file)]
+            rows = csv.DictReader(file)
+            others = [name for name in rows.fieldnames or () if name not in known]
+            terms = [name for name in others if name in REWARD_TERMS or name.startswith(_REWARD)]
+            return [_episode(row, terms, [name for name in others if name not in terms]) for row in rows]
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise UserError(f"{path}: damaged or missing ({error}); the run cannot be gone on with") from None
 
 
-def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
+def _episode(row: dict[str, str], terms: list[str], diagnostics: list[str]) -> TrainingEpisode:
     numbers: dict[str, Any] = {name: float(row[name]) for name in _NUMBERS}
     summary = EpisodeSummary(
         world_seed=int(row["world_seed"]),
@@ -333,7 +338,7 @@ def _episode(row: dict[str, str], diagnostics: list[str]) -> TrainingEpisode:
         steps=int(row["steps"]),
         non_safe_steps=int(row["non_safe_steps"]),
         episode_return=float(row["return"]),
-        terms={name: float(row[name]) for name in REWARD_TERMS},
+        terms={name.removeprefix(_REWARD): float(row[name]) for name in terms},
         **numbers,
     )
     return TrainingEpisode(int(row["episode"]), summary, {name: float(row[name]) for name in diagnostics})

@@ -12,6 +12,7 @@ import torch
 
 from nnql_bullet.agents import Trainable
 from nnql_bullet.env import Navigation, Reward
+from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
@@ -119,7 +120,9 @@ class _Session:
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
         with _one_thread():
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
-                trainer = experiment.trainer(Navigation(simulator, config.task, self.reward))
+                navigation = Navigation(simulator, config.task, self.reward)
+                _check_terms(run, navigation)
+                trainer = experiment.trainer(navigation)
                 if run.state:
                     agent.load_state_dict(run.state.learned)
                     trainer.load_state_dict(run.state.under_way)
@@ -175,6 +178,18 @@ class _Session:
             "selected: what was learned after %d episodes, with %d goals of %d; the %d came to %d to %d",
             *(best, goals[best], worlds, len(goals), min(goals.values()), max(goals.values())),
         )
+
+
+def _check_terms(run: Run, navigation: Navigation) -> None:
+    """Checks that a run goes on with the reward terms of its episodes.
+
+    Raises:
+        UserError: If it does not.
+    """
+    for episode in run.episodes[:1]:
+        if tuple(episode.summary.terms) != navigation.term_names:
+            names = ", ".join(episode.summary.terms)
+            raise UserError(f"{run.folder}: was trained with the reward terms {names}; give the same terms")
 
 
 def _title(config: RunConfig) -> str:

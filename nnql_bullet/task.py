@@ -154,12 +154,12 @@ def safe_to_non_safe(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
 
 def closer(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
     """II.C: "Moving from a Non-Safe State to a Non-Safe State but getting closer to the obstacles"."""
-    return _stays_non_safe(s_tm1, s_t) & (_nearness(s_t, task) < _nearness(s_tm1, task))
+    return _stays_non_safe(s_tm1, s_t) & _got_closer(s_tm1, s_t, task)
 
 
 def away(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
     """II.C: "Moving from a Non-Safe State to a Non-Safe State and getting away from the obstacles"."""
-    return _stays_non_safe(s_tm1, s_t) & (_nearness(s_t, task) >= _nearness(s_tm1, task))
+    return _stays_non_safe(s_tm1, s_t) & ~_got_closer(s_tm1, s_t, task)
 
 
 def winning(s_tm1: State, s_t: State, task: TaskOptions) -> Booleans:
@@ -196,13 +196,36 @@ def reward_terms(s_tm1: State, s_t: State, task: TaskOptions, reward: tuple[Rewa
     return terms * [term.scale for term in reward] + 0.0  # adding 0.0 makes 0.0 of a -0.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """A `State` of a case that `paper_table` lists."""
+
+    readings: Array
+    state_property: NDArray[np.int64]
+
+
+def paper_table(task: TaskOptions) -> Array:
+    """The paper's terms of every step: by the properties before and after, and by whether it got closer (4, 4, 2, 6)."""
+    before, after, got_closer = np.indices((len(StateProperty), len(StateProperty), 2))
+    far = np.ones((*before.shape, paper.SECTORS))
+    s_tm1, s_t = _Case(far, before), _Case(far - got_closer[..., None], after)
+    return reward_terms(s_tm1, s_t, task, paper_reward(task))
+
+
+def look_up(s_tm1: State, s_t: State, task: TaskOptions, table: Array) -> Array:
+    """What `reward_terms` gives for the paper's terms (..., 6), from their `paper_table`: faster."""
+    return table[s_tm1.state_property, s_t.state_property, np.asarray(_got_closer(s_tm1, s_t, task), np.int64)]
+
+
 def _stays_non_safe(s_tm1: State, s_t: State) -> Booleans:
     return (s_tm1.state_property == NON_SAFE) & (s_t.state_property == NON_SAFE)
 
 
-def _nearness(state: State, task: TaskOptions) -> Array:
-    """Distance to the obstacles (...) [m], which falls when a vehicle gets closer to them."""
-    return smallest(state.readings) if task.closer == "smallest" else np.mean(state.readings, axis=-1)
+def _got_closer(s_tm1: State, s_t: State, task: TaskOptions) -> NDArray[np.bool_]:
+    """Whether the distance to the obstacles fell (...)."""
+    if task.closer == "smallest":
+        return np.less(smallest(s_t.readings), smallest(s_tm1.readings))
+    return np.less(np.mean(s_t.readings, axis=-1), np.mean(s_tm1.readings, axis=-1))
 
 
 # The end of an episode (IV.A)

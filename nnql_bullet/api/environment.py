@@ -31,7 +31,8 @@ def make_env(
     Args:
         config: A preset, a TOML file or a configuration.
         n_envs: Number of vehicles of a vector environment; without it the environment has one vehicle.
-        reward: A reward of your own: a function of the transitions of n vehicles that returns n numbers.
+        reward: A reward of your own: terms whose sum it is (see `task.RewardTerm`), or a function of the transitions of
+            n vehicles that returns n numbers.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
             environment; None takes one a core.
         **changes: Keys of the configuration: world, robot, simulator, physics, conditions, task and so on.

@@ -44,8 +44,8 @@ def train(
         out: The run folder; by default runs/CONFIG-SEED.
         agent: An agent of your own (see `training.base.LearningAgent`) in place of the one that the configuration
             describes. The object itself learns.
-        reward: A reward of your own: a function of the transitions of n vehicles that returns n numbers. The reward
-            terms that are logged stay the paper's.
+        reward: A reward of your own: terms whose sum it is (see `task.RewardTerm`), or a function of the transitions of
+            n vehicles that returns n numbers. Beside a function, the terms that are logged stay the paper's.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; None takes one a
             core. The result does not depend on it.
         overwrite: Whether to start anew in a folder that holds a run already.

@@ -32,7 +32,6 @@ from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
 from nnql_bullet.sensing import ray_angles
-from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
@@ -240,7 +239,7 @@ def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
     _log_curve(stream, "heading_command", begins, recording.heading_command[:, None], ["heading change asked for"])
     _log_curve(stream, "heading_error", ends, recording.heading_error[:, None], ["heading error"])
     _log_curve(stream, "clearance", ends, recording.clearance[:, None], ["clearance"])
-    _log_curve(stream, "reward", ends, recording.reward_terms, [name.replace("_", " ") for name in REWARD_TERMS])
+    _log_curve(stream, "reward", ends, recording.reward_terms, [name.replace("_", " ") for name in recording.term_names])
     _log_curve(stream, "wheel_speeds", at_samples, recording.wheel_speeds, ["left wheel", "right wheel"])
 
 

@@ -318,10 +318,13 @@ class BulletEngine(ContactEngine):
         bullet.stepSimulation(self.client)
         self._steps += 1
 
-    def _advance_freely(self, steps: int) -> None:
-        for _ in range(steps):
-            bullet.stepSimulation(self.client)
-        self._steps += steps
+    def _drive_freely(self, speeds: list[list[float]]) -> None:
+        client, step, command, steps = self.client, bullet.stepSimulation, self._command, range(self._steps_per_command)
+        for pair in speeds:
+            command(pair)
+            for _ in steps:
+                step(client)
+        self._steps += len(speeds) * len(steps)
 
     def _place_patrols(self) -> None:
         """Says how fast they go, too, which the engine forgets whenever a place is set: a hit is as hard as that."""

@@ -201,15 +201,12 @@ class ContactEngine(VehiclePhysics):
             The number of commands carried out, and whether there was contact.
         """
         self._engage_motors()
-        steps, command = self._steps_per_command, self._command
         if not near and look is None:
-            for pair in speeds:
-                command(pair)
-                self._advance_freely(steps)
+            self._drive_freely(speeds)
             return len(speeds), False
         for number, pair in enumerate(speeds, 1):
-            command(pair)
-            for _ in range(steps):
+            self._command(pair)
+            for _ in range(self._steps_per_command):
                 self.step()
                 if look:
                     look()
@@ -217,10 +214,12 @@ class ContactEngine(VehiclePhysics):
                     return number, True
         return len(speeds), False
 
-    def _advance_freely(self, steps: int) -> None:
-        """Takes physics steps in which no contact is possible; the patrols stay where they were."""
-        for _ in range(steps):
-            self._step()
+    def _drive_freely(self, speeds: list[list[float]]) -> None:
+        """Carries out wheel commands during which no contact is possible; the patrols stay where they were."""
+        for pair in speeds:
+            self._command(pair)
+            for _ in range(self._steps_per_command):
+                self._step()
 
 
 @njit()
