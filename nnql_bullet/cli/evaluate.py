@@ -38,7 +38,7 @@ def evaluate(
     json: bool = False,
     conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
 ) -> int:
-    """Drive several policies through the same worlds; say how good each is and how sure that is.
+    """Drive policies through the same worlds; say how good each is and how sure that is.
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
     evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. The same inputs give
