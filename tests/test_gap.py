@@ -16,11 +16,22 @@ from nnql_bullet.agents.base import Reflex
 from nnql_bullet.cli import main
 from nnql_bullet.env import TOWARD_TARGET, Navigation, Observation
 from nnql_bullet.evaluation.causes import apart, explain, parting, period_errors
-from nnql_bullet.evaluation.gap import Pair, differences, divergence, outcome_matrix, success_p_value
+from nnql_bullet.evaluation.gap import (
+    FaultTask,
+    Pair,
+    Side,
+    differences,
+    divergence,
+    outcome_matrix,
+    success_p_value,
+    tasks,
+)
+from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.evaluation.statistics import mcnemar, proportion
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
+from nnql_bullet.run_config import Conditions
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -304,9 +315,36 @@ class TestCommand:
         assert one["divergence"] == two["divergence"]
         assert not (tmp_path / "faults.png").exists()
 
+    def test_conditions_hold_in_every_drive(
+        self, report: Path, tiny_run: Path, run_cli: RunCli, tmp_path: Path
+    ) -> None:
+        given = ("--conditions.payload", 40)
+        arguments = ("--worlds", 5, "--physics", "fast", "--no-faults", "--workers", 1, "--out", tmp_path)
+        code, out, _ = run_cli("gap", tiny_run, *arguments, *given)
+        assert code == 0
+        texts = [(folder / "episodes.csv").read_text() for folder in (tmp_path, report)]
+        loaded, faulty = (list(csv.DictReader(text.splitlines())) for text in texts)
+        wanted = [{**row, "fault": ""} for row in faulty if row["fault"] == "payload 40 kg"]
+        assert [row for row in loaded if row["simulator"] == "bullet, fast"] == wanted[:5]
+        values = json.loads((tmp_path / "gap.json").read_text())
+        assert values["conditions"]["payload"] == 40
+        commands = [values["command"], *(replay for flip in values["flips"] for replay in flip["replay"])]
+        assert all(command.endswith("--conditions.payload 40") for command in commands)
+        assert "payload 40" in out
+        assert "payload 40" in (tmp_path / "gap.md").read_text()
+
+    def test_a_fault_takes_the_place_of_the_same_condition_only(self) -> None:
+        sides = Side("kinematic", "fast"), Side("bullet", "fast")
+        work = tasks(open_policies("straight"), None, range(1), *sides, Conditions(payload=10.0, dead_sector=3), True)
+        under = {task.fault: task.conditions for task in work if isinstance(task, FaultTask)}
+        assert under["friction 0.5"] == Conditions(payload=10.0, dead_sector=3, wheel_friction=0.5)
+        assert under["payload 80 kg"] == Conditions(payload=80.0, dead_sector=3)
+        assert under["front sector dead"] == Conditions(payload=10.0, dead_sector=0)
+
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
+            (("--conditions.payload", -1), "'conditions.payload'"),
             (("--worlds", 0), "the number of worlds must be from 1 to 1000"),
             (("--sim", "bullet", "--against", "bullet"), "is the simulator itself"),
             (("--world", "nowhere"), "nowhere"),

@@ -8,13 +8,13 @@ from typing import Any
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
-from nnql_bullet.evaluation.gap import Gap, Pair, Side, Trial
+from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import gap as report
-from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.work import OnProgress, run_all
@@ -34,7 +34,7 @@ class GapResults:
         return report.gap_records(self.gap)
 
     def table(self) -> str:
-        """Endings in the two simulators against each other, and success by condition."""
+        """Endings in the two simulators against each other, and success by fault."""
         return report.gap_table(self.gap)
 
     def save(self, folder: Path | str) -> None:
@@ -66,7 +66,8 @@ def gap(
     world: str | Path | World | None = None,
     split: SplitName = "validation",
     n_worlds: int = 100,
-    conditions: bool = True,
+    conditions: Conditions | None = None,
+    faults: bool = True,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     out: Path | str | None = None,
@@ -76,7 +77,7 @@ def gap(
 
     Example:
         >>> import nnql_bullet as nb
-        >>> results = nb.gap("straight", world="cover_10", n_worlds=1, physics="fast", conditions=False)
+        >>> results = nb.gap("straight", world="cover_10", n_worlds=1, physics="fast", faults=False)
         >>> len(results.gap.pairs)
         1
 
@@ -88,7 +89,8 @@ def gap(
         world: A shipped world, a TOML file or a `World`; by default that of the training.
         split: "validation" has worlds to choose with, "test" those for a final table.
         n_worlds: Number of worlds.
-        conditions: Whether policies drive under a series of conditions too, which takes some twelve times as long.
+        conditions: Conditions in place of each policy's own.
+        faults: Whether policies drive with a series of faults too, which takes some twelve times as long.
         executor: See `evaluate`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
@@ -104,9 +106,9 @@ def gap(
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
+    tasks = measure.tasks(opened, world, seeds, first, second, conditions, faults)
     for policy in opened:
-        measure.check_sides(policy, world, (first, second), seeds[0])
-    tasks = measure.tasks(opened, world, seeds, first, second, conditions)
+        measure.check(PairTask(policy, world, seeds, first, second, conditions))
     pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
     drives = [drive for piece in pieces for drive in piece]
     pairs = [drive for drive in drives if isinstance(drive, Pair)]
@@ -114,7 +116,7 @@ def gap(
     prints = tuple(policy.fingerprint for policy in opened)
     names = tuple(policy.path for policy in opened)
     shown = world.name if isinstance(world, World) else world
-    results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials))
+    results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials, conditions))
     if out is not None:
         results.save(out)
     return results

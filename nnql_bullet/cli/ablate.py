@@ -25,13 +25,12 @@ def ablate(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Regenerate the evidence for every factor that a preset is made of.
+    """Measure what each factor of a preset is worth.
 
     Of `paper` these are the factors that the paper leaves open, of `tuned` the ways back to the paper's numbers, of
-    `double_dqn` the parts that could be left out. Every variant is trained from several seeds and tested on
-    validation worlds, one departure from the preset at a time. Prints what the evidence decides, and leaves
-    ablation.md, ablation.json, ablation.csv and ablation.png. Trainings that are done are kept in DIR/parts: after an
-    interrupt the same command goes on.
+    `double_dqn` the parts that could be left out. Every variant changes one factor, is trained from several seeds and
+    tested on validation worlds. Prints what the evidence decides, and leaves ablation.md, ablation.json, ablation.csv
+    and ablation.png. Finished trainings are kept in DIR/parts: after an interrupt the same command goes on.
 
     For example:
 
@@ -42,14 +41,14 @@ def ablate(
     Args:
         preset: paper, tuned or double_dqn.
         seeds: Trainings of each variant; default 10, of tuned 5, of double_dqn 2.
-        sim: The kinematic model (kinematic: half an hour on two cores) or contact physics (a day).
+        sim: Simulator; kinematic takes half an hour on two cores, the others a day.
         only: Some factors, by name; a wrong one has all of them listed.
         episodes: Episodes of each training; default 1000, of double_dqn 4000.
         vehicles: Vehicles that each training learns from in lockstep.
         worlds: Validation worlds of each kind.
-        workers: Trainings at a time; default one a core. The result does not depend on it.
-        executor: Where they run: processes of this machine, this process (inline), or Ray.
-        address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
+        workers: Trainings at a time; default one a core. They do not change the result.
+        executor: Where trainings run; inline is this process.
+        address: A running Ray cluster; without it Ray is started on this machine.
         out: Folder of the report; default runs/ablation, of another preset runs/ablation-PRESET.
     """
     folder = out or Path("runs") / ("ablation" if preset == "paper" else f"ablation-{preset}")

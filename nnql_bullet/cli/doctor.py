@@ -7,7 +7,10 @@ from nnql_bullet.diagnosis import CHECKS
 
 
 def doctor() -> int:
-    """Check this machine: each line says ok, or what to do. Exits 1 if something that is needed fails."""
+    """Check this machine: each line says ok, or what to do.
+
+    Exits 1 if something that is needed fails.
+    """
     say(f"ok    {'Python':<11} {platform.python_implementation()} {platform.python_version()}")
     failed = False
     for name, check in CHECKS.items():

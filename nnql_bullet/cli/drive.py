@@ -33,41 +33,39 @@ def drive(
     video: bool = False,
     gui: bool = False,
     json: bool = False,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
+    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
     keys: Annotated[
         Mapping[str, Any], KeyFlags(RunConfig, ("drive", "task", "agent", "shield"), shown=lambda name: False)
     ] = MappingProxyType({}),
 ) -> int:
     """Drive a policy through a world that it has not seen, and leave a recording and a picture.
 
-    A learned policy takes what it holds best. Training draws its worlds from seeds of a million and more, so every seed
-    below is a world never trained in. A rule has nothing to learn: straight (at the target), random (turns where
-    something is near), hand_rule, potential_field, fuzzy, vfh (VFH+) or look_ahead.
+    A learned policy takes the action that it values most. Every seed below a million is a world that no training draws.
+    A rule has nothing to learn: straight (at the target), random (turns where something is near), hand_rule,
+    potential_field, fuzzy, vfh (VFH+) or look_ahead.
 
-    Conditions that are given take the place of the policy's own. The keys in agent, drive, shield and task are flags
-    too; to list them: nnql-bullet keys
+    In place of the policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
+    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). Keys that begin
+    with agent, drive, shield or task are flags too, such as --shield.margin. To list them: nnql-bullet keys
 
     For example:
 
         nnql-bullet drive --world traps --video
         nnql-bullet drive runs/paper-0 --world cover_10 --seed 4 --json
-        nnql-bullet drive vfh --world cover_10 --agent.window 6
-        nnql-bullet drive straight --world cover_20 --shield
-        nnql-bullet drive --conditions.payload 80 --conditions.dead-sector 1
+        nnql-bullet drive vfh --shield --agent.window 6 --conditions.payload 80
 
     Args:
-        policy: Run folder, a policy.safetensors, the name of a shipped policy (`nnql-bullet policies` lists them) or of
-            a rule, or a TOML file that configures a rule.
+        policy: Run folder, policy file, shipped policy (see `nnql-bullet policies`), rule, or TOML file that configures
+            a rule.
         world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training
             (rules: paper).
         seed: Seed of the world.
-        sim: Contact physics (bullet or mujoco), whatever it was trained in, or the kinematic model (kinematic).
+        sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
-        shield: Of what the policy would do, take the best that leaves room to stop; else brake, and turn on the spot.
-        out: Where trajectory.npz and trajectory.png go; default RUN/drives/WORLD-SEED, for a rule
-            runs/RULE/drives/WORLD-SEED, with the simulator and conditions that were asked for behind it.
+        shield: Take the best action that leaves room to stop; else brake, and turn on the spot.
+        out: Folder for trajectory.npz and .png; default RUN/drives/WORLD-SEED or runs/RULE/drives/WORLD-SEED.
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
-        gui: Show the drive in PyBullet's window, at the speed that it happened at. That needs a display.
+        gui: Show the drive in PyBullet's window, in real time. It needs a display.
         json: Print one JSON object instead of text.
         conditions: Conditions in place of the policy's own.
         keys: Other keys of the configuration.

@@ -17,7 +17,7 @@ def envelope(
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Measure what a vehicle can follow, and how far it runs until it stands.
+    """Measure which turns a vehicle can follow, and how far it runs until it stands.
 
     Turns over speed, control period, heading change, friction and payload: heading error, slip, least wheel load and
     friction used, with the limits on paper drawn over the measured ones. Stops over speed, friction and payload: the
@@ -35,7 +35,7 @@ def envelope(
         robot: Shipped robot or TOML file.
         sim: Engine of contact physics.
         physics: Its solver settings.
-        workers: Processes; default one a core. The result does not depend on it.
+        workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/envelope/ROBOT-ENGINE-PHYSICS.
     """
     with progress() as show:

@@ -36,37 +36,37 @@ def evaluate(
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
     json: bool = False,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions)] = MappingProxyType({}),
+    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
 ) -> int:
-    """Drive several policies through the same worlds, and say how good each is and how sure that is.
+    """Drive policies through the same worlds; say how good each is and how sure that is.
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
-    evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures: how drives ended,
-    success against cover, paths of failures; `nnql-bullet failures DIR` then sorts these. The same inputs give the same
-    bytes. Pieces that are done are kept in DIR/parts: after an interrupt the same command goes on, and a longer one
-    reuses them.
+    evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. The same inputs give
+    the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command goes on.
+
+    In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
+    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). To read more:
+    nnql-bullet keys conditions
 
     For example:
 
-        nnql-bullet evaluate straight hand_rule look_ahead --sim kinematic
-        nnql-bullet evaluate runs/paper-0 runs/paper-1 hand_rule --cover 5,10
+        nnql-bullet evaluate runs/paper-0 runs/paper-1 hand_rule --cover 5,10 --sim kinematic
         nnql-bullet evaluate runs/paper-0 straight --world traps,aisles,moving --worlds 50 --split test
-        nnql-bullet evaluate double_dqn --shield --conditions.wheel-friction 0.5 --conditions.payload 80
+        nnql-bullet evaluate double_dqn --shield --conditions.wheel-friction 0.5
 
     Args:
-        policies: Run folders, policy files, rules by name, or TOML files that configure a rule.
-        split: Worlds to choose with (validation), or those for the final table (test).
+        policies: Run folders, policy files, shipped policies, rules, or TOML files that configure a rule.
+        split: Worlds to choose with, or those for the final table.
         worlds: Number of worlds of each kind.
-        cover: Shipped worlds by the percentage under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
-        world: Other shipped worlds (traps, aisles, moving, ...) or TOML files, beside those of --cover.
-        sim: Contact physics (bullet or mujoco) or the kinematic model (kinematic).
-        physics: Solver settings of contact physics; reference is the more exact.
-        shield: Drive each policy in a shield too, which takes only what leaves room to stop, and report it beside.
-        workers: Pieces that run at a time; default one a core. The result does not depend on it.
-        executor: Where they run: processes of this machine, this process (inline), or Ray.
-        address: Of a running Ray cluster, with --executor ray; without it Ray is started on this machine.
-        clips: Videos of the last seconds of failures, one of each method in each kind of world, that are left in
-            DIR/clips; at most so many.
+        cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
+        world: Shipped worlds (traps, aisles, moving, ...) or TOML files.
+        sim: Simulator; bullet and mujoco are contact physics.
+        physics: Solver settings of contact physics.
+        shield: Drive each policy in a shield too.
+        workers: Pieces at a time; default one a core. They do not change the result.
+        executor: Where pieces run; inline is this process.
+        address: A running Ray cluster; without it Ray is started on this machine.
+        clips: Most videos of failures, in DIR/clips.
         out: Folder of the report.
         json: Print results.json instead of the table.
         conditions: Conditions in place of each policy's own.

@@ -19,9 +19,9 @@ def failures(
 
     Collisions: struck by a moving box, dithering (left, right and left again), head-on, flank. Out of time: target
     circling, circling, trapped, wandering. Every failure is in one group, by rules over its recording that
-    failures.md states. Prints how many of each method are in each group, and leaves in RESULTS/failures: recordings,
-    failures.md with a contact sheet of each group and for each drive the command that replays it exactly, and
-    failures.json. `nnql-bullet report` shows them on its page, to be played. The same inputs give the same bytes.
+    failures.md states. Leaves in RESULTS/failures: recordings, failures.json, and failures.md with a contact sheet of
+    each group and the command that replays each drive. `nnql-bullet report` plays them on its page. The same inputs
+    give the same bytes.
 
     For example:
 
@@ -32,7 +32,7 @@ def failures(
     Args:
         results: Folder that `evaluate` left.
         most: Failures of each method in each kind of world that are driven again. The rest is counted.
-        workers: Drives at a time; default one a core. The result does not depend on it.
+        workers: Drives at a time; default one a core. They do not change the result.
     """
     folder = results / "failures"
     with progress() as show:

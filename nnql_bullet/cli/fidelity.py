@@ -16,17 +16,17 @@ def fidelity(
     physics: PhysicsName = "reference",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Hold an engine's physics against mechanics on paper. Exits 1 if a quantity is out of tolerance.
+    """Check an engine's physics against mechanics on paper.
 
     Every expectation follows from the vehicle's own URDF and TOML, so it works on yours too. Prints a table, and leaves
     fidelity.md, fidelity.json and pictures: how much of each tolerance is used, at the time step and at half of it; the
-    five actions, ideal against contact; grip used, and the load on each wheel through the tightest turn.
+    five actions, ideal against contact; grip used, and the load on each wheel through the tightest turn. Exits 1 if a
+    quantity is out of tolerance.
 
     For example:
 
         nnql-bullet fidelity
-        nnql-bullet fidelity --physics fast
-        nnql-bullet fidelity --robot my/robot.toml --sim mujoco
+        nnql-bullet fidelity --robot my/robot.toml --sim mujoco --physics fast
 
     Args:
         robot: Shipped robot or TOML file.

@@ -1,15 +1,18 @@
-"""Verbs as tyro parses them: every key of a configuration is a flag, and a mistake is one line."""
+"""Verbs as tyro parses them: every key of a configuration is a flag, help fits a screen, and a mistake is one line."""
 
 import functools
+import shutil
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, make_dataclass
-from inspect import Parameter, signature
+from inspect import Parameter, getdoc, signature
 from itertools import takewhile
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro import _errors as tyro_errors
 
+from nnql_bullet.cli.console import say
 from nnql_bullet.commands import flag
 from nnql_bullet.config import Key, abouts_of, keys, nearest
 from nnql_bullet.errors import UserError
@@ -23,6 +26,17 @@ RENAMED_FLAGS = {
     **{flag(old): flag(new) for old, new in RENAMED_KEYS.items()},
 }
 """Flags of version 0.1, and their names now."""
+GROUPS = {
+    "simulation": ("sim", "against", "physics", "shield", "faults"),
+    "picture": ("camera", "size", "fps", "speed", "begin", "end", "renderer"),
+    "output": ("out", "video", "gui", "clips", "format", "frames", "sheet", "json"),
+    "parallel work": ("workers", "executor", "address"),
+}
+"""Parameters of verbs that `--help` shows together; the others come first."""
+GROUPED_FROM = 8
+"""A verb with fewer flags shows them in one group."""
+WIDEST = 100
+"""Longest line of the text of `--help` [columns]."""
 _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
 
 
@@ -57,27 +71,47 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
         UserError: If they are wrong.
         SystemExit: If they ask for help, which is then printed.
     """
-    noting = _noting(verb, for_help=not {"-h", "--help"}.isdisjoint(arguments))
+    for_help = not {"-h", "--help"}.isdisjoint(arguments)
+    about, _, examples = (getdoc(verb) or "").partition("\n\nArgs:")[0].partition("For example:\n")
+    if for_help:
+        say(_wrapped(about))
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
         raise UserError(f"{_mistake(event, verb, arguments)}; see: {prog} --help")
 
     with tyro_errors.on_parse_error(refuse):
-        return tyro.cli(noting, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+        try:
+            return tyro.cli(_noting(verb, for_help), prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+        except SystemExit:
+            if examples:
+                say(f"For example:\n{textwrap.indent(textwrap.dedent(examples.strip(chr(10))), '  ')}")
+            raise
+
+
+def _wrapped(text: str) -> str:
+    """Paragraphs in lines that the terminal has room for."""
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    return "".join(f"{textwrap.fill(paragraph, width)}\n\n" for paragraph in text.strip().split("\n\n"))[:-1]
 
 
 def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[[], int]]:
     """The verb with its help, which only takes note of its arguments."""
 
     def note(*args: object, **kwargs: object) -> Callable[[], int]:
-        return functools.partial(verb, *map(_given, args), **{name: _given(value) for name, value in kwargs.items()})
+        grouped = {name: value for its in kwargs.values() if _is(its, "Group") for name, value in vars(its).items()}
+        single = {name: _given(its) for name, its in kwargs.items() if not _is(its, "Group")}
+        return functools.partial(verb, *args, **single, **grouped)
 
     hints, abouts = get_type_hints(verb, include_extras=True), abouts_of(verb)
     parameters = [
         _parameter(its, hints[its.name], abouts.get(its.name, ""), for_help)
         for its in signature(verb).parameters.values()
     ]
-    note.__doc__ = verb.__doc__
+    if len(parameters) >= GROUPED_FROM:
+        for title, names in GROUPS.items():
+            group = [its for its in parameters if its.name in names]
+            if len(group) > 1:
+                parameters = [its for its in parameters if its not in group] + [_grouped(title, group)]
     note.__signature__ = signature(verb).replace(parameters=parameters)  # type: ignore[attr-defined]
     note.__annotations__ = {its.name: its.annotation for its in parameters}
     return note
@@ -86,14 +120,38 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
 def _parameter(its: Parameter, hint: Any, about: str, for_help: bool) -> Parameter:
     """A parameter of a verb as tyro takes it."""
     mark = _mark(hint)
-    if not mark:
-        return its.replace(annotation=Annotated[hint, tyro.conf.arg(help=about, help_behavior_hint=_default)])
-    taken = tyro.conf.arg(name=mark.table(its.name).rstrip("."), constructor=_flags_class(tuple(mark.keys(for_help))))
-    return its.replace(annotation=Annotated[Any, taken], default=None)
+    if mark:
+        constructor, table = _flags_class(tuple(mark.keys(for_help))), mark.table(its.name).rstrip(".")
+        return _nested(its.name, table or "configuration", constructor, prefixed=bool(table))
+    choices = _choices(hint)
+    told = tyro.conf.arg(help=about, help_behavior_hint=functools.partial(_hint, choices))
+    named = (tyro.conf.arg(metavar="NAME"),) if choices else ()
+    return its.replace(annotation=Annotated[(hint, *named, told)])
 
 
-def _default(text: str) -> str:
-    return "" if text in ("", "None", "False", "True") else f"(default: {text})"
+def _grouped(title: str, group: Sequence[Parameter]) -> Parameter:
+    """One parameter in place of several, which `--help` shows together."""
+    parts = [(its.name, its.annotation, its.default) for its in group]
+    return _nested(title.replace(" ", "_"), title, make_dataclass("Group", parts, frozen=True), prefixed=False)
+
+
+def _nested(name: str, title: str, cls: type, prefixed: bool) -> Parameter:
+    """A parameter that takes a dataclass, with a flag for each of its fields."""
+    marks = (tyro.conf.arg(name=title, constructor=cls), *(() if prefixed else (tyro.conf.OmitArgPrefixes,)))
+    return Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=Annotated[(Any, *marks)])
+
+
+def _choices(hint: Any) -> tuple[str, ...]:
+    """The values that a type of literals allows; none for others."""
+    if get_origin(hint) is Literal:
+        return tuple(map(str, get_args(hint)))
+    return tuple(choice for its in get_args(hint) for choice in _choices(its))
+
+
+def _hint(choices: Sequence[str], default: object) -> str:
+    """What stands behind the meaning of a flag in `--help`."""
+    parts = [", ".join(choices), "" if str(default) in ("", "None", "False", "True") else f"default: {default}"]
+    return f"({'; '.join(filter(None, parts))})" if any(parts) else ""
 
 
 @functools.cache
@@ -108,11 +166,10 @@ def _flags_class(found: tuple[Key, ...]) -> type:
             Annotated[
                 _joined([key.type for key in its]) | None,
                 tyro.conf.arg(
-                    name=name.replace("_", "-"),
-                    aliases=() if flag(name) == f"--{name.replace('_', '-')}" else (flag(name),),
+                    name=flag(name).removeprefix("--"),
                     help=its[0].about,
                     metavar=_metavar(its[0].type),
-                    help_behavior_hint="" if its[0].default is None else f"(default: {its[0].default})",
+                    help_behavior_hint=_hint(_choices(its[0].type), its[0].default),
                 ),
             ],
             None,
@@ -132,13 +189,13 @@ def _joined(types: Sequence[Any]) -> Any:
 
 def _metavar(its: Any) -> str:
     if get_origin(its) is Literal:
-        return "|".join(map(str, get_args(its)))
+        return "NAME"
     return f"{_metavar(get_args(its)[0])} ..." if get_origin(its) is tuple else _METAVARS[its]
 
 
 def _given(value: object) -> object:
     """What was given of the flags of a class made by `_flags_class`, nested; any other value as it is."""
-    if type(value).__name__ != "KeysGiven":
+    if not _is(value, "KeysGiven"):
         return value
     found: dict[str, Any] = {}
     for field in fields(value):  # type: ignore[arg-type]
@@ -150,6 +207,11 @@ def _given(value: object) -> object:
                 table = table.setdefault(name, {})
             table[last] = {"true": True, "false": False}.get(its, its) if isinstance(its, str) else its
     return found
+
+
+def _is(value: object, cls: str) -> bool:
+    """Whether a value is of a dataclass that this module made."""
+    return type(value).__module__ == "types" and type(value).__name__ == cls
 
 
 def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], arguments: Sequence[str]) -> str:

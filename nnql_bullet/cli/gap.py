@@ -1,14 +1,17 @@
 """`nnql-bullet gap`."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import tyro
 
 from nnql_bullet.api import gap as api
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 
 
@@ -24,31 +27,35 @@ def gap(
     faults: bool = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
 ) -> int:
     """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
 
-    Prints how drives ended on both sides, and leaves gap.md, gap.json, episodes.csv and pictures: outcomes against each
-    other, how the drives come apart, the drives that ended differently with a cause each and the command that replays
-    it, and success by fault (friction, payload, sensor noise, a dead sector).
+    Prints how drives ended on both sides, and leaves gap.md, gap.json, episodes.csv and pictures: outcomes, how drives
+    come apart, and success by fault (friction, payload, sensor noise, a dead sector). Each drive that ended differently
+    has its cause and the command that replays it.
+
+    In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
+    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). To read more:
+    nnql-bullet keys conditions
 
     For example:
 
-        nnql-bullet gap runs/paper-0
         nnql-bullet gap runs/paper-0 runs/paper-1 --world cover_10 --split test
-        nnql-bullet gap runs/paper-0 --against mujoco --no-faults
+        nnql-bullet gap runs/paper-0 --against mujoco --no-faults --conditions.payload 80
 
     Args:
-        runs: Run folders, or policy files.
-        against: What contact physics is held against: the kinematic model (kinematic), or the other
-            engine.
-        sim: Engine of contact physics.
-        physics: Solver settings of contact physics; reference is the more exact.
+        runs: What `evaluate` takes: run folders, policy files, shipped policies, rules.
+        against: First simulator.
+        sim: Second simulator, an engine of contact physics.
+        physics: Solver settings of contact physics.
         world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
         worlds: Number of worlds.
-        split: Worlds to choose with (validation), or those for the final table (test).
-        faults: Whether to drive with faults too, which takes some twelve times as long.
-        workers: Processes; default one a core. The result does not depend on it.
+        split: Worlds to choose with, or those for the final table.
+        faults: Leave out the drives with faults, which take some twelve times as long as the rest.
+        workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/gap.
+        conditions: Conditions in place of each policy's own.
     """
     folder = out or Path("runs") / "gap"
     with progress() as show:
@@ -60,7 +67,8 @@ def gap(
             world=world,
             split=split,
             n_worlds=worlds,
-            conditions=faults,
+            conditions=conditions_of(conditions),
+            faults=faults,
             executor="processes",
             workers=workers,
             out=folder,

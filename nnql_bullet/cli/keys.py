@@ -1,6 +1,9 @@
 """`nnql-bullet keys`."""
 
 import json
+from typing import Annotated
+
+import tyro
 
 from nnql_bullet.cli.console import say
 from nnql_bullet.config import Key, to_values
@@ -11,19 +14,25 @@ from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import RunConfig
 
 
-def keys(table: str = "", /, config: str = "paper") -> int:
+def keys(
+    table: Annotated[str, tyro.conf.arg(metavar="TABLE")] = "",
+    /,
+    config: Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")] = "paper",
+) -> int:
     """List the keys of a configuration: type, value and meaning.
 
-    Each is a key of a TOML file and a flag of `nnql-bullet train`: agent.discount is --agent.discount there.
+    Each is a key of a TOML file and a flag of `nnql-bullet train`: agent.discount is --agent.discount there. Those that
+    begin with agent, conditions, drive, shield or task are flags of `nnql-bullet drive` too, and those that begin with
+    conditions of `evaluate` and `gap`.
 
     For example:
 
         nnql-bullet keys
+        nnql-bullet keys conditions
         nnql-bullet keys agent --config double_dqn
-        nnql-bullet keys task
 
     Args:
-        table: Only the keys whose names begin like this: agent, task, conditions, training, drive, shield.
+        table: Only keys that begin like this: agent, conditions, drive, shield, task, training.
         config: Preset or TOML file whose values are shown.
     """
     resolved = load_config(config, {})

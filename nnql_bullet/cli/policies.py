@@ -13,15 +13,15 @@ def policies(
     name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     /,
 ) -> int:
-    """List the trained policies that are shipped, or show the card of one: how it was trained, how good it is, limits.
+    """List the trained policies that are shipped, or show the card of one.
 
-    Their names stand where a run folder may: with `drive`, `evaluate`, `render` and `gap`.
+    A card says how the policy was trained, how good it is, and where its limits are. Their names stand where a run
+    folder may: with `drive`, `evaluate`, `render` and `gap`.
 
     For example:
 
         nnql-bullet policies
         nnql-bullet policies double_dqn
-        nnql-bullet drive double_dqn --world aisles --seed 3 --shield --video
 
     Args:
         name: Whose card to show; without it, all are listed.

@@ -33,39 +33,34 @@ def render(
     sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
 ) -> int:
-    """Draw a recorded drive as a video: what was recorded, without simulating anything again.
+    """Draw a recorded drive as a video; nothing is simulated again.
 
     It shows the vehicle as it went, what its eight sensors read, the values of the five turns and which one was taken,
-    safe and non-safe states, and how it ended. Nothing of this needs a display or a graphics card.
+    safe and non-safe states, and how it ended. It needs no display and no graphics card.
 
     For example:
 
-        nnql-bullet drive runs/paper-0 --world cover_10 --seed 4
-        nnql-bullet render runs/paper-0/drives/cover_10-4/trajectory.npz
         nnql-bullet render runs/paper-0 --world traps --seed 1 --camera split --speed 2 --out traps.mp4
         nnql-bullet render drive.npz --format gif --size 640x360 --fps 15 --begin 20 --end 30
         nnql-bullet render drive.npz --sheet sheet.png
 
     Args:
-        recording: A trajectory.npz, or what `drive` takes: a run folder, policy file or rule, which is then driven
-            and recorded first, as `drive` does.
-        world: Of that drive; see `drive`.
+        recording: A trajectory.npz, or a policy as `drive` takes it, which is then driven and recorded first.
+        world: World of that drive; see `drive`.
         seed: Seed of that drive's world; default 0.
-        out: The video; default beside the recording, under its name. With --frames or --sheet alone there is none.
-        camera: Behind the vehicle (chase), the whole arena from above (top), round the vehicle (orbit), or
-            chase and top side by side (split).
+        out: The video; default beside the recording. With --frames or --sheet alone there is none.
+        camera: Behind the vehicle, over the whole arena, round the vehicle, or two views side by side.
         size: Width and height of the picture, even numbers of pixels.
         fps: Frames a second.
         speed: Factor by which the video is faster than the drive.
         begin: Where in the drive to begin [s].
         end: Where to end [s]; default with the drive.
-        renderer: What draws the solid things: EGL where it works and pictures are larger than 640x360, else
-            TinyRenderer (auto), or either; or vtk, for pictures that go into papers: finer, and with the
-            light as it falls, but some 20 times slower. Needs the extra: pip install 'nnql-bullet[render]'.
-        format: MP4 (H.264, plays in browsers) or GIF; default by the name given with --out, else mp4.
+        renderer: auto takes egl where it works and pictures are large, else tiny. vtk is finer and much slower, for
+            papers; it needs the extra: pip install 'nnql-bullet[render]'.
+        format: Default by the name given with --out, else mp4.
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.
-        workers: Processes that draw; default one a core. The result does not depend on it.
+        workers: Processes that draw; default one a core. They do not change the result.
     """
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)

@@ -22,12 +22,11 @@ def report(
     gap: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> int:
-    """Put all that is known of some runs into one HTML file, which needs no network and can be sent to anybody.
+    """Put all that is known of some runs into one HTML file, which needs no network.
 
     It shows what was trained and where that departs from the preset `paper`, versions, how learning went, what
-    `evaluate` and `gap` found, drives that failed (once `failures` has sorted them by group, and to be played), and the
-    commands that regenerate everything. What is missing is said, with the command that makes it. The same inputs give
-    the same bytes.
+    `evaluate` and `gap` found, the failed drives that `failures` sorted, to be played, and the commands that make
+    everything again. What is missing is said, with the command that makes it. The same inputs give the same bytes.
 
     For example:
 

@@ -38,24 +38,21 @@ def train(
     step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
     model.
 
-    Every key of the configuration is a flag, such as --agent.discount or --task.front-distance; to list them:
+    Every key of the configuration is a flag, such as --agent.discount or --conditions.payload; to list them:
     nnql-bullet keys --config double_dqn
 
     For example:
 
-        nnql-bullet train
         nnql-bullet train --config literal --seed 3 --out runs/mine
-        nnql-bullet train --vehicles 64 --sim kinematic --out runs/quick
         nnql-bullet train --config double_dqn --agent.discount 0.8 --conditions.payload 80
         nnql-bullet train --resume runs/mine --episodes 2000
 
     Args:
         config: Preset, or TOML file with keys over a preset.
         out: Run folder; default runs/CONFIG-SEED.
-        resume: Continue the run in this folder, bit for bit as if it had never stopped; sb3_dqn redoes it first.
+        resume: Continue the run in this folder as if it had never stopped (sb3_dqn redoes it first).
         overwrite: Start anew in a folder that holds a run already.
-        workers: Processes (kinematic: threads) that share the vehicles; default one a core. The result does not depend
-            on it.
+        workers: Processes (kinematic: threads); default one a core. They do not change the result.
         keys: Keys of the configuration.
     """
     if resume is not None:

@@ -18,10 +18,10 @@ def view(
 ) -> int:
     """Put a recorded drive on a time line, in a file for the Rerun viewer.
 
-    It shows the world and the vehicle in 3D with its path, rays and sectors, and as curves beside them what the policy
-    read, what it held its turns worth and took, clearance, heading error, wheel speeds and rewards; contacts and the
-    ending in words. Step through the decisions, or let time run. Needs the extra: pip install 'nnql-bullet[viz]'. No
-    viewer is started and nothing is sent; the viewer itself counts its use unless told: rerun analytics disable.
+    It shows the world and the vehicle in 3D with its path, rays and sectors. Curves show what the policy read, its
+    values and actions, clearance, heading error, wheel speeds and rewards; texts show contacts and the ending. It needs
+    the extra: pip install 'nnql-bullet[viz]'. No viewer is started and nothing is sent. The viewer itself counts its
+    use unless told: rerun analytics disable
 
     For example:
 

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import __version__
+from nnql_bullet.commands import flags
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import SplitName
@@ -24,7 +25,7 @@ from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.worlds.source import World
 
-CONDITIONS: dict[str, Conditions] = {
+FAULTS: dict[str, Conditions] = {
     "friction 0.5": Conditions(wheel_friction=0.5),
     "friction 0.6": Conditions(wheel_friction=0.6),
     "friction 0.7": Conditions(wheel_friction=0.7),
@@ -38,7 +39,7 @@ CONDITIONS: dict[str, Conditions] = {
     "left sector dead": Conditions(dead_sector=2),
     "rear sector dead": Conditions(dead_sector=4),
 }
-"""Conditions that a policy is tried under and was not trained with."""
+"""Conditions that a policy was not trained with, by the name of the fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +55,8 @@ class Side:
         return self.simulator if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
 
     def notices(self, fault: str) -> bool:
-        """Whether a key of `CONDITIONS` changes anything there."""
-        return self.simulator != "kinematic" or CONDITIONS[fault].sensor_faults.any
+        """Whether a key of `FAULTS` changes anything there."""
+        return self.simulator != "kinematic" or FAULTS[fault].sensor_faults.any
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,8 @@ class PairTask:
     seeds: range
     first: Side
     second: Side
+    conditions: Conditions | None
+    """In place of the policy's own; None leaves those."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +100,7 @@ class Pair:
 
 def drive_pairs(task: PairTask) -> list[Pair]:
     """Drives both sides through each world, and compares them."""
-    sides = [_experiment(task.policy, task.world, side, None) for side in (task.first, task.second)]
+    sides = [_experiment(task.policy, task.world, side, task.conditions) for side in (task.first, task.second)]
     pairs = []
     for seed in task.seeds:
         drives = [_drive(experiment, seed) for experiment in sides]
@@ -127,7 +130,9 @@ class FaultTask:
     seeds: range
     side: Side
     fault: str
-    """A key of `CONDITIONS`."""
+    """A key of `FAULTS`."""
+    conditions: Conditions
+    """The fault, and what holds beside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +147,7 @@ class Trial:
 
 def drive_faulty(task: FaultTask) -> list[Trial]:
     """Drives through each world with the fault."""
-    experiment = _experiment(task.policy, task.world, task.side, task.fault)
+    experiment = _experiment(task.policy, task.world, task.side, task.conditions)
     trials = []
     for seed in task.seeds:
         summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy)
@@ -151,8 +156,7 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
 
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _experiment(policy: Policy, world: str | World | None, side: Side, fault: str | None) -> Experiment:
-    conditions = CONDITIONS[fault] if fault else None
+def _experiment(policy: Policy, world: str | World | None, side: Side, conditions: Conditions | None) -> Experiment:
     changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
     return load_policy(policy.source, changes).experiment
 
@@ -180,11 +184,20 @@ class Gap:
     pairs: list[Pair]
     trials: list[Trial]
     """With faults; may be empty."""
+    conditions: Conditions | None = None
+    """In place of each policy's own; None leaves those."""
 
     @property
     def flips(self) -> list[Pair]:
         """What ended differently."""
         return [pair for pair in self.pairs if pair.flipped]
+
+    @property
+    def title(self) -> str:
+        """The world and the conditions in words; empty if they are the policies' own."""
+        return ", ".join(
+            [*([f"world {self.world}"] if self.world else []), *([self.conditions.title] if self.conditions else [])]
+        )
 
     @property
     def command(self) -> str:
@@ -193,45 +206,59 @@ class Gap:
         world = ["--world", self.world] if self.world else []
         sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
         faults = [] if self.trials else ["--no-faults"]
-        return shlex.join(["nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults])
+        return shlex.join(["nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults, *self._conditions])
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
-        world = f" --world {self.world}" if self.world else ""
-        physics = "" if side.simulator == "kinematic" else f" --physics {side.physics}"
-        return f"nnql-bullet drive {pair.run}{world} --seed {pair.world_seed} --sim {side.simulator}{physics}"
+        world = ["--world", self.world] if self.world else []
+        physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
+        where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._conditions]
+        return shlex.join(["nnql-bullet", "drive", pair.run, *world, *where])
+
+    @property
+    def _conditions(self) -> list[str]:
+        return flags({"conditions": self.conditions})
 
 
-def check_sides(policy: Policy, world: str | World | None, sides: Sequence[Side], seed: int) -> None:
+def check(task: PairTask) -> None:
     """Makes each simulator and a world once, so that what is wrong with them shows before anything is driven.
 
     Raises:
-        UserError: If a simulator or the world cannot be made.
+        UserError: If a simulator or the world cannot be made, or a condition is impossible.
     """
-    for side in sides:
-        experiment = load_policy(policy.source, {"world": world, "simulator": side.simulator}).experiment
+    for side in (task.first, task.second):
+        experiment = _experiment.__wrapped__(task.policy, task.world, side, task.conditions)
         experiment.simulator.close()
-        experiment.world(seed)
+        experiment.world(task.seeds[0])
 
 
 WORLDS_AT_A_TIME = 5
 
 
 def tasks(
-    policies: Sequence[Policy], world: str | World | None, seeds: range, first: Side, second: Side, faults: bool
+    policies: Sequence[Policy],
+    world: str | World | None,
+    seeds: range,
+    first: Side,
+    second: Side,
+    conditions: Conditions | None,
+    faults: bool,
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
-    The kinematic model has no friction and no mass: there, only faults of the sensors are tried.
+    A fault takes the place of the same condition. The kinematic model has no friction and no mass: there, only faults
+    of the sensors are tried.
     """
     chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
     shares = [(policy, chunk) for policy in policies for chunk in chunks]
-    pairs = [PairTask(policy, world, chunk, first, second) for policy, chunk in shares]
-    wrong = [(side, fault) for fault in CONDITIONS for side in (first, second) if side.notices(fault)] if faults else []
-    return [
-        *pairs,
-        *(FaultTask(policy, world, chunk, side, fault) for side, fault in wrong for policy, chunk in shares),
+    pairs = [PairTask(policy, world, chunk, first, second, conditions) for policy, chunk in shares]
+    wrong = [
+        (side, fault, replace(conditions or Conditions(), **its.changes))
+        for fault, its in FAULTS.items()
+        for side in (first, second)
+        if faults and side.notices(fault)
     ]
+    return [*pairs, *(FaultTask(policy, world, chunk, *its) for its in wrong for policy, chunk in shares)]
 
 
 def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:

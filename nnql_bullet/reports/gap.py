@@ -51,7 +51,7 @@ def gap_report(gap: Gap) -> Report:
     total, same = int(matrix.sum()), int(np.trace(matrix))
     goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
     lead: list[Block] = [
-        f"{', '.join(gap.runs)}; {f'world {gap.world}, ' if gap.world else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
+        f"{', '.join(gap.runs)}; {gap.title}{', ' if gap.title else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
         f"{total} pairs of drives. nnql-bullet {__version__}.",
         f"{same} of {total} pairs end alike. Success: {goals[0]} % in {first}, {goals[1]} % in {second} (Wilson 95 % "
         f"intervals over drives); McNemar's exact test p = {success_p_value(gap.pairs):.2g}.",
@@ -143,6 +143,7 @@ def gap_values(gap: Gap) -> dict[str, Any]:
         "runs": list(gap.runs),
         "policies": [{"path": run, "fingerprint": its} for run, its in zip(gap.runs, gap.fingerprints, strict=True)],
         "world": gap.world,
+        "conditions": gap.conditions and asdict(gap.conditions),
         "seeds": [gap.seeds.start, gap.seeds.stop],
         "first": gap.first.name,
         "second": gap.second.name,
@@ -195,7 +196,8 @@ def gap_records(gap: Gap) -> list[dict[str, Any]]:
 
 def gap_table(gap: Gap) -> str:
     """Endings on the two sides against each other, then success by fault, as text."""
-    lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives"]
+    title = f"; {gap.title}" if gap.title else ""
+    lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives{title}"]
     lines.append(f"{'':<11}" + "".join(f"{ending:>11}" for ending in ENDINGS))
     for ending, row in zip(ENDINGS, outcome_matrix(gap.pairs).tolist(), strict=True):
         lines.append(f"{ending:<11}" + "".join(f"{count:>11}" for count in row))
