@@ -47,7 +47,7 @@ class Visuals:
             raise UserError(
                 "this recording does not say what the vehicle looks like; record it again with: nnql-bullet drive"
             )
-        import yourdfpy  # 70 MB
+        import yourdfpy  # here because few programs need its memory
 
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             path = Path(folder) / "vehicle.urdf"
@@ -60,7 +60,7 @@ class Visuals:
         self._axle_height = vehicle["wheel_radius"]
 
     def link_frames(self, joint_angles: Sequence[float]) -> dict[str, Array]:
-        """Transforms from each link's frame to the chassis frame (4, 4), by link.
+        """Computes the transforms from each link's frame to the chassis frame (4, 4), by link.
 
         Args:
             joint_angles: Angles of left drive, right drive, swivel and caster roll [rad].
@@ -69,14 +69,14 @@ class Visuals:
         return {link: self._urdf.get_transform(link) for link in self._urdf.link_map}
 
     def frames(self, pose: Pose, joint_angles: Sequence[float]) -> list[Array]:
-        """Transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
+        """Computes the transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
         links = self.link_frames(joint_angles)
         chassis = upright(pose.x, pose.y, self._axle_height, pose.yaw)
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
 
 
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
-    """Transform from a frame at a place [m], rotated about z by a yaw [rad], to the world (4, 4)."""
+    """Makes the transform (4, 4) to the world from a frame at a position [m], rotated about z by a yaw [rad]."""
     frame = np.eye(4)
     frame[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     frame[:3, 3] = x, y, z
