@@ -43,15 +43,11 @@ class Visuals:
         Raises:
             UserError: If the entry has no URDF, or the URDF shows a mesh.
         """
-        if "urdf" not in vehicle:
-            raise UserError(
-                "this recording does not say what the vehicle looks like; record it again with: nnql-bullet drive"
-            )
         import yourdfpy  # here because few programs need its memory
 
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             path = Path(folder) / "vehicle.urdf"
-            path.write_text(vehicle["urdf"], encoding="utf-8")
+            path.write_text(recorded_urdf(vehicle), encoding="utf-8")
             self._urdf: Any = yourdfpy.URDF.load(str(path), load_meshes=False, load_collision_meshes=False)
         paints = {material.name: material.color for material in self._urdf.robot.materials}
         links = self._urdf.link_map.values()
@@ -73,6 +69,17 @@ class Visuals:
         links = self.link_frames(joint_angles)
         chassis = upright(pose.x, pose.y, self._axle_height, pose.yaw)
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
+
+
+def recorded_urdf(vehicle: Mapping[str, Any]) -> str:
+    """Returns the text of the URDF in a recording's entry `vehicle`.
+
+    Raises:
+        UserError: If the entry has none.
+    """
+    if "urdf" not in vehicle:
+        raise UserError("this recording has no shapes of the vehicle; record it again with: nnql-bullet drive")
+    return str(vehicle["urdf"])
 
 
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
