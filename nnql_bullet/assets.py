@@ -1,4 +1,4 @@
-"""Paths of the shipped robots, worlds and policies, in a checkout and in an installed wheel."""
+"""Finds the shipped robots, worlds and policies, in a checkout and in an installed wheel."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Command lines that repeat what was computed, for reports and cards."""
+"""Writes command lines that reproduce a result, for reports and cards."""
 
 from collections.abc import Mapping
 from dataclasses import is_dataclass
@@ -10,7 +10,7 @@ from nnql_bullet.run_config import RunConfig
 
 
 def flag(key: str) -> str:
-    """The flag of a dotted key."""
+    """Returns the flag of a dotted key."""
     return "--sim" if key == "simulator" else f"--{key.replace('_', '-')}"
 
 
@@ -18,9 +18,9 @@ def flags(changes: Mapping[str, Any], table: str = "") -> list[str]:
     """Writes nested values of a configuration as flags.
 
     Args:
-        changes: Values, tables, and options instances, of which only what differs from the defaults is written; None
-            leaves a key out.
-        table: Dotted name of the table that they are in, with a dot at its end.
+        changes: Values, tables and options instances. Of options, only values that differ from the defaults are
+            written. A value of None is left out.
+        table: Dotted name of their table, with a dot at its end.
     """
     found: list[str] = []
     for key, value in changes.items():
@@ -40,12 +40,12 @@ def _text(value: object) -> str:
 
 
 def train_arguments(config: RunConfig) -> tuple[str, list[str]]:
-    """The preset and the fewest flags of `nnql-bullet train` that give a configuration."""
+    """Finds the preset and the fewest flags of `nnql-bullet train` that give a configuration."""
     values = to_values(config)
     found = []
     for preset, its in PRESETS.items():
         base = to_values(its)
         changes = departures(values, base)
-        if merged(base, changes) == values:  # no flag takes away a table that the preset sets
+        if merged(base, changes) == values:  # no flag can remove a table that the preset sets
             found.append((preset, flags(changes)))
     return min(found, key=lambda pair: len(pair[1]))

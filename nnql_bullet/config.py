@@ -1,4 +1,4 @@
-"""Options as frozen dataclasses, and their TOML: every key is checked, and a mistake is one line."""
+"""Options as frozen dataclasses, and their TOML. Every key is checked, and an error is one line."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,16 +24,16 @@ _UNKNOWN_KEY = ("unexpected_keyword_argument", "extra_forbidden")
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Class decorator for a group of options: frozen, by keyword only, types and ranges checked, no unknown keys."""
+    """Makes a class a group of options: frozen, keyword-only, with checked types and ranges and no unknown keys."""
     strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)  # type: ignore[return-value]
 
 
 def refuse_crossed_ranges(group: object, *names: str) -> None:
-    """For `__post_init__`: the keys `min_NAME` must not be above the keys `max_NAME`.
+    """Checks in a `__post_init__` that no key `min_NAME` is above its `max_NAME`.
 
     Raises:
-        ValueError: If one is; `parse` makes one line of it.
+        ValueError: If one is; `parse` turns it into a `UserError`.
     """
     for name in names:
         low, high = getattr(group, f"min_{name}"), getattr(group, f"max_{name}")
@@ -53,17 +53,17 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         UserError: For the first key that is unknown, missing, of the wrong type or out of range.
     """
     try:
-        # By way of JSON, whose strict reading takes an integer for a float and an array for a tuple, as TOML users do.
+        # Strict reading of JSON accepts an integer for a float and an array for a tuple, which TOML users write.
         return TypeAdapter(cls).validate_json(json.dumps(values, default=str))
     except ValidationError as error:
         raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The values of a TOML file.
+    """Reads the values of a TOML file.
 
     Raises:
-        UserError: If it cannot be read or is not TOML.
+        UserError: If the file cannot be read or is not TOML.
     """
     try:
         return tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
@@ -72,20 +72,20 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def write_toml(values: Mapping[str, Any]) -> str:
-    """Values as TOML text, floats exact."""
+    """Writes values as TOML text; floats stay exact."""
     return tomlkit.dumps(values)
 
 
 def to_values(instance: Any) -> dict[str, Any]:
-    """Options as the plain values that `parse` takes; what is not set (None, which TOML has not) is left out."""
+    """Converts options to the plain values that `parse` takes; values of None are left out, as TOML has none."""
     values: dict[str, Any] = TypeAdapter(type(instance)).dump_python(instance, mode="json", exclude_none=True)
     return values
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` laid over it, table by table.
+    """Merges `changes` into a copy of `base`, table by table.
 
-    A table of another `kind` and an options instance replace the table in `base`; None leaves what is there.
+    A table of another `kind` and an options instance replace the table in `base`; a value of None changes nothing.
     """
     result = dict(base)
     for key, value in changes.items():
@@ -105,7 +105,7 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
-    """The smallest changes that `merged` lays over `base` to get `values`; keys that only `base` has are ignored."""
+    """Finds the smallest changes with which `merged` turns `base` into `values`; ignores keys only in `base`."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         old = base.get(key)
@@ -123,35 +123,35 @@ def _same_kind(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of an options class, or of the options in it."""
+    """A key of an options class, or of the options nested in it."""
 
     name: str
-    """With the tables that it is in, joined by dots."""
+    """Dotted name, with the tables that contain the key."""
     kind: str
-    """The `kind` of the table that it is in; empty where tables of one kind alone can be."""
+    """The `kind` of the key's table; empty if that table has only one kind."""
     type: Any
-    """Its type, without bounds and without None."""
+    """Type without bounds and without None."""
     type_text: str
-    """Its type in words, with its bounds."""
+    """Type in words, with bounds."""
     default: Any
-    """None if it is not set or has to be given."""
+    """Default value; None if there is none or if it is None."""
     about: str
-    """Its meaning, from the docstring below the field."""
+    """Meaning, from the docstring below the field."""
 
 
 def keys(cls: Any, table: str = "", kind: str = "") -> Iterator[Key]:
-    """The keys of an options class and of the options in it, in their order.
+    """Lists the keys of an options class and of the options nested in it, in their order.
 
     Args:
         cls: A class made by `options`.
-        table: Dotted name of the table that they are in, with a dot at its end.
-        kind: The `kind` of that table where there are several.
+        table: Dotted name of the keys' table, with a dot at its end.
+        kind: The `kind` of that table if it has several.
     """
     abouts: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
         abouts |= abouts_of(base)
     for field in fields(cls):
-        # A table that may be given by its name is a key with that name.
+        # A table that a user may give by its name is one key.
         named = str in _leaves(field.type)
         groups = [] if named else _options_in(field.type)
         for group in groups:
@@ -164,20 +164,20 @@ def keys(cls: Any, table: str = "", kind: str = "") -> Iterator[Key]:
 
 
 def abouts_of(what: Any) -> dict[str, str]:
-    """The meaning of each field of a class or argument of a function, from docstrings."""
+    """Reads the meaning of each field of a class or argument of a function from docstrings."""
     found = docstring_parser.parse_from_object(what).params
     return {its.arg_name: " ".join((its.description or "").split()) for its in found}
 
 
 def _leaves(annotation: Any) -> list[Any]:
-    """The types that a type is made of."""
+    """Lists the types that a type consists of."""
     if get_origin(annotation) is Annotated:
         return _leaves(get_args(annotation)[0])
     return [leaf for part in get_args(annotation) for leaf in _leaves(part)] or [annotation]
 
 
 def _plain(annotation: Any) -> Any:
-    """A type without bounds and without None."""
+    """Removes bounds and None from a type."""
     if get_origin(annotation) is Annotated:
         return _plain(get_args(annotation)[0])
     members = [member for member in get_args(annotation) if member is not NoneType]
@@ -191,7 +191,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def type_text(annotation: Any) -> str:
-    """A type in words, with its bounds."""
+    """Describes a type and its bounds in words."""
     if get_origin(annotation) is Annotated:
         inner, *extra = get_args(annotation)
         bounds = [bound for its in extra for bound in getattr(its, "metadata", ())]
@@ -209,9 +209,9 @@ def type_text(annotation: Any) -> str:
 
 
 def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
-    """The names that a wrong dotted name may have meant: their last part is the same or spelt alike.
+    """Finds the names that a wrong dotted name may mean: their last part is equal or similar.
 
-    If some of them are in the same table, only these are given.
+    Names in the same table come alone if there are any.
     """
     by_last: dict[str, list[str]] = {}
     for one in dict.fromkeys(names):
@@ -224,7 +224,7 @@ def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
 
 def _first_mistake(cls: type, error: ValidationError) -> str:
     mistakes = error.errors()
-    # An unknown key first: next to a missing one it is that one misspelt.
+    # An unknown key comes first: it is often the misspelt name of a missing one.
     mistake = next((mistake for mistake in mistakes if mistake["type"] in _UNKNOWN_KEY), mistakes[0])
     path, members = _walk(cls, mistake["loc"])
     name = ".".join(path)
@@ -244,9 +244,9 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
 
 
 def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[Any]]:
-    """The keys that lead to a place in nested options, and the options there.
+    """Finds the keys that lead to a place in nested options, and the options classes at that place.
 
-    In a location a union is followed by the `kind` of the member that was meant, which is not a key.
+    In a location of pydantic, the `kind` of the chosen member follows a union; it is not a key.
     """
     keys: list[str] = []
     members = [cls]

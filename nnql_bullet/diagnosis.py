@@ -20,21 +20,21 @@ from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
 PROGRAM_TIMEOUT = 60.0
-"""Longest time that a program or renderer may take to answer [s]."""
+"""Time limit for the answer of a program or renderer [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of a check, with what to do if it failed."""
+    """Result of a check, with advice if it failed."""
 
     ok: bool
     text: str
     needed: bool = True
-    """Whether the package needs it to work at all."""
+    """Whether the package cannot work without it."""
 
 
 def check_pybullet() -> Finding:
-    """Checks that PyBullet has NumPy support, which its fast images need."""
+    """Checks that PyBullet supports NumPy, which fast images need."""
     found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
@@ -42,7 +42,7 @@ def check_pybullet() -> Finding:
 
 
 def check_drive() -> Finding:
-    """Drives four seconds straight ahead and compares the place with the expected one."""
+    """Drives four seconds straight ahead and compares the position with the expected one."""
     experiment = Experiment(RunConfig(world="empty"))
     world, periods = experiment.world(0), 8
     with closing(experiment.simulator) as simulator:
@@ -79,7 +79,7 @@ def check_mujoco() -> Finding:
 
 
 def check_ffmpeg() -> Finding:
-    """Checks that ffmpeg, which encodes videos, starts."""
+    """Checks that ffmpeg starts; it encodes videos."""
     try:
         program = imageio_ffmpeg.get_ffmpeg_exe()
         answer = subprocess.run(
@@ -91,7 +91,7 @@ def check_ffmpeg() -> Finding:
 
 
 def check_chromium() -> Finding:
-    """Checks that Chromium starts, in which a test opens the HTML report."""
+    """Checks that Chromium starts; a test opens the HTML report in it."""
     program = shutil.which("chromium")
     if program is None:
         return Finding(False, "not found; only a test of the HTML report needs it (Debian: chromium)", needed=False)

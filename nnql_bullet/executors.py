@@ -1,4 +1,4 @@
-"""One `map` over many independent tasks: in this process, in processes of this machine, or on a Ray cluster."""
+"""Runs many independent tasks in this process, in processes of this machine, or on a Ray cluster."""
 
 import multiprocessing
 import os
@@ -28,12 +28,12 @@ V = TypeVar("V")
 
 @dataclass(frozen=True, slots=True)
 class TaskError:
-    """Says why a task has no value."""
+    """The reason why a task has no value."""
 
     message: str
     """One line: type and text of the exception."""
     traceback: str
-    """The whole traceback, from the process that ran the task."""
+    """The whole traceback in the process that ran the task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Outcome(Generic[T, V]):
 
 
 class Executor(Protocol):
-    """Runs tasks somewhere. The outcomes are the same everywhere if the function depends on its task alone."""
+    """Runs tasks. All executors give the same outcomes if the function depends on its task alone."""
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
         """Runs a function on every task and yields each outcome as soon as the task ends.
@@ -59,8 +59,7 @@ class Executor(Protocol):
 
         Args:
             function: A function at the top of a module that the workers can import.
-            tasks: Any values that can be pickled, as the results must be. They are taken one by one, as workers
-                become free.
+            tasks: Values that can be pickled; the results must be, too. A free worker takes the next task.
         """
 
 
@@ -69,12 +68,12 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
 
     Args:
         kind: "inline" runs tasks one after another in this process, "processes" in processes of this machine, "ray" on
-            Ray. By default inline with one worker and processes with more.
-        workers: Tasks that run at a time; by default as many as the machine has cores. Inline always runs one.
+            Ray. The default is inline with one worker and processes with more.
+        workers: Number of tasks that run at a time; the default is the number of cores. Inline always runs one.
         address: HOST:PORT of a running Ray cluster; without it, Ray is started on this machine.
 
     Raises:
-        UserError: If there is no worker, Ray is not installed or does not answer, or another kind is given an address.
+        UserError: If there is no worker, Ray is not installed or does not answer, or another kind gets an address.
     """
     workers = os.cpu_count() or 1 if workers is None else workers
     if workers < 1:
@@ -83,11 +82,8 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
         return RayExecutor(workers, address)
     if address is not None:
         raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
-    return (
-        InlineExecutor()
-        if (kind or ("inline" if workers == 1 else "processes")) == "inline"
-        else ProcessExecutor(workers)
-    )
+    inline = workers == 1 if kind is None else kind == "inline"
+    return InlineExecutor() if inline else ProcessExecutor(workers)
 
 
 _Attempt = tuple[V | None, TaskError | None]
@@ -98,7 +94,7 @@ class _Submit(Protocol):
 
 
 class InlineExecutor:
-    """Runs the tasks in this process, each when its outcome is asked for."""
+    """Runs the tasks in this process, each when the caller asks for its outcome."""
 
     def map(self, function: Callable[[T], V], tasks: Iterable[T]) -> Iterator[Outcome[T, V]]:
         """See `Executor.map`."""
@@ -109,7 +105,7 @@ class InlineExecutor:
 class ProcessExecutor:
     """Runs the tasks in new processes of this machine.
 
-    Every worker is a pool of one process, so the death of a worker costs its own task and no other.
+    Every worker is a pool of one process, so a worker that dies loses only its own task.
     """
 
     def __init__(self, workers: int) -> None:
@@ -149,7 +145,7 @@ class ProcessExecutor:
 class RayExecutor:
     """Runs the tasks on a Ray cluster, one CPU each.
 
-    The cluster is the one that this process is connected to, else the one at `address`, else a new one on this machine.
+    It uses the cluster that this process is connected to, or the one at `address`, or starts one on this machine.
     """
 
     def __init__(self, workers: int, address: str | None = None) -> None:
@@ -200,7 +196,7 @@ class RayExecutor:
 
 
 def _check_answers(address: str) -> None:
-    """Raises UserError unless something listens there; Ray itself would search for many minutes."""
+    """Raises UserError if nothing listens at the address; Ray itself would try for many minutes."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host, int(port)), timeout=RAY_TIMEOUT).close()
@@ -211,7 +207,7 @@ def _check_answers(address: str) -> None:
 def _run(
     place: AbstractContextManager[_Submit], workers: int, function: Callable[[T], V], tasks: Iterable[T]
 ) -> Iterator[Outcome[T, V]]:
-    """Keeps all workers busy with one task each, so that a dying worker loses only one."""
+    """Gives each worker one task at a time, so that a worker that dies loses only one."""
     waiting = enumerate(tasks)
     running: dict[Future[_Attempt[V]], tuple[int, T]] = {}
     ended: list[Outcome[T, V]] = []
@@ -227,7 +223,7 @@ def _run(
 
 
 def _outcome(future: Future[_Attempt[V]], index: int, task: T) -> Outcome[T, V]:
-    """Outcome of a task that returned, raised, or was lost with its worker."""
+    """Makes the outcome of a task that returned, raised, or was lost with its worker."""
     try:
         return Outcome(index, task, *future.result())
     except Exception as error:
@@ -251,7 +247,7 @@ def _describe(error: BaseException) -> TaskError:
 
 def _prepare_worker(lifeline: Connection) -> None:
     """Ignores Ctrl-C, uses one core, and ends the worker when the parent closes the other end of the pipe or dies."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch reads it when it is loaded, which is later; Ray sets it too
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch, which is imported later, reads it; Ray sets it too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""Wiring: the objects of a run, made from its configuration."""
+"""Makes the objects of a run from its configuration."""
 
 from contextlib import closing
 from functools import cached_property, partial
@@ -26,18 +26,18 @@ from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 PATH_MARGIN = 0.15
-"""Free space on either side of the vehicle's turning circle along the path that every world has [m]."""
+"""Free space on either side of the vehicle's turning circle along the path in every world [m]."""
 
 
 class Experiment:
-    """The objects of one run, made when first asked for."""
+    """The objects of one run; each is made at its first use."""
 
     def __init__(self, config: RunConfig, agent: Policy | None = None) -> None:
         """Reads vehicle and world.
 
         Args:
             config: The configuration.
-            agent: An agent in place of the one that the configuration describes.
+            agent: Replaces the agent that the configuration describes.
 
         Raises:
             UserError: If vehicle or world cannot be read.
@@ -49,7 +49,7 @@ class Experiment:
 
     @property
     def room(self) -> float:
-        """Half width of the path that every world has for the vehicle [m]."""
+        """Half width of the vehicle's free path in every world [m]."""
         return self.vehicle.clear_radius + PATH_MARGIN
 
     def _source(self, name: str | World) -> World:
@@ -62,7 +62,7 @@ class Experiment:
         return source
 
     def world(self, seed: int) -> WorldSpec:
-        """The world of a seed.
+        """Draws the world of a seed.
 
         Raises:
             UserError: If there is none, or the vehicle would stand in an obstacle at its start.
@@ -71,7 +71,7 @@ class Experiment:
 
     @cached_property
     def selection_worlds(self) -> list[WorldSpec]:
-        """The validation worlds in which candidates are tried; none without a selection.
+        """The validation worlds in which candidates drive; none without a selection.
 
         Raises:
             UserError: If there is no such world.
@@ -93,7 +93,7 @@ class Experiment:
         return world
 
     def training_world(self, episode: int) -> WorldSpec:
-        """The world of a training episode."""
+        """Draws the world of a training episode."""
         sources, seed = self._training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
@@ -113,11 +113,11 @@ class Experiment:
         return Navigation(self.simulator, self.config.task)
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
-        """Makes a simulator of as many vehicles as the configuration says; the caller closes it.
+        """Makes a simulator with the configuration's number of vehicles; the caller closes it.
 
         Args:
-            workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles, one a
-                core by default. The result does not depend on it.
+            workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles, by
+                default one per core. The result does not depend on it.
 
         Raises:
             UserError: If the number of workers is not positive.
@@ -128,7 +128,7 @@ class Experiment:
         return self._simulator(self.config.vehicles, workers)
 
     def new_training_simulator(self, workers: int | None = None) -> Simulator:
-        """Makes a simulator as `new_simulator` does, with the domain randomization of the training."""
+        """Makes a simulator like `new_simulator`, with the domain randomization of the training."""
         simulator, randomization = self.new_simulator(workers), self.config.training.domain_randomization
         return RandomizedSimulator(simulator, randomization) if randomization.any else simulator
 
@@ -144,18 +144,18 @@ class Experiment:
 
     @cached_property
     def agent(self) -> Policy:
-        """The agent that was given, or the untrained one that the configuration describes."""
+        """The given agent, or the untrained one that the configuration describes."""
         return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Policy:
-        """What drives for good: the agent, in its shield if it has one."""
+        """The policy that drives after training: the agent, in its shield if it has one."""
         c = self.config
         return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:
-        """The agent as one that can be taught.
+        """The agent, as one that can be trained.
 
         Raises:
             UserError: If it is a rule.
@@ -166,7 +166,7 @@ class Experiment:
 
     @property
     def learning_agent(self) -> LearningAgent:
-        """The agent as one that learns step by step.
+        """The agent, as one that learns step by step.
 
         Raises:
             UserError: If it is a rule.
@@ -176,10 +176,10 @@ class Experiment:
         return self.trainable
 
     def trainer(self, navigation: Navigation) -> Trainer:
-        """What trains the agent, in the way of its kind.
+        """Makes the trainer of the agent's kind.
 
         Raises:
-            UserError: If it is a rule, or what its training needs is not installed.
+            UserError: If the agent is a rule, or a package that its training needs is not installed.
         """
         agent, world_of, seed = self.trainable, self.training_world, self.config.seed
         if isinstance(agent, TrainsItself):
@@ -187,9 +187,9 @@ class Experiment:
         return Training(self.learning_agent, navigation, world_of, seed)
 
     def try_out(self, candidates: Candidates, workers: int | None = None) -> dict[int, int]:
-        """In how many of `selection_worlds` each candidate comes to its target, in the kinematic model.
+        """Counts the `selection_worlds` in which each candidate reaches its target, in the kinematic model.
 
-        The agent stays as it is.
+        The agent does not change.
 
         Raises:
             UserError: If there is no worker.

@@ -1,4 +1,4 @@
-"""Atomic writes: a file is complete or does not exist."""
+"""Writes files atomically: a file is complete or does not exist."""
 
 import os
 from collections.abc import Callable
@@ -9,12 +9,11 @@ from uuid import uuid4
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Writes a file beside `path` and then renames it to `path` in one step.
 
-    If anything goes wrong, an old file at `path` stays as it was and no other file is left.
+    After an error, an old file at `path` is unchanged and no other file remains.
 
     Args:
         path: The file to write, in an existing folder.
-        write: Writes the content to the path that it is given. That path has the suffix of `path`, because writers of
-            pictures and arrays choose the format by it.
+        write: Writes the content to the path in its argument, which has the suffix of `path`.
     """
     temporary = path.with_name(f".{path.stem}-{uuid4().hex}{path.suffix}")
     temporary.touch(exist_ok=False)
@@ -23,7 +22,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         write(temporary)
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
-        temporary.chmod(mode)  # a writer may have put another file in its place, as safetensors does
+        temporary.chmod(mode)  # some writers replace the file, for example safetensors
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Angles, oriented boxes, distances and rays in the plane, in SI units; angles are counter-clockwise from +x."""
+"""Angles, oriented boxes, distances and rays in the plane, in SI units. Angles are counter-clockwise from +x."""
 
 from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, sin
@@ -67,7 +67,7 @@ def distance(pose: Pose, x: float, y: float) -> float:
 
 
 def placed(pose: Pose, x: float, y: float) -> tuple[float, float]:
-    """The point (x, y) [m], given in the frame of `pose`, in the world."""
+    """Transforms the point (x, y) [m] from the frame of `pose` into the world."""
     c, s = cos(pose.yaw), sin(pose.yaw)
     return pose.x + c * x - s * y, pose.y + s * x + c * y
 
@@ -79,14 +79,14 @@ def moved(box: OrientedBox, pose: Pose) -> OrientedBox:
 
 
 def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
-    """Boxes as rows (n, 6) of x, y, half length, half width [m], cos yaw and sin yaw, which the kernels take."""
+    """Converts boxes to rows (n, 6) for kernels: x, y, half length, half width [m], cos yaw, sin yaw."""
     rows = [(b.x, b.y, b.half_length, b.half_width, cos(b.yaw), sin(b.yaw)) for b in boxes]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 6)
 
 
 @njit()
 def squared_distance(x: float, y: float, box: Array) -> float:
-    """Squared distance from the point (x, y) to a filled box, a row (6,) of `as_rows`; 0 inside [m2]."""
+    """Computes the squared distance from a point [m] to a filled box, a row (6,) of `as_rows` [m2]; 0 inside."""
     dx, dy = x - box[0], y - box[1]
     along = max(abs(box[4] * dx + box[5] * dy) - box[2], 0.0)
     across = max(abs(box[4] * dy - box[5] * dx) - box[3], 0.0)
@@ -95,7 +95,7 @@ def squared_distance(x: float, y: float, box: Array) -> float:
 
 @njit()
 def _corners_to_box(a: Array, b: Array) -> float:
-    """Smallest squared distance from a corner of row `a` to the filled box of row `b` [m2]."""
+    """Computes the smallest squared distance from a corner of row `a` to the filled box of row `b` [m2]."""
     closest = np.inf
     for i in (-1.0, 1.0):
         for j in (-1.0, 1.0):
@@ -117,7 +117,7 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
 
 @njit()
 def clearance(footprint: Array, boxes: Array) -> float:
-    """Distance from one box to the nearest of several; 0 if they overlap, infinite if there are none [m].
+    """Computes the distance from a box to the nearest of several [m]: 0 if they overlap, infinite if there are none.
 
     Two disjoint convex polygons are closest at a corner of one of them; the separating-axis theorem finds the overlap.
 
@@ -140,7 +140,7 @@ def clearance(footprint: Array, boxes: Array) -> float:
 
 @njit()
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
-    """Clearance of a vehicle at a pose [m].
+    """Computes the clearance of a vehicle at a pose [m].
 
     Args:
         x: [m]
@@ -162,7 +162,7 @@ def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array)
 
 
 def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sensor_range: float) -> Array:
-    """Measures how far rays travel until they meet a box, by the slab method (Kay and Kajiya, SIGGRAPH 1986).
+    """Computes the distances at which rays meet a box, by the slab method (Kay and Kajiya, SIGGRAPH 1986).
 
     Args:
         origin: Origin of the rays [m].

@@ -1,7 +1,7 @@
 """The numbers that the paper states, each with its section.
 
 Source: "A Reinforcement Learning Method of Obstacle Avoidance for Industrial Mobile Vehicles in Unknown Environments
-Using Neural Network". Choices that the paper leaves open are options elsewhere; `presets.PRESETS` gathers them.
+Using Neural Network". Options elsewhere decide what the paper leaves open; `presets.PRESETS` lists their values.
 """
 
 from math import radians

@@ -1,4 +1,4 @@
-"""Presets: named configurations, and the reading of a preset or TOML file."""
+"""Presets, which are named configurations, and the reading of a preset or TOML file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ from nnql_bullet.training.selection import SelectionOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 
 PRESETS: dict[str, RunConfig] = {
-    # Every number that the paper states; where it leaves a choice, the one that the evidence supports. The defaults.
+    # Every number that the paper states; where it leaves a choice, the evidence decides. These are the defaults.
     "paper": RunConfig(),
     # The most literal reading of the paper's text wherever it leaves a choice.
     "literal": RunConfig(
@@ -34,7 +34,7 @@ PRESETS: dict[str, RunConfig] = {
         ),
         agent=NnqlOptions(
             encoding="distance",  # "if no obstacle is found, then d = 0"
-            gradient_step=1.0,  # the target of eq. (2) taken at its word
+            gradient_step=1.0,  # eq. (2) read literally
         ),
     ),
     # The paper's network, turns, rewards and update, with numbers set by the ablation `tuned`.
@@ -45,16 +45,16 @@ PRESETS: dict[str, RunConfig] = {
         drive=DriveOptions(decision_period=0.6),
         training=TrainingOptions(selection=SelectionOptions(worlds=("cover_10", "cover_15"))),
         agent=NnqlOptions(
-            temperature_max=0.4,  # the paper states 0.8
-            temperature_min=0.1,  # the paper states 0.01
+            temperature_max=0.4,  # the paper states TEMPERATURE_MAX
+            temperature_min=0.1,  # the paper states TEMPERATURE_MIN
             mirrored=True,
         ),
     ),
     # The paper's update on a table instead of the network.
     "q_table": RunConfig(agent=QTableOptions()),
-    # A search learns from whole episodes where the others learn from steps, so it gets more of them.
+    # A search learns from whole episodes and the others from steps, so it gets more episodes.
     "genetic": RunConfig(episodes=20 * paper.EPISODES, agent=GeneticOptions()),
-    # Decides at every step, and needs many steps: the kinematic model, many vehicles at a time, all kinds of worlds.
+    # It needs many steps, so it learns in the kinematic model with many vehicles, in all kinds of worlds.
     "double_dqn": RunConfig(
         episodes=12_000,
         simulator="kinematic",
@@ -70,13 +70,13 @@ PRESETS: dict[str, RunConfig] = {
     ),
     # DQN of stable-baselines3 in the paper's task.
     "sb3_dqn": RunConfig(agent=Sb3DqnOptions()),
-    # The rules, which have nothing to learn.
+    # The rules, which do not learn.
     **{options.kind: RunConfig(agent=options()) for options in get_args(RuleOptions)},
 }
 
 
 def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
-    """Reads a preset or TOML file and lays changes over it.
+    """Reads a preset or TOML file and applies changes to it.
 
     Args:
         name: A preset, or a path to a TOML file; the file's key `preset` names its base (default `paper`).

@@ -36,16 +36,16 @@ RENAMED_KEYS = {
     "conditions.sensors.noise": "conditions.sensor_noise",
     "conditions.sensors.dead_sector": "conditions.dead_sector",
 }
-"""Keys that version 0.1 wrote into configurations, and their names now."""
+"""Names of keys in version 0.1, and their present names."""
 REMOVED_KEYS = {"agent.paper_share": 0.0}
-"""Keys that version 0.1 wrote and that have gone, with the value at which they changed nothing."""
+"""Keys of version 0.1 that no longer exist, and their values without effect."""
 RENAMED_SIMULATORS = {"twin": "kinematic"}
-"""Simulators as version 0.1 named them, and their names now."""
+"""Names of simulators in version 0.1, and their present names."""
 
 
 @options
 class Conditions:
-    """Conditions that a vehicle drives under. The defaults are those that its files state, with sound sensors."""
+    """Conditions of a drive. By default the vehicle is as its files describe it, and its sensors have no faults."""
 
     wheel_friction: Positive | None = None
     """Friction coefficient of every wheel against the ground; by default the vehicle's own."""
@@ -54,13 +54,13 @@ class Conditions:
     payload_height: Positive = LOAD_HEIGHT
     """Height of the load's centre above the ground [m]."""
     sensor_noise: NonNegative = 0.0
-    """Standard deviation of each ray that meets something [m]."""
+    """Standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
-    """Sensor that sees nothing, without the policy being told; 0 is the front, counted counter-clockwise."""
+    """Sensor that sees nothing, unknown to the policy; 0 is the front, the others follow counter-clockwise."""
 
     @property
     def sensor_faults(self) -> SensorFaults:
-        """The part that concerns the sensors."""
+        """The faults of the sensors."""
         return SensorFaults(noise=self.sensor_noise, dead_sector=self.dead_sector)
 
     @property
@@ -82,13 +82,13 @@ class Conditions:
 
 @options
 class TrainingOptions:
-    """Options of the training episodes that go beyond the run's own world."""
+    """Options of training episodes and of the selection of the policy."""
 
     worlds: tuple[WorldLike, ...] = ()
-    """Shipped worlds, TOML files or worlds in full; each episode draws one of them, in place of the run's world."""
+    """Kinds of worlds that replace the run's world; each episode draws one of them."""
     domain_randomization: DomainRandomization = DomainRandomization()
     selection: SelectionOptions | None = None
-    """How the policy is selected among late states of the training; by default it is the last state."""
+    """Selection of the policy among late states of the training; by default the last state is the policy."""
 
 
 @options
@@ -98,9 +98,9 @@ class RunConfig:
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the whole run."""
     episodes: Count = paper.EPISODES
-    """Training episodes in all."""
+    """Number of training episodes."""
     world: WorldLike = "paper"
-    """A shipped world, a path to a TOML file, or a world in full."""
+    """A shipped world, a path to a TOML file, or a `World`."""
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"
@@ -108,18 +108,18 @@ class RunConfig:
     physics: PhysicsName = "fast"
     """Solver settings of contact physics."""
     vehicles: Count = 1
-    """Vehicles that one policy learns from in lockstep; 1 is the paper's online learning."""
+    """Number of vehicles in lockstep from which one policy learns; 1 is the paper's online learning."""
     conditions: Conditions = Conditions()
     training: TrainingOptions = TrainingOptions()
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
     shield: ShieldOptions | None = None
-    """Shield around the agent when it drives as a policy; it learns without one."""
+    """Shield around the policy; the agent learns without one."""
 
 
 def changed(config: RunConfig, **changes: Any) -> RunConfig:
-    """Lays nested values over a configuration (see `config.merged`).
+    """Changes nested values of a configuration (see `config.merged`).
 
     Raises:
         UserError: If a key or value is wrong.
@@ -128,7 +128,7 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
 
 
 def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
-    """Conditions with some values; None if there are none.
+    """Makes conditions with some values; returns None if there are no values.
 
     Raises:
         UserError: If a key or value is wrong.
@@ -137,7 +137,7 @@ def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
 
 
 def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Renames keys of a configuration that version 0.1 wrote, and drops those that have gone and changed nothing."""
+    """Renames keys in a configuration of version 0.1, and removes keys without effect that no longer exist."""
     new = copy.deepcopy(dict(values))
     if "simulator" in new:
         new["simulator"] = RENAMED_SIMULATORS.get(new["simulator"], new["simulator"])
@@ -152,12 +152,12 @@ def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def outdated_keys(values: Mapping[str, Any]) -> list[str]:
-    """The keys of `RENAMED_KEYS` that nested values use."""
+    """Lists the keys of `RENAMED_KEYS` that nested values use."""
     return [old for old in RENAMED_KEYS if _leaf(old) in _table(values, old)]
 
 
 def _table(values: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """The table that a dotted key is in; an empty one if there is none."""
+    """Finds the table of a dotted key; an empty one if there is none."""
     table: Any = values
     for part in key.split(".")[:-1]:
         table = table.get(part) if isinstance(table, Mapping) else None

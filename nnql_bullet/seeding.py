@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """Purpose of a generator. The streams are independent, so a change in one leaves the others as they were."""
+    """Purpose of a generator. The streams are independent: a change in one does not change the others."""
 
     LAYOUT = 0
     WORLD = 1
@@ -27,8 +27,8 @@ class Stream(IntEnum):
 VALIDATION_WORLDS = range(0, 100_000)
 TEST_WORLDS = range(100_000, 200_000)
 TRAINING_WORLDS = range(1_000_000, 1_000_000_000)
-"""Ranges of world seeds. Validation worlds serve to choose between variants, test worlds to report results; training
-uses neither. The seeds from 200 000 to 999 999 are free for users."""
+"""Ranges of world seeds. Variants are compared in validation worlds and results are reported in test worlds; training
+uses neither. Users may use the seeds from 200 000 to 999 999 for anything."""
 
 
 def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
@@ -44,7 +44,7 @@ def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
 
 
 def training_world_seed(seed: int, episode: int) -> int:
-    """Returns the seed of the world for one episode of the run with this seed."""
+    """Draws the seed of the world for one episode of a run."""
     return int(rng(seed, Stream.WORLD, episode).integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop))
 
 
@@ -52,7 +52,7 @@ def training_world_seed(seed: int, episode: int) -> int:
 def fenced(generator: np.random.Generator) -> Iterator[None]:
     """Seeds the global generators of Python, NumPy and torch, and restores their states afterwards.
 
-    It encloses calls of libraries that draw from the global generators because they accept no other.
+    Some libraries draw from the global generators and accept no other; their calls belong inside.
 
     Args:
         generator: Gives the seed.

@@ -19,24 +19,24 @@ def ray_angles() -> Array:
 
 
 def middle_readings(distances: Array) -> Array:
-    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the ray in its middle."""
+    """Takes the readings of sectors (..., 8) [m] from the ray in the middle of each, of distances (..., 72) [m]."""
     return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
 
 
 def sector_readings(distances: Array) -> Array:
-    """Readings (..., 8) [m] of ray distances (..., 72) [m]; a sector reads the smallest of its rays."""
+    """Takes the readings of sectors (..., 8) [m] from the shortest ray of each, of distances (..., 72) [m]."""
     return smallest(distances.reshape(*distances.shape[:-1], paper.SECTORS, RAYS_PER_SECTOR))
 
 
 def smallest(values: Array) -> Array:
-    """The smallest values along the last axis (..., m), (...): `np.min`, faster over short rows."""
+    """Finds the smallest values along the last axis, as `np.min` does; it is faster over short rows."""
     rows: Array = _smallest(values.reshape(-1, values.shape[-1]))
     return rows.reshape(values.shape[:-1])
 
 
 @njit()
 def _smallest(rows: Array) -> Array:
-    """The smallest value of each row (k, m), (k,)."""
+    """Finds the smallest value of each row (k, m)."""
     found = np.empty(len(rows))
     for i in range(len(rows)):
         found[i] = rows[i, 0]

@@ -1,4 +1,4 @@
-"""Training runs from beginning to end: episodes, checkpoints, selection of the policy."""
+"""Runs a training from beginning to end: episodes, checkpoints, selection of the policy."""
 
 import logging
 import time
@@ -23,7 +23,7 @@ from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
 
 SAVE_EVERY = 5.0
-"""Time from one checkpoint to the next [s]."""
+"""Time between checkpoints [s]."""
 
 _log = logging.getLogger(__name__)
 
@@ -39,28 +39,28 @@ def train(
     on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
-    """Trains an agent and leaves a run folder.
+    """Trains an agent and writes a run folder.
 
-    The result is a function of the configuration alone.
+    The result depends on the configuration alone.
 
     Args:
         config: The configuration.
         out: Run folder to create.
-        agent: An agent in place of the one that the configuration describes.
-        reward: A reward in place of the paper's.
-        workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; one a core by
-            default. The result does not depend on it.
-        overwrite: Whether to start anew in a folder that holds a run already.
+        agent: Replaces the agent that the configuration describes.
+        reward: Replaces the paper's reward.
+        workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles; by default
+            one per core. The result does not depend on it.
+        overwrite: Whether to start anew in a folder that already contains a run.
         on_progress: Called after every episode.
-        stop: Asked after every episode; True ends the training with a checkpoint to resume from.
+        stop: Called after every episode; True ends the training with a checkpoint to resume from.
 
     Returns:
-        The run as its folder holds it.
+        The run, read from its folder.
 
     Raises:
-        UserError: If the configuration cannot be trained, or the folder holds something; nothing is written then.
-        WorkerDied: If a worker process is gone; a checkpoint is written before.
-        OSError: If a file cannot be written; the last checkpoint is then whole.
+        UserError: If the configuration cannot be trained, or the folder is not empty; nothing is written then.
+        WorkerDied: If a worker process died; a checkpoint is written before.
+        OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(lambda run: run.create(overwrite))
 
@@ -75,13 +75,13 @@ def resume(
     on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
-    """Continues a run from its last checkpoint, bit for bit as if it had never stopped.
+    """Continues a run from its last checkpoint; the result is bit for bit that of an uninterrupted run.
 
-    A run that is over is left as it is.
+    A finished run does not change.
 
     Args:
         folder: The run folder.
-        episodes: Episodes to train in all; by default as many as the run has been configured for.
+        episodes: Total number of episodes; by default the number in the run's configuration.
         agent: See `train`.
         reward: See `train`.
         workers: See `train`.
@@ -89,12 +89,12 @@ def resume(
         stop: See `train`.
 
     Returns:
-        The run as its folder holds it.
+        The run, read from its folder.
 
     Raises:
-        UserError: If the folder holds no run, its files do not fit each other, or it has more episodes already.
-        WorkerDied: If a worker process is gone; a checkpoint is written before.
-        OSError: If a file cannot be written; the last checkpoint is then whole.
+        UserError: If the folder contains no run, its files do not fit each other, or it has more episodes already.
+        WorkerDied: If a worker process died; a checkpoint is written before.
+        OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     run = load_run(folder, episodes)
     return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
@@ -102,7 +102,7 @@ def resume(
 
 @dataclass(frozen=True)
 class _Session:
-    """A training that goes on until it is over or stopped."""
+    """A training that runs until it is finished or stopped."""
 
     run: Run
     agent: Policy | None
@@ -112,7 +112,7 @@ class _Session:
     stop: Callable[[], bool]
 
     def go(self, prepare: Callable[[Run], None]) -> Run:
-        """Trains, and selects the policy; `prepare` makes the folder ready when everything has been checked."""
+        """Trains and selects the policy; calls `prepare`, which writes the folder, after all checks."""
         run, config = self.run, self.run.config
         experiment = Experiment(config, self.agent)
         agent = experiment.trainable
@@ -135,10 +135,10 @@ class _Session:
         return load_run(run.folder)
 
     def _train(self, agent: Trainable, trainer: Trainer) -> None:
-        """Trains until all episodes are done or a stop is asked for, with checkpoints.
+        """Trains until all episodes are done or `stop` returns True, and writes checkpoints.
 
         Raises:
-            WorkerDied: If a worker process is gone; a checkpoint is written before.
+            WorkerDied: If a worker process died; a checkpoint is written before.
         """
         run, begin = self.run, time.monotonic()
         total, selection = run.config.episodes, run.config.training.selection
@@ -168,7 +168,7 @@ class _Session:
                 raise
 
     def _select(self, experiment: Experiment, selection: SelectionOptions) -> None:
-        """Makes the candidate that does best in validation worlds the policy."""
+        """Selects as the policy the candidate that reaches the most targets in validation worlds."""
         run, worlds = self.run, len(experiment.selection_worlds)
         candidates = finalists(run.candidates, len(run.episodes), experiment.trainable, selection)
         _log.info("trying %d candidates in %d validation worlds, in the kinematic model", len(candidates), worlds)
@@ -201,7 +201,7 @@ def _title(config: RunConfig) -> str:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Has torch use one thread: the networks here are too small for several not to wait for each other."""
+    """Limits torch to one thread; the networks here are so small that several threads would only wait."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

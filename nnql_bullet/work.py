@@ -1,4 +1,4 @@
-"""Work in pieces: spread over an executor, with progress, results in the order of the pieces."""
+"""Runs the pieces of long work in an executor and reports progress."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ V = TypeVar("V")
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far long work has come."""
+    """Progress of long work."""
 
     what: str
     """Name of the work."""
     done: int
-    """Units that are finished."""
+    """Number of finished units."""
     total: int
-    """Units in all."""
+    """Number of all units."""
     note: str = ""
     """A remark about the present state."""
 
 
 OnProgress = Callable[[Progress], None]
-"""Receives the progress of a library function: first with nothing done, then after every piece."""
+"""Receives the progress of a library function at its start and after every piece."""
 
 
 def silent(progress: Progress) -> None:
@@ -49,12 +49,12 @@ def run_all(
         what: Name of the work, for its progress and its errors.
         function: See `executors.Executor.map`.
         tasks: The pieces of work.
-        size: Units of work in a piece.
+        size: Returns the number of units of work in a piece.
         keep: Receives each piece and its result as soon as the piece ends.
         on_progress: Receives the progress.
 
     Raises:
-        WorkFailed: If the function raises on a task; the others are stopped.
+        WorkFailed: If the function raises on a task; the other tasks are stopped.
     """
     report = on_progress or silent
     results: dict[int, V] = {}

@@ -36,7 +36,7 @@ from nnql_bullet.render.video import write_pictures, write_video
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet
-from nnql_bullet.sim.bullet_scene import BulletScene, _one_look_a_link, works
+from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link, works
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -668,7 +668,7 @@ def test_the_window_opens_where_there_is_a_display(tmp_path: Path) -> None:
 def test_the_window_gives_every_part_of_the_vehicle_its_colour(vehicle: VehicleSpec) -> None:
     """A link for every visual shape, where it was: the picture is the same as of the robot as it is."""
     text = vehicle.urdf.read_text()
-    split = _one_look_a_link(text)
+    split = _one_visual_per_link(text)
     pictures = []
     for urdf in (text, split):
         scene = BulletScene("tiny")

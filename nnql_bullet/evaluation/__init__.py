@@ -1,1 +1,1 @@
-"""How good a policy is, and what physics costs it."""
+"""Evaluates policies: success over worlds, differences between simulators, ablations, causes of failures."""

@@ -1,7 +1,7 @@
-"""Factor by factor: the variants, trained and tested over seeds, and what that decides.
+"""Trains and tests the variants of a study over seeds, and compares them with the defaults.
 
-Each variant departs from the preset of its study in one thing and is trained from the same seeds, in the same
-worlds; so the default of every factor is one and the same training.
+Each variant differs from the study's preset in one factor. All variants have the same seeds and worlds, so the defaults
+of all factors are one and the same training.
 """
 
 import json
@@ -12,13 +12,12 @@ from itertools import islice
 from typing import Literal
 
 import numpy as np
-from scipy.stats import bootstrap
 
 from nnql_bullet.config import merged, parse, to_values
 from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
-from nnql_bullet.evaluation.statistics import RESAMPLES, Estimate, success_over_seeds
+from nnql_bullet.evaluation.statistics import Estimate, mean_interval, success_over_seeds
 from nnql_bullet.evaluation.studies import Factor, Study, Variant
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
@@ -30,7 +29,7 @@ from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
 CONTACT_VEHICLES = 8
-"""Vehicles that are tested at a time in contact physics, where each takes 34 MB."""
+"""Number of vehicles in a test in contact physics; it limits memory."""
 
 Verdict = Literal["default", "better", "worse", "undecided"]
 
@@ -42,15 +41,15 @@ class AblationTask:
     config: str
     """A `RunConfig` as JSON."""
     seed: int
-    """Of the training."""
+    """Seed of the training."""
     tiers: tuple[str, ...]
-    """World files that it is tested in."""
+    """World files of the test."""
     worlds: int
-    """Validation worlds of each tier."""
+    """Number of validation worlds in each tier."""
 
     @property
     def size(self) -> int:
-        """One training."""
+        """Number of trainings."""
         return 1
 
     @property
@@ -61,7 +60,7 @@ class AblationTask:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """How drives of a trained policy ended in a tier, as counts."""
+    """Number of drives of a trained policy in a tier by their ending."""
 
     world: str
     goal: int
@@ -71,7 +70,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How much is trained and tested, the same for every variant."""
+    """Amount of training and testing, the same for all variants."""
 
     simulator: SimulatorName
     seeds: int
@@ -81,14 +80,14 @@ class Budget:
 
 
 def task_of(study: Study, variant: Variant, seed: int, budget: Budget) -> AblationTask:
-    """The work of one variant and training seed."""
+    """Makes the task of one variant and training seed."""
     spent = {"simulator": budget.simulator, "vehicles": budget.vehicles, "episodes": budget.episodes, "seed": seed}
     config = load_config(study.preset, merged(merged(spent, study.base), variant.changes))
     return AblationTask(json.dumps(to_values(config), sort_keys=True), seed, tuple(study.tiers), budget.worlds)
 
 
 def train_and_test(task: AblationTask) -> list[Counts]:
-    """Trains, selects if so configured, then drives greedily through validation worlds, in the same simulator."""
+    """Trains, selects a policy if configured, then drives it through validation worlds in the same simulator."""
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
     with closing(experiment.new_training_simulator(workers=1)) as simulator:
@@ -115,25 +114,25 @@ def train_and_test(task: AblationTask) -> list[Counts]:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An variant, and what came of it."""
+    """A variant and its results."""
 
     factor: Factor
     variant: Variant
     success: dict[str, Estimate | None]
-    """In each tier: inter-quartile mean over seeds with its interval; None with a single seed."""
+    """Inter-quartile mean of success over seeds in each tier, with its interval; None with a single seed."""
     by_seed: dict[str, tuple[float, ...]]
-    """In each tier, of each training seed."""
+    """Success of each training seed in each tier."""
     difference: Estimate
-    """Of success against the default: mean over seeds and tiers of paired differences, with a bootstrap interval."""
+    """Difference of success from the default, paired: mean over seeds and tiers, with a bootstrap interval."""
     verdict: Verdict
 
 
 def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Counts]]]) -> list[Entry]:
-    """The ablation.
+    """Compares every variant of a study with the default of its factor.
 
     Args:
-        study: Its factors, in order.
-        results: Of each variant, by the names of factor and variant: what each training seed came to.
+        study: The study.
+        results: Counts of each training seed in each tier, by the names of factor and variant.
     """
     found = []
     for factor in study.factors:
@@ -159,19 +158,18 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
 
 
 def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
-    """Success of each training seed in each tier (tiers, seeds)."""
+    """Computes the success of each training seed in each tier (tiers, seeds)."""
     return np.array([[t.goal / (t.goal + t.collision + t.timeout) for t in training] for training in trainings]).T
 
 
 def _difference(differences: Array) -> Estimate:
-    """The mean of paired differences (tiers, seeds), with a bootstrap interval over seeds."""
+    """Estimates the mean of paired differences (tiers, seeds), with a bootstrap interval over seeds."""
     by_seed = differences.mean(axis=0)
     value = float(by_seed.mean())
     if len(by_seed) < 2 or np.ptp(by_seed) == 0:
         return Estimate(value, value, value)
-    generator = rng(0, Stream.BOOTSTRAP)
-    result = bootstrap((by_seed,), np.mean, n_resamples=RESAMPLES, method="percentile", rng=generator)
-    return Estimate(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
+    low, high = mean_interval(by_seed, rng(0, Stream.BOOTSTRAP))
+    return Estimate(value, float(low), float(high))
 
 
 def _verdict(is_default: bool, difference: Estimate) -> Verdict:

@@ -1,4 +1,4 @@
-"""Why two drives through one world ended differently: slip, tracking lag or a near miss, found in their recordings.
+"""Explains from recordings why two drives through one world ended differently: slip, tracking lag or a near miss.
 
 Each control period has three ends. From the period's true start, the planned profile leads to the ideal end; the
 measured rotation of the wheels leads to odometry's end (Siegwart and Nourbakhsh, Autonomous Mobile Robots, 5.2.4); the
@@ -26,11 +26,11 @@ CAUSES: tuple[Cause, ...] = ("slip", "tracking lag", "grazing contact", "other")
 NOTABLE = 0.03
 """Smallest slip or lag of a control period that counts, over the distance driven in it."""
 DRIFT = 0.1
-"""Drives that are farther apart than this when they part have drifted apart little by little [m]."""
+"""Smallest distance at the first different decision of drives that drifted apart before it [m]."""
 GRAZE = 0.05
-"""A miss by less counts as a near miss [m]."""
+"""Largest clearance of a near miss [m]."""
 SAME_PLACE = 0.3
-"""Vehicles closer than this are at the same place [m]."""
+"""Distance below which vehicles are at the same place [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def period_errors(recording: Recording, vehicle: VehicleSpec, speed: float) -> P
 
 
 def apart(first: Recording, second: Recording) -> tuple[Array, Array]:
-    """Measures how far two drives through one world are apart, at the decisions that both made.
+    """Measures the distance between two drives through one world, at the decisions that both made.
 
     Returns:
         Times (m,) [s] and distances (m,) [m], without the last step of a drive, which may end early.
@@ -85,9 +85,9 @@ def apart(first: Recording, second: Recording) -> tuple[Array, Array]:
 
 
 def parting(first: Recording, second: Recording) -> int:
-    """Index of the first decision in which two drives differ, or the number of common decisions if there is none.
+    """Finds the index of the first decision in which two drives differ; the number of common decisions if none differs.
 
-    "Toward the target" counts as the same decision whatever the bearing of the target is.
+    "Toward the target" is the same decision for every bearing of the target.
     """
     m = min(len(first.action), len(second.action))
     differ: NDArray[np.bool_] = first.action[:m] != second.action[:m]
@@ -96,7 +96,7 @@ def parting(first: Recording, second: Recording) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why two drives through one world ended differently."""
+    """The cause of different endings of two drives through one world, with its evidence."""
 
     cause: Cause
     time: float
@@ -108,8 +108,8 @@ class Explanation:
     lag: float
     """Largest lag of a control period up to that time, over the distance driven in it."""
     q_margin: float
-    """Difference between the Q-values of the two different decisions, the smaller of both drives. NaN where a drive did
-    not compute Q-values, or the decisions never differ."""
+    """Difference between the Q-values of the two different decisions, the smaller of both drives. NaN if a drive did
+    not compute Q-values or no decision differs."""
     miss: float
     """Clearance of one drive at the place where the other collided [m]; infinite if it did not pass that place."""
 
@@ -117,9 +117,9 @@ class Explanation:
 def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: float) -> Explanation:
     """Explains why two drives through one world ended differently.
 
-    The cause is slip or lag if a control period before the drives part shows more than `NOTABLE`, or if the drives are
-    more than `DRIFT` apart by then; of the two it is the one that adds up to more. Otherwise it is a grazing contact if
-    one drive missed by less than `GRAZE` what the other touched, and "other" in the remaining cases.
+    The cause is slip or lag, the larger in total, if one of them exceeds `NOTABLE` in a control period before the first
+    different decision, or if the drives are more than `DRIFT` apart by then. Otherwise it is a grazing contact if one
+    drive passed closer than `GRAZE` to the obstacle that the other touched, and "other" in all other cases.
 
     Args:
         first: A drive.
@@ -154,7 +154,7 @@ def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: fl
 
 
 def _q_margin(first: Recording, second: Recording, k: int) -> float:
-    """`Explanation.q_margin` of two drives that decide differently in decision k."""
+    """Computes `Explanation.q_margin` of two drives that decide differently in decision k."""
     if k == min(len(first.action), len(second.action)):
         return float("nan")
     one, other = int(first.action[k]), int(second.action[k])
@@ -165,7 +165,7 @@ def _q_margin(first: Recording, second: Recording, k: int) -> float:
 
 
 def _miss(touched: Recording, through: Recording) -> float:
-    """Clearance of one drive at the place where the other collided [m]; infinite if it did not pass that place."""
+    """Finds the clearance of one drive where the other collided [m]; infinite if it did not pass that place."""
     if not touched.contact[-1]:
         return float("inf")
     place = touched.state_pose[-1, :2]

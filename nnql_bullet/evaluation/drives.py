@@ -1,4 +1,4 @@
-"""Policies through worlds: what is to be driven, in pieces that are kept, and the driving."""
+"""Drives policies through worlds, in pieces of work."""
 
 import shlex
 from collections.abc import Sequence
@@ -34,84 +34,83 @@ class Tier:
     """A shipped world or a TOML file."""
     name: str
     cover: float | None
-    """Share of the arena under boxes that the file asks for, where it scatters boxes and nothing else."""
+    """Share of the arena under boxes, if the layout is of random boxes without patrols; else None."""
     seeds: range
     digests: tuple[str, ...]
-    """Of the worlds."""
+    """Hashes of the worlds."""
     frozen: bool
-    """Whether they were checked to be the frozen ones."""
+    """Whether the check against the frozen worlds was possible; it passed then."""
     given: World | None = None
     """The world, if it was made in code."""
 
     @property
     def title(self) -> str:
-        """As it is printed."""
+        """Title for people."""
         return self.name if self.cover is None else f"{100 * self.cover:g} % cover"
 
     @property
     def world(self) -> str | World:
-        """What a configuration's key `world` takes."""
+        """The value for a configuration's key `world`."""
         return self.given or self.file
 
     def block(self, first: int) -> range:
-        """Seeds of the worlds of one piece of work, the first of which is this one of the tier."""
+        """Returns the seeds of a piece of work that begins with world number `first` of the tier."""
         return self.seeds[first : first + BLOCK]
 
     def drawn(self, first: int) -> tuple[str, ...]:
-        """Seeds and hashes of the worlds of such a piece."""
+        """Returns the seeds and hashes of the worlds of such a piece."""
         return *map(str, self.block(first)), *self.digests[first : first + BLOCK]
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """In what policies are driven."""
+    """Split, simulator and conditions of an evaluation."""
 
     split: SplitName
     simulator: SimulatorName
     physics: PhysicsName
     conditions: Conditions | None = None
-    """In place of each policy's own; None leaves those."""
+    """Conditions that replace each policy's own; None keeps those."""
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What is laid over a policy's configuration."""
+        """Changes to a policy's configuration."""
         return {"simulator": self.simulator, "physics": self.physics, "conditions": self.conditions}
 
     @property
     def title(self) -> str:
-        """As it is printed."""
+        """Title for people."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
         conditions = [self.conditions.title] if self.conditions else []
         return ", ".join((f"{self.split} worlds", where, *conditions))
 
     @property
     def flags(self) -> list[str]:
-        """What says so on the command line, besides the split."""
+        """Flags of the setting on a command line, without the split."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         return ["--sim", self.simulator, *physics, *flags({"conditions": self.conditions})]
 
 
 def check_setting(policy: Policy, setting: Setting) -> None:
-    """Makes a simulator once, so that a missing engine or impossible conditions show before anything is driven.
+    """Checks an evaluation's setting before the drives, by making a simulator.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    experiment = load_policy(policy.source, setting.changes).experiment
-    experiment.simulator.close()
+    load_policy(policy.source, setting.changes).experiment.simulator.close()
 
 
 def draw_tiers(given: Sequence[str | Path | World], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
-    """Draws the first worlds of a split of each kind, and checks them.
+    """Draws and checks the first worlds of a split, of each kind.
 
     Args:
         given: Shipped worlds, TOML files or worlds made in code.
-        setting: Names the split.
+        setting: The setting, with the split.
         worlds: Number of worlds of each kind.
-        policy: Any of those that will drive; its vehicle has to fit through.
+        policy: One of the policies; its vehicle gives the width of the free path.
 
     Raises:
-        UserError: If a world is wrong or given twice, or its worlds are not what they were.
+        UserError: If a world is wrong or given twice, or is not the frozen one.
     """
     seeds, frozen = split_seeds(setting.split, worlds), load_frozen()
     tiers: list[Tier] = []
@@ -138,16 +137,16 @@ class _BlockTask:
     tier: Tier
     setting: Setting
     first: int
-    """Of the worlds, counted in the tier."""
+    """Number of the first world in the tier."""
 
     @property
     def size(self) -> int:
-        """How many worlds."""
+        """Number of worlds."""
         return len(self.tier.block(self.first))
 
 
 class DriveTask(_BlockTask):
-    """One policy through some worlds of a tier."""
+    """Drives of one policy through some worlds of a tier."""
 
     @property
     def part(self) -> str:
@@ -159,7 +158,7 @@ class DriveTask(_BlockTask):
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
-    """All there is to drive, in pieces."""
+    """Lists all drives, in pieces."""
     return [
         DriveTask(policy, tier, setting, first)
         for policy in policies
@@ -169,7 +168,7 @@ def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Sett
 
 
 def drive(task: DriveTask) -> list[EpisodeSummary]:
-    """Drives a piece: the kinematic model all worlds at once, contact physics one after another."""
+    """Drives through the worlds of a piece: in the kinematic model all at once, in contact physics one by one."""
     seeds = task.tier.block(task.first)
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier.world, task.setting, len(seeds))
@@ -181,7 +180,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
 
 
 class SurveyTask(_BlockTask):
-    """How hard some worlds of a tier are for the policy's vehicle."""
+    """Measurement of the difficulty of some worlds of a tier for the policy's vehicle."""
 
     @property
     def part(self) -> str:
@@ -190,42 +189,42 @@ class SurveyTask(_BlockTask):
 
 
 def survey(task: SurveyTask) -> list[Difficulty]:
-    """Looks at each world."""
+    """Measures the difficulty of each world of a piece."""
     experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     seeds = task.tier.block(task.first)
     return [difficulty(experiment.world(seed), experiment.room) for seed in seeds]
 
 
 def survey_tasks(policy: Policy, tiers: Sequence[Tier], setting: Setting) -> list[SurveyTask]:
-    """All worlds, in pieces."""
+    """Lists the measurements of all worlds, in pieces."""
     return [SurveyTask(policy, tier, setting, first) for tier in tiers for first in range(0, len(tier.seeds), BLOCK)]
 
 
 @dataclass(frozen=True, slots=True)
 class FilmTask:
-    """One drive that is driven again, to be recorded: simulators repeat themselves bit for bit."""
+    """A drive to repeat and record; the repetition is equal bit for bit."""
 
     policy: Policy
     tier: Tier
     setting: Setting
     seed: int
-    """Of the world."""
+    """Seed of the world."""
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of the recording's file."""
         return f"{self.policy.name.replace('/', '_')}-{self.tier.name}-{self.seed}.npz"
 
     @property
     def replay(self) -> str:
-        """The command that drives it again, exactly."""
+        """Command line that repeats the drive."""
         where = ["--world", self.tier.file, "--seed", str(self.seed)]
         shield = ["--shield"] if self.policy.shielded else []
         return shlex.join(["nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags])
 
 
 def film(task: FilmTask) -> Recording:
-    """Records the drive."""
+    """Repeats and records a drive."""
     experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     recorder = Recorder(experiment.vehicle)
     run_episode(experiment.navigation, experiment.world(task.seed), experiment.policy, watcher=recorder)
@@ -235,7 +234,7 @@ def film(task: FilmTask) -> Recording:
     )
 
 
-@lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
+@lru_cache(maxsize=4)  # so that a worker does not make a new simulator for every piece
 def _experiment(policy: Policy, world: str | World, setting: Setting, vehicles: int) -> Experiment:
     changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
     return load_policy(policy.source, changes).experiment

@@ -1,7 +1,7 @@
-"""Groups failed drives by features of their end that the recordings show.
+"""Groups failed drives by features of their end, computed from recordings.
 
-A collision is grouped by the obstacle touched, the angle, and the turns before it; a timeout by the last minute of the
-drive. Groups describe what is seen; they are not causes.
+The group of a collision depends on the obstacle, the angle, and the turns before it; the group of a timeout on the last
+minute of the drive. Groups describe observations, not causes.
 """
 
 from dataclasses import dataclass
@@ -25,35 +25,35 @@ GROUPS: dict[Group, str] = {
     "trapped": "Time ran out while it went, to and fro or in loops, where it had been before: it found no other way.",
     "wandering": "Time ran out on the way: it came to new places, but had not arrived.",
 }
-"""What the drives of each group show. A failure belongs to the first group that fits."""
+"""Description of each group. A failure belongs to the first group that fits."""
 
 HEAD_ON = pi / 3
 """Largest angle between the heading and the normal into the touched surface in a head-on collision [rad]; at a larger
 angle less than half of the speed is along the normal."""
 STRUCK = 0.5
-"""Smallest share of the closing speed that is the box's own when the box struck the vehicle."""
+"""Smallest share of the closing speed from the box's own motion when a box struck the vehicle."""
 HESITATION = 4.0
-"""Time before a collision in which turns to and fro count [s]; the paper's vehicle could turn right round in it."""
+"""Time before a collision in which changes of side count [s]; the paper's vehicle can turn right round in it."""
 SMALLEST_TURN = pi / 12
-"""Smallest heading change that counts as a turn to a side [rad]: half of the paper's smallest turn."""
+"""Smallest heading change that counts as a turn [rad]: half of the paper's smallest turn."""
 REVERSALS = 2
 """Smallest number of changes of side in dithering: left, right, left."""
 LAST_PART = 60.0
-"""Last part of a drive that ran out of time [s]; the paper's vehicle could cross its arena in it."""
+"""Length of the last part of a timeout [s]; the paper's vehicle can cross its arena in it."""
 NEAR_TARGET = 10.0
 """Largest distance from the target of a vehicle that circles it [m]: the sensors' range."""
 ROUNDS = 2.0
-"""Smallest number of full turns to one side, less those to the other, in the last part of a drive that circles."""
+"""Smallest number of full turns to one side, less those to the other, in the last part of circling."""
 REVISITED = 0.75
-"""Smallest share of its last part that a trapped drive spends at places where it was before."""
+"""Smallest share of the last part that a trapped vehicle spends at places where it was before."""
 RETURN_AFTER = 10.0
-"""Time after which a vehicle that is at a place again has come back to it [s]."""
+"""Smallest time between two visits of a place [s]."""
 SAME_PLACE = 1.0
-"""Places closer together than this are the same [m]: about the vehicle's length."""
+"""Distance below which two places are the same [m]: about the vehicle's length."""
 _STRIDE = 6
-"""Every so many samples are compared with the others."""
+"""Number of samples between those that are compared."""
 _LEVEL = 0.01
-"""Corners whose distances along a normal differ by less touch together [m]."""
+"""Largest difference between distances along a normal of two corners that touch together [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +68,17 @@ class Contact:
     angle: float
     """Angle between the heading and the normal into the touched surface, at least 0 [rad]."""
     share: float
-    """Share of the closing speed that was the box's own; 1 if the vehicle did not move toward it."""
+    """Share of the closing speed from the box's own motion; 1 if the vehicle did not move toward the box."""
     reversals: int
-    """How often the commanded turns changed sides in the last `HESITATION`."""
+    """Number of changes of side of the commanded turns in the last `HESITATION`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timeout:
-    """The last part, `LAST_PART` long, of a drive that ran out of time."""
+    """The last part of a timeout, `LAST_PART` long."""
 
     extent: float
-    """Longer side of the rectangle, parallel to the walls, that the vehicle stayed in [m]."""
+    """Longer side of the rectangle, parallel to the walls, around the path [m]."""
     rounds: float
     """Number of full turns to the left, less those to the right."""
     revisited: float
@@ -103,7 +103,7 @@ class Features:
 
 
 def features(recording: Recording) -> Features:
-    """Features of a recorded drive that collided or ran out of time."""
+    """Computes the features of a recorded drive that ended in a collision or timeout."""
     away = np.hypot(*(recording.sample_pose[:, :2] - recording.world.target).T)
     return Features(
         time=float(recording.state_time[-1]),
@@ -114,7 +114,7 @@ def features(recording: Recording) -> Features:
 
 
 def group(features: Features) -> Group:
-    """The first of `GROUPS` that fits the features."""
+    """Finds the first of `GROUPS` that fits the features."""
     end = features.end
     return _group_of_contact(end) if isinstance(end, Contact) else _group_of_timeout(end)
 
@@ -173,7 +173,7 @@ def _surface(footprint: OrientedBox, box: OrientedBox) -> tuple[float, Array]:
 
 
 def _place(footprint: OrientedBox, box: OrientedBox, normal: Array) -> tuple[float, float]:
-    """x, y of the middle of the contact of a footprint and a box across a side: a corner or a common piece of side."""
+    """Finds x, y of the middle of the contact between a footprint and a box: a corner or a common piece of a side."""
     sideways = np.array([-normal[1], normal[0]])
     nearest = [_foremost(footprint.corners(), normal), _foremost(box.corners(), -normal)]
     ranges = np.array([[np.min(its @ sideways), np.max(its @ sideways)] for its in nearest])
@@ -183,19 +183,19 @@ def _place(footprint: OrientedBox, box: OrientedBox, normal: Array) -> tuple[flo
 
 
 def _foremost(corners: Array, direction: Array) -> Array:
-    """The one or two of four corners (4, 2) that are farthest in a direction (2,)."""
+    """Selects the one or two of four corners (4, 2) that are farthest in a direction (2,)."""
     far = corners @ direction
     return np.asarray(corners[far >= far.max() - _LEVEL])
 
 
 def _last_speed(recording: Recording) -> float:
-    """Mean speed of the last step [m/s]."""
+    """Computes the mean speed in the last step [m/s]."""
     begin, end = recording.state_time[-2:]
     return float(np.hypot(*(recording.state_pose[-1, :2] - recording.state_pose[-2, :2])) / (end - begin))
 
 
 def _reversals(commands: Array) -> int:
-    """How often heading changes (n,) [rad] change sides."""
+    """Counts the changes of side in heading changes (n,) [rad]."""
     sides = np.sign(commands[np.abs(commands) >= SMALLEST_TURN])
     return int(np.count_nonzero(np.diff(sides)))
 

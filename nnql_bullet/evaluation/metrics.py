@@ -1,4 +1,4 @@
-"""Metrics of drives: outcomes with intervals, quality of the drives, and tests of one method against another."""
+"""Computes metrics of drives: outcomes with intervals, quality of the drives, and tests between methods."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -34,12 +34,12 @@ class Evaluation:
 
     @property
     def methods(self) -> list[str]:
-        """Methods in the order in which their policies were given."""
+        """Methods in the order of their policies."""
         return list(dict.fromkeys(policy.method for policy in self.policies))
 
     @property
     def command(self) -> str:
-        """The command that repeats the evaluation."""
+        """Command line that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
         worlds = ",".join(tier.file for tier in self.tiers)
         count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
@@ -58,7 +58,7 @@ class Evaluation:
         return [*((tier.name, [tier]) for tier in self.tiers), *everywhere]
 
     def of_method(self, method: str) -> list[Policy]:
-        """The policies of a method."""
+        """Returns the policies of a method."""
         return [policy for policy in self.policies if policy.method == method]
 
 
@@ -70,8 +70,9 @@ class Row:
     world: str
     """Name of the tier, or `EVERYWHERE`."""
     policies: int
-    """Number of policies: one for each training seed."""
+    """Number of policies, one for each training seed."""
     drives: int
+    """Number of drives."""
     outcomes: dict[str, Estimate]
     """Proportion of each ending, over all drives."""
     over_seeds: Estimate | None
@@ -81,11 +82,11 @@ class Row:
     spl: float
     """Success weighted by path length (Anderson et al., arXiv 1807.06757): mean of success x shortest / driven."""
     path_ratio: float
-    """Driven over shortest path length, mean over the drives that arrive; NaN if none arrives."""
+    """Driven over shortest path length, mean over the drives that reach the target; NaN if none does."""
     time: float
-    """Time to the target, mean over the drives that arrive; NaN if none arrives [s]."""
+    """Time to the target [s], mean over the drives that reach it; NaN if none does."""
     clearance: float
-    """Smallest clearance of a drive, mean over the drives that arrive; NaN if none arrives [m]."""
+    """Smallest clearance of a drive [m], mean over the drives that reach the target; NaN if none does."""
     mean_clearance: float
     """Mean clearance of a drive, mean over all drives [m]."""
     lateral_acceleration: float
@@ -95,7 +96,7 @@ class Row:
     non_safe: float
     """Share of decisions made in non-safe states."""
     overridden: float
-    """Share of decisions that a shield made in place of its agent."""
+    """Share of decisions that a shield replaced."""
     stops: float
     """Share of decisions to stop or to turn on the spot."""
     standing: float
@@ -103,7 +104,7 @@ class Row:
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
-    """Rows of every method in every tier and, if there are several, in all of them together."""
+    """Computes rows of every method in every tier and, if there are several, in all of them together."""
     e = evaluation
     return [_row(e, method, name, tiers) for method in e.methods for name, tiers in e.groups]
 
@@ -163,15 +164,15 @@ class Comparison:
     second: str
     pairs: int
     only_first: int
-    """Pairs of drives in which only the first method arrived."""
+    """Number of pairs in which only the first method reached the target."""
     only_second: int
-    """Pairs of drives in which only the second method arrived."""
+    """Number of pairs in which only the second method reached the target."""
     p_value: float
     """p of McNemar's exact test."""
 
 
 def comparisons(evaluation: Evaluation) -> list[Comparison]:
-    """Tests of every method against every other, in every tier and in all of them together."""
+    """Tests every method against every other, in every tier and in all of them together."""
     e, found = evaluation, []
     for world, tiers in e.groups:
         for first, second in combinations(e.methods, 2):

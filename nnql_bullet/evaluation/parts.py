@@ -1,4 +1,4 @@
-"""Results of pieces of work, kept in a folder so that interrupted work continues where it stopped."""
+"""Keeps results of pieces of work in a folder, so that interrupted work continues where it stopped."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ class Piece(Protocol):
 
     @property
     def part(self) -> str:
-        """Name of the result; it differs whenever anything that the result depends on differs. Empty: never kept."""
+        """Name of the result, a hash of everything it depends on; a result with an empty name is not kept."""
 
     @property
     def size(self) -> int:
@@ -83,7 +83,7 @@ def run_kept(
         what: Name of the work, for its progress and its errors.
         function: See `executors.Executor.map`.
         tasks: The pieces of work; those with the same `part` are done once.
-        parts: Keeps each result as soon as it is there.
+        parts: Keeps each result as soon as its piece ends.
         record: Class of the records.
         on_progress: Receives the progress.
 

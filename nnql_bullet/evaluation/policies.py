@@ -1,4 +1,4 @@
-"""The policies of an evaluation: read, named, and told which are one method with several training seeds."""
+"""Reads and names the policies of an evaluation, and groups those that differ only by their training seed."""
 
 import hashlib
 import itertools
@@ -24,66 +24,66 @@ from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What drives."""
+    """A policy of an evaluation."""
 
     path: str
-    """As it was given: a run folder, a policy file, a rule, or a TOML file."""
+    """Run folder, policy file, rule or TOML file."""
     name: str
-    """Short, and no other policy's."""
+    """Short name, unique in the evaluation."""
     method: str
-    """What it shares with policies that differ from it by their training seed alone."""
+    """Name of the method; policies of a method differ only by their training seed."""
     kind: str
-    """Of its agent."""
+    """Kind of the agent."""
     seed: int
-    """It was trained with; 0 for rules."""
+    """Training seed; 0 for rules."""
     episodes: int
-    """It was trained for; 0 for rules."""
+    """Number of training episodes; 0 for rules."""
     learned: int
-    """Numbers that it was taught: weights, or entries of a table; 0 for rules."""
+    """Number of learned values: weights, or entries of a table; 0 for rules."""
     about: str
-    """What its agent does, in a sentence."""
+    """One sentence about the agent."""
     room: float
-    """Half width of the path that every world has for its vehicle [m]."""
+    """Half width of its vehicle's free path in every world [m]."""
     fingerprint: str
-    """Hash of what it learned and of the configuration that it drives with."""
+    """Hash of the learned values and of the configuration for driving."""
     shielded: bool = False
-    """Whether it is asked to drive in a shield, which its own configuration does not give it."""
+    """Whether the evaluation adds a shield that the policy's own configuration lacks."""
     custom: Custom | None = None
-    """The object of this process that it is, if it is one; its fingerprint is then empty."""
+    """The policy's object, if it is an object of this process; the fingerprint is then empty."""
 
     @property
     def source(self) -> PolicyLike:
-        """What `runs.load_policy` takes."""
+        """The argument for `runs.load_policy`."""
         return self.custom or self.path
 
     @property
     def values(self) -> dict[str, Any]:
-        """The fields that JSON can take."""
+        """The fields that JSON can represent."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "custom"}
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What is laid over its own configuration."""
+        """Changes to the policy's own configuration."""
         return {"shield": {}} if self.shielded else {}
 
 
 def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = False) -> list[Policy]:
-    """Reads policies, and tells which of them are one method.
+    """Reads policies and groups them by method.
 
     Args:
-        policies: One or several.
-        shield: Whether each is followed by itself in a shield.
+        policies: One policy or several.
+        shield: Whether each policy is also evaluated in a shield.
 
     Raises:
-        UserError: If there is none, one cannot be read, is given twice or has changed since it was loaded, or vehicles
-            differ in size: the same seeds would then be different worlds.
+        UserError: If there is no policy, one cannot be read, is given twice or has changed since it was loaded, or
+            vehicles differ in size, so that the same seeds would be different worlds.
     """
     several = list(policies) if isinstance(policies, Sequence) and not isinstance(policies, str) else [policies]
     if not several:
         raise UserError(
             f"give a policy: a run folder, a policy file, or one of: {', '.join((*assets.policies(), *RULES))}"
         )
-    # A loaded policy is read again from its name, as the processes that drive it do.
+    # A loaded policy is read again by its name, because worker processes also read it by its name.
     opened = [load_policy(_named(policy)) for policy in several]
     experiments = [its.experiment for its in opened]
     agents = [experiment.agent for experiment in experiments]
@@ -130,10 +130,10 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
 def executor_for(
     policies: Sequence[Policy], kind: ExecutorKind | None, workers: int | None, address: str | None = None
 ) -> Executor:
-    """Makes the executor that drives policies. Objects of this process are driven in it.
+    """Makes the executor that runs drives. Objects of this process drive in this process.
 
     Raises:
-        UserError: If an object of this process is to be driven elsewhere; see also `executors.make_executor`.
+        UserError: If an object of this process would drive elsewhere; see also `executors.make_executor`.
     """
     custom = [policy.name for policy in policies if policy.custom]
     if custom and kind not in (None, "inline"):
@@ -147,7 +147,7 @@ def _named(policy: PolicyLike) -> PolicyLike:
 
 
 def _paths(policies: Sequence[PolicyLike], agents: Sequence[rollout.Policy]) -> list[str]:
-    """The path of each policy, or the name of its class with a number if that is taken.
+    """Finds the path of each policy, or the name of its class, with a number if the name is taken.
 
     Raises:
         UserError: If a policy is given twice.
@@ -166,7 +166,7 @@ def _paths(policies: Sequence[PolicyLike], agents: Sequence[rollout.Policy]) -> 
 
 
 def _shielded(policy: Policy) -> Policy:
-    """The same in a shield."""
+    """Returns the policy in a shield."""
     experiment = load_policy(policy.source, {"shield": {}}).experiment
     return replace(
         policy,
@@ -179,7 +179,7 @@ def _shielded(policy: Policy) -> Policy:
 
 
 def _short_names(paths: Sequence[str]) -> list[str]:
-    """The last parts of paths, as many as tell them apart."""
+    """Shortens paths to their last parts, as many as make them different."""
     parts = [Path(path.removesuffix(".toml")).parts for path in paths]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(its[-count:]) for its in parts]
@@ -193,20 +193,20 @@ def _learned(agent: rollout.Policy) -> dict[str, Array]:
 
 
 def _recipe(experiment: Experiment) -> str:
-    """All of a configuration but the training seed."""
+    """Writes a configuration without its training seed as text."""
     return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
 
 
 def fingerprint(experiment: Experiment) -> str:
-    """Hash of what a policy learned and of the configuration that it drives with, wherever it drives.
+    """Hashes a policy's learned values and its configuration for driving, apart from world and simulator.
 
-    Empty for an object of this process, of which nobody knows what it depends on.
+    The hash is empty for an object of this process, because what it depends on is unknown.
     """
     if isinstance(experiment.agent, Custom):
         return ""
     values = to_values(experiment.config)
-    told = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
-    driving = {key: values[key] for key in told if key in values}
+    tables = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
+    driving = {key: values[key] for key in tables if key in values}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
     for name, array in sorted(_learned(experiment.agent).items()):
         whole.update(name.encode())

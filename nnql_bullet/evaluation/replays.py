@@ -1,4 +1,4 @@
-"""Drives that failed in an evaluation that is over: found in what `evaluate` left, and driven again."""
+"""Finds the failed drives of an evaluation, from its results, and repeats them."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ from nnql_bullet.run_config import Conditions
 
 @dataclass(frozen=True, slots=True)
 class FailedDrive:
-    """A drive of an evaluation that did not arrive."""
+    """A drive of an evaluation that did not reach its target."""
 
     film: FilmTask
     ending: str
@@ -36,25 +36,25 @@ class FailedDrive:
 
     @property
     def title(self) -> str:
-        """As it is printed."""
+        """Title for people."""
         return f"{self.film.policy.name} in {self.film.tier.title}, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True)
 class FinishedEvaluation:
-    """What `evaluate` left."""
+    """The command of an evaluation, and its failed drives."""
 
     command: str
-    """That makes it again, but for the folder."""
+    """Command line that repeats the evaluation, without the folder."""
     failed: list[FailedDrive]
-    """In the order of its policies, worlds and seeds."""
+    """Failed drives in the order of policies, worlds and seeds."""
 
 
 def open_evaluation(folder: Path) -> FinishedEvaluation:
-    """Reads what `evaluate` left in a folder.
+    """Reads an evaluation from its folder.
 
     Raises:
-        UserError: If there is nothing, or it is damaged.
+        UserError: If there is none, or its files are damaged.
     """
     if not (folder / "results.json").is_file():
         raise UserError(f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {folder}")
@@ -91,7 +91,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
 
 
 def finished(evaluation: Evaluation) -> FinishedEvaluation:
-    """The failed drives of an evaluation."""
+    """Lists the failed drives of an evaluation."""
     failed = [
         FailedDrive(FilmTask(policy, tier, evaluation.setting, one.world_seed), one.ending, one.steps)
         for policy in evaluation.policies
@@ -103,7 +103,7 @@ def finished(evaluation: Evaluation) -> FinishedEvaluation:
 
 
 def earlier_alike(keys: Iterable[Hashable]) -> list[int]:
-    """Of each key, how many before it are the same."""
+    """Counts for each key the equal keys before it."""
     seen: Counter[Hashable] = Counter()
     found = []
     for key in keys:
@@ -113,10 +113,12 @@ def earlier_alike(keys: Iterable[Hashable]) -> list[int]:
 
 
 def choose(failed: Sequence[FailedDrive], most: int) -> list[FailedDrive]:
-    """Of each method in each kind of world so many at most: the first of each of its policies, then the second, ...
+    """Chooses at most `most` failed drives of each method in each kind of world.
+
+    It takes the first of each policy, then the second of each policy, and so on.
 
     Returns:
-        Those chosen, in the order in which they were given.
+        The chosen drives, in their order in `failed`.
     """
     ranks = earlier_alike((one.film.policy.name, one.film.tier.name) for one in failed)
     by_rank = sorted(range(len(failed)), key=lambda number: (ranks[number], number))
@@ -125,10 +127,10 @@ def choose(failed: Sequence[FailedDrive], most: int) -> list[FailedDrive]:
 
 
 def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]) -> None:
-    """Policies that have learned on since show before anything is driven.
+    """Checks that no policy has changed since the evaluation.
 
     Raises:
-        UserError: If one cannot be read, or is not what it was.
+        UserError: If one has changed or cannot be read.
     """
     for policy in dict.fromkeys(one.film.policy for one in failed):
         (now,) = open_policies([policy.source], policy.shielded)[-1:]
@@ -138,26 +140,26 @@ def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A failed drive that was driven again."""
+    """A repeated failed drive."""
 
     failed: FailedDrive
     ending: str
-    """As it ended now."""
+    """Ending of the repeated drive."""
     steps: int
-    """Likewise."""
+    """Number of decisions in the repeated drive."""
     digest: str
-    """Of the world, now."""
+    """Hash of the repeated drive's world."""
     features: Features
     recording: Recording
 
     @property
     def group(self) -> Group:
-        """Its only one."""
+        """Group of the failure."""
         return group(self.features)
 
 
 def replay(failed: FailedDrive) -> Replay:
-    """Drives it again."""
+    """Repeats a failed drive."""
     recording = film(failed.film)
     about = recording.about
     return Replay(
@@ -166,10 +168,10 @@ def replay(failed: FailedDrive) -> Replay:
 
 
 def check_replay(evaluation: FinishedEvaluation, replayed: Replay) -> None:
-    """A drive that went another way shows.
+    """Checks that a repeated drive equals the one in the evaluation.
 
     Raises:
-        UserError: If it did, or its world is another.
+        UserError: If the drive or its world differs.
     """
     failed, again = replayed.failed, f"evaluate anew: {evaluation.command}"
     tier = failed.film.tier
@@ -184,19 +186,19 @@ def check_replay(evaluation: FinishedEvaluation, replayed: Replay) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failures of an evaluation, or as many of them as were driven again."""
+    """Repeated failures of an evaluation."""
 
     evaluation: FinishedEvaluation
     replays: Sequence[Replay]
     most: int
-    """Of each method in each kind of world."""
+    """Largest number of replays of each method in each kind of world."""
 
     @property
     def groups(self) -> dict[Group, list[Replay]]:
-        """Those that there are, in the order of the rules."""
+        """Replays of each group that has any, in the order of `GROUPS`."""
         return {name: its for name in GROUPS if (its := [one for one in self.replays if one.group == name])}
 
     @property
     def places(self) -> list[tuple[str, str]]:
-        """Methods and kinds of worlds in which there are failures."""
+        """Methods and kinds of worlds with failures."""
         return list(dict.fromkeys(one.failed.place for one in self.replays))

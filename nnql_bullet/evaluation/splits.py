@@ -1,8 +1,7 @@
-"""The worlds that policies are judged in: frozen, so that a figure can be regenerated, and known to be the same ones.
+"""The frozen worlds of evaluations, and the check that they have not changed.
 
-Choices are made on the split `validation`; `test` is for the final table. The first worlds of both are kept as hashes,
-block by block, for every shipped world file. A generator that has changed would silently give other worlds; here it is
-refused.
+Choices use the split `validation`; the final table uses `test`. A file holds hashes of the first worlds of both, block
+by block, for every shipped world file. They reveal a change of the generator, which would otherwise give other worlds.
 """
 
 import hashlib
@@ -20,27 +19,27 @@ SplitName = Literal["validation", "test"]
 SPLITS: dict[SplitName, range] = {"validation": VALIDATION_WORLDS, "test": TEST_WORLDS}
 
 BLOCK = 25
-"""Worlds that share a hash."""
+"""Number of worlds that share a hash."""
 FROZEN = 1000
-"""Worlds of each split that have one."""
+"""Number of worlds of each split that have a hash."""
 _FILE = "splits.json"
 
 
 @dataclass(frozen=True, slots=True)
 class FrozenSplits:
-    """What was written down when the splits were frozen."""
+    """The record of the frozen splits."""
 
     room: float
-    """Half width of the path that every world has [m]: it decides which draws are taken, and belongs to a vehicle."""
+    """Half width of the free path in every world [m]; it depends on the vehicle and decides which draws count."""
     hashes: Mapping[str, Mapping[str, Sequence[str]]]
-    """Of each block, by world file and split."""
+    """Hash of each block, by world file and split."""
 
 
 def split_seeds(split: SplitName, worlds: int) -> range:
-    """The seeds of a split's first worlds.
+    """Returns the seeds of a split's first worlds.
 
     Raises:
-        UserError: If there are not so many that are frozen.
+        UserError: If fewer worlds are frozen.
     """
     if not 1 <= worlds <= FROZEN:
         raise UserError(f"the number of worlds must be from 1 to {FROZEN}, the worlds that are frozen, not {worlds}")
@@ -48,34 +47,34 @@ def split_seeds(split: SplitName, worlds: int) -> range:
 
 
 def load_frozen() -> FrozenSplits:
-    """The shipped hashes."""
+    """Reads the shipped hashes."""
     values = json.loads((assets.folder("worlds") / _FILE).read_text(encoding="utf-8"))
     return FrozenSplits(values["room"], values["worlds"])
 
 
 def block_hash(worlds: Sequence[WorldSpec]) -> str:
-    """One hash of several worlds, from their own."""
+    """Combines the hashes of several worlds."""
     return hashlib.sha256("".join(world.digest for world in worlds).encode()).hexdigest()[:16]
 
 
 def check_frozen(
     name: str, split: SplitName, worlds: int, room: float, draw: Callable[[int], WorldSpec], frozen: FrozenSplits
 ) -> bool:
-    """Whether a split's first worlds are the frozen ones, as far as such worlds were frozen.
+    """Checks that a split's first worlds are the frozen ones.
 
     Args:
-        name: Of the world file.
-        split: Which.
-        worlds: How many; the blocks that they are in are drawn whole.
-        room: Half width of the path that is asked of worlds [m].
-        draw: The world of a seed.
+        name: Name of the world file.
+        split: The split.
+        worlds: Number of worlds; whole blocks are drawn.
+        room: Half width of the free path in the worlds [m].
+        draw: Draws the world of a seed.
         frozen: The hashes.
 
     Returns:
-        Whether there was something to compare: a shipped world file, for a vehicle as wide as the shipped one.
+        Whether there are hashes for this world file and this half width.
 
     Raises:
-        UserError: If they are other worlds.
+        UserError: If the worlds are not the frozen ones.
     """
     if name not in frozen.hashes or abs(room - frozen.room) > 1e-9:
         return False

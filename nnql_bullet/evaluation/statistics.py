@@ -1,4 +1,4 @@
-"""Estimates with intervals, and a test of paired trials, by SciPy."""
+"""Computes estimates with intervals, and a test of paired trials, with SciPy."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from scipy.stats import binomtest, bootstrap, trim_mean
 from nnql_bullet.geometry import Array
 
 RESAMPLES = 2000
-"""Bootstrap resamples."""
+"""Number of bootstrap resamples."""
 
 
 class Estimate(NamedTuple):
@@ -35,7 +35,7 @@ def proportion(count: int, total: int) -> Estimate:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """McNemar's exact test of paired trials (Psychometrika 12, 1947): p of a difference so large by chance.
+    """Computes p of McNemar's exact test of paired trials (Psychometrika 12, 1947).
 
     Args:
         only_first: Trials in which only the first method succeeded.
@@ -46,12 +46,12 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def interquartile_mean(scores: Array) -> float:
-    """Mean of the middle half of scores (n,); the mean of all when there are fewer than four."""
+    """Computes the mean of the middle half of scores (n,); of all scores if there are fewer than four."""
     return float(trim_mean(scores, 0.25))
 
 
 def success_over_seeds(scores: Sequence[Array], generator: np.random.Generator) -> Estimate | None:
-    """Inter-quartile mean of success over training seeds, with a stratified bootstrap interval.
+    """Estimates the inter-quartile mean of success over training seeds, with a stratified bootstrap interval.
 
     Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice (NeurIPS 2021): the runs of
     each task are resampled with replacement within that task.
@@ -80,14 +80,14 @@ def success_over_seeds(scores: Sequence[Array], generator: np.random.Generator) 
 
 
 def mean_interval(scores: Array, generator: np.random.Generator) -> tuple[Array, Array]:
-    """Bootstrap 95 % intervals of the means over training seeds.
+    """Computes bootstrap 95 % intervals of the means over training seeds.
 
     Args:
-        scores: Scores of n training seeds at m places (n, m).
+        scores: Scores of n training seeds (n,), or at m places (n, m).
         generator: Draws the resamples.
 
     Returns:
-        Lower and upper ends of the intervals (m,).
+        Lower and upper ends of the intervals (), or (m,).
     """
     result = bootstrap((scores,), np.mean, n_resamples=RESAMPLES, batch=100, method="percentile", rng=generator)
     return np.asarray(result.confidence_interval.low), np.asarray(result.confidence_interval.high)

@@ -1,12 +1,13 @@
 """Studies for ablations: the factors of each preset and their variants.
 
-A variant changes one thing in the study's preset.
+A variant changes one factor of the study's preset.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from nnql_bullet import paper
 from nnql_bullet.config import departures, to_values
 from nnql_bullet.presets import PRESETS
 
@@ -36,12 +37,12 @@ class Factor:
 
 @dataclass(frozen=True)
 class Study:
-    """The factors behind a preset."""
+    """The factors of a preset."""
 
     preset: str
     title: str
     tiers: Mapping[str, str]
-    """Titles of the worlds that policies are tested in, by world file."""
+    """Titles of the test worlds, by world file."""
     factors: tuple[Factor, ...]
     """The factors in the order of the table."""
     episodes: int
@@ -51,7 +52,7 @@ class Study:
     base: Mapping[str, Any] = field(default_factory=dict)
     """Changes to the preset that all trainings share."""
     not_varied: str = ""
-    """Choices without a factor, as a sentence for the report."""
+    """Sentence for the report about choices without a factor."""
 
 
 def _drive(**values: Any) -> dict[str, Any]:
@@ -67,6 +68,7 @@ def _agent(**values: Any) -> dict[str, Any]:
 
 
 _DEFAULT: dict[str, Any] = {}
+_STATED_TEMPERATURE = f"{paper.TEMPERATURE_MAX:g} to {paper.TEMPERATURE_MIN:g}"
 _LITERAL = departures(to_values(PRESETS["literal"]), to_values(PRESETS["paper"]))
 
 
@@ -216,7 +218,7 @@ _PAPER = (
         "IV",
         _variants(
             ("0", _agent(discount=0.0)),
-            ("0.15", _DEFAULT),
+            (f"{paper.DISCOUNT:g}", _DEFAULT),
             ("0.5", _agent(discount=0.5)),
             ("0.9", _agent(discount=0.9)),
         ),
@@ -227,7 +229,7 @@ _PAPER = (
         "temperature",
         "IV",
         _variants(
-            ("0.8 to 0.01", _DEFAULT),
+            (_STATED_TEMPERATURE, _DEFAULT),
             (
                 "0.2 to 0.03, exponentially, by episode 600",
                 _agent(temperature_max=0.2, temperature_min=0.03, schedule="exponential", schedule_episodes=600),
@@ -239,14 +241,14 @@ _PAPER = (
         "hidden",
         "hidden units",
         "IV",
-        _variants(("3", _agent(hidden_units=3)), ("6", _DEFAULT), ("12", _agent(hidden_units=12))),
+        _variants(("3", _agent(hidden_units=3)), (f"{paper.HIDDEN_UNITS}", _DEFAULT), ("12", _agent(hidden_units=12))),
         stated=True,
     ),
     Factor(
         "steps",
         "steps in an episode",
         "IV.A",
-        _variants(("250", _task(max_steps=250)), ("500", _DEFAULT)),
+        _variants(("250", _task(max_steps=250)), (f"{paper.STEPS_PER_EPISODE}", _DEFAULT)),
         stated=True,
     ),
     Factor(
@@ -273,8 +275,11 @@ _TUNED = (
         "temperature",
         "IV",
         _variants(
-            ("0.8 to 0.01, as stated", _agent(temperature_max=0.8, temperature_min=0.01)),
-            ("0.8 to 0.1", _agent(temperature_max=0.8)),
+            (
+                f"{_STATED_TEMPERATURE}, as stated",
+                _agent(temperature_max=paper.TEMPERATURE_MAX, temperature_min=paper.TEMPERATURE_MIN),
+            ),
+            (f"{paper.TEMPERATURE_MAX:g} to 0.1", _agent(temperature_max=paper.TEMPERATURE_MAX)),
             ("0.4 to 0.1", _DEFAULT),
         ),
     ),
@@ -282,7 +287,9 @@ _TUNED = (
         "discount",
         "discount",
         "IV",
-        _variants(("0", _agent(discount=0.0)), ("0.15, as stated", _DEFAULT), ("0.5", _agent(discount=0.5))),
+        _variants(
+            ("0", _agent(discount=0.0)), (f"{paper.DISCOUNT:g}, as stated", _DEFAULT), ("0.5", _agent(discount=0.5))
+        ),
     ),
     Factor(
         "cover",
@@ -358,7 +365,7 @@ STUDIES = {
             title="What the paper leaves open",
             tiers={"paper": "5 % cover", "cover_10": "10 % cover"},
             factors=_PAPER,
-            episodes=1000,
+            episodes=paper.EPISODES,
             seeds=10,
             not_varied=(
                 "linear outputs (targets reach -0.6, which no sigmoid does); what belongs to the vehicle and its task, "
@@ -371,7 +378,7 @@ STUDIES = {
             title="What tuned is made of",
             tiers={"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover"},
             factors=_TUNED,
-            episodes=1000,
+            episodes=paper.EPISODES,
             seeds=5,
         ),
         Study(

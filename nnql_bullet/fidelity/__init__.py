@@ -1,1 +1,1 @@
-"""Proof that the physics is right: probes of an engine against closed forms, and what a vehicle can follow."""
+"""Tests of the physics: probes compare an engine with closed forms, and measure the turns that a vehicle can follow."""

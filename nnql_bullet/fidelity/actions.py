@@ -14,7 +14,7 @@ from nnql_bullet.vehicle.profiles import Turn, plan_turn, rolled_path, sample_tu
 
 @dataclass(frozen=True, slots=True)
 class WatchedTurn:
-    """An action in contact physics that begins straight ahead."""
+    """An action in contact physics that starts straight ahead."""
 
     heading_change: float
     """[rad]"""
@@ -35,7 +35,7 @@ class WatchedTurn:
 
 
 def watch_actions(bench: Bench) -> list[WatchedTurn]:
-    """Drives the five actions, each from the start on open ground, in a period long enough for the longest."""
+    """Drives the five actions, each from the start on open ground, in a period that fits the longest one."""
     limits = bench.vehicle.limits
     turns = {change: plan_turn(0.0, change, limits) for change in paper.TURNS}
     longest = max(turn.duration for turn in turns.values())
@@ -52,12 +52,12 @@ def watch_actions(bench: Bench) -> list[WatchedTurn]:
 
 
 def tightest(turns: list[WatchedTurn]) -> WatchedTurn:
-    """The turn with the largest heading change to the left."""
+    """Returns the turn with the largest heading change to the left."""
     return max(turns, key=lambda turn: turn.heading_change)
 
 
 def _ideal(turn: Turn, times: Array, speed: float) -> Array:
-    """Places of the rear-axle centre of the ideal vehicle (n, 2) [m]."""
+    """Computes positions of the rear-axle centre of the ideal vehicle (n, 2) [m]."""
     begins = np.concatenate([[0.0], times])
     _, headings = sample_turn(turn, begins)
     return rolled_path(0.0, np.diff(begins) * speed, np.diff(headings))

@@ -1,7 +1,7 @@
-"""The envelope: which turns a vehicle can follow, over speed, period, heading change, friction and payload.
+"""The envelope: the turns that a vehicle can follow, over speed, period, heading change, friction and payload.
 
-A turn goes from straight to straight in exactly one control period. Its yaw rate rises for a third of the period, holds
-for a third and falls for a third; the vehicle's own limits do not apply.
+A turn goes from straight to straight in exactly one control period. Its yaw rate rises for a third of the period, is
+constant for a third and falls for a third; the vehicle's own limits do not apply.
 """
 
 from collections.abc import Sequence
@@ -26,27 +26,24 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 RAMP = 1 / 3
 """Share of the period in which the yaw rate rises, and share in which it falls."""
 HEADINGS = (0.0, radians(60.0), radians(75.0))
-"""Start headings of each turn, of which the worst counts [rad].
-
-Grip depends on the heading in an engine whose friction directions are fixed in the world.
-"""
+"""Start headings of each turn [rad]; the worst counts. Some engines fix friction directions in the world."""
 SETTLE_TIME = 0.25
 """Time straight ahead before the turn [s]."""
 
 HEADING_TOLERANCE = radians(1.0)
 """Largest heading error of a turn that the vehicle follows [rad].
 
-At the sensors' range it is about the room that worlds leave on either side of the vehicle.
+At the sensors' range it shifts the path by about the free space that worlds leave on either side of the vehicle.
 """
 SLIP_TOLERANCE = 0.05
-"""Largest slip of a turn that the vehicle follows, over its speed; more is sliding, not creep."""
+"""Largest slip of a turn that the vehicle follows, over its speed; above it the wheels slide."""
 
 Quantity = Literal["speed", "heading_change", "friction", "payload"]
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A turn to follow, and its conditions."""
+    """A turn and its conditions."""
 
     speed: float
     """[m/s]"""
@@ -70,7 +67,7 @@ class Slice:
     base: Case
 
     def case(self, value: float, period: float) -> Case:
-        """The case at one point."""
+        """Returns the case at one point."""
         return replace(self.base, period=period, **{self.quantity: value})
 
     @property
@@ -90,7 +87,7 @@ class Followed:
     least_load: float
     """Smallest load on a drive wheel over its load at rest; mean over the controller's period."""
     tip_margin: float
-    """Smallest margin until a drive wheel lifts: 1 - |N_left - N_right|/(N_left + N_right). The quotient is the load
+    """Smallest margin before a drive wheel lifts: 1 - |N_left - N_right|/(N_left + N_right). The quotient is the load
     transfer ratio (Rajamani, Vehicle Dynamics and Control, ch. 15)."""
     friction_used: float
     """Largest share of the available friction that both wheels use together; mean over the controller's period."""
@@ -116,12 +113,12 @@ class EnvelopeTask:
     """The bench; its vehicle carries no payload."""
     case: Case
     seed: int
-    """Its number. Nothing here is random."""
+    """Number of the task; nothing is random."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A case as measured and as computed."""
+    """Measured and computed values of a case."""
 
     case: Case
     measured: Followed
@@ -131,18 +128,18 @@ class Result:
 
     @property
     def allowed(self) -> bool:
-        """Whether the vehicle can follow the turn by computation: enough friction and torque, and no wheel lifts."""
+        """Whether the computed demand is within friction and torque, and no wheel lifts."""
         asked = self.on_paper
         return asked.friction <= self.case.friction and asked.torque <= self.torque_limit and asked.least_load > 0
 
 
 def base_case(vehicle: VehicleSpec) -> Case:
-    """The base case: the paper's largest turn at its speed, in one second."""
+    """Makes the base case: the paper's largest turn at its speed, in one second."""
     return Case(paper.SPEED, 1.0, max(paper.TURNS), vehicle.contact.wheel_friction, 0.0)
 
 
 def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
-    """The four slices through the base case."""
+    """Makes the four slices through the base case."""
     base = base_case(vehicle)
     periods = tuple(tenths / 10 for tenths in range(6, 16))
     values: dict[Quantity, tuple[float, ...]] = {
@@ -158,13 +155,13 @@ def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
 
 
 def envelope_tasks(bench: Bench, slices: tuple[Slice, ...]) -> list[EnvelopeTask]:
-    """Tasks for every case of some slices, each once."""
+    """Lists tasks for all cases of some slices, each case once."""
     cases = dict.fromkeys(chain.from_iterable(each.cases for each in slices))
     return [EnvelopeTask(bench, case, number) for number, case in enumerate(cases)]
 
 
 def vehicle_for(vehicle: VehicleSpec, case: Case) -> VehicleSpec:
-    """The vehicle under the conditions of a case, with limits such that its turn lasts exactly the period.
+    """Returns the vehicle under the conditions of a case, with limits so that its turn lasts exactly the period.
 
     Raises:
         UserError: If the vehicle already carries a payload.
@@ -200,7 +197,7 @@ def measure_turn(task: EnvelopeTask) -> Result:
 
 
 def worst_of(turns: Sequence[Followed]) -> Followed:
-    """The worst value of each measure over several turns."""
+    """Finds the worst value of each measure over several turns."""
     return Followed(
         heading_error=max((turn.heading_error for turn in turns), key=abs),
         slip=max(turn.slip for turn in turns),

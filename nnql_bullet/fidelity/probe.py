@@ -1,4 +1,4 @@
-"""Probes of physics: a quantity by a closed form, as an engine has it, and the accepted difference."""
+"""Probes of physics: a quantity by a closed form, its value in an engine, and the accepted difference."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -38,18 +38,18 @@ class Measurement:
 def close_to(
     quantity: str, unit: str, expected: float, measured: float, absolute: float = 0.0, relative: float = 0.0
 ) -> Measurement:
-    """A quantity with a tolerance to either side: the larger of an absolute and a relative one."""
+    """Makes a measurement with a tolerance on both sides: the larger of an absolute and a relative one."""
     tolerance = max(absolute, relative * abs(expected))
     return Measurement(quantity, unit, expected, measured, expected - tolerance, expected + tolerance)
 
 
 def at_most(quantity: str, unit: str, limit: float, measured: float, slack: float = 0.0) -> Measurement:
-    """A quantity from 0 to a limit, which it may exceed by a share `slack`."""
+    """Makes a measurement from 0 to a limit; the share `slack` above the limit is accepted."""
     return Measurement(quantity, unit, limit, measured, 0.0, limit * (1 + slack))
 
 
 def step_factor(engine: ContactEngine) -> float:
-    """Factor on tolerances that grow with the time step: 1 at 1/240 s and below."""
+    """Computes a factor for tolerances that grow with the time step: 1 at 1/240 s and below."""
     return max(1.0, 240 * engine.time_step)
 
 
@@ -58,7 +58,7 @@ class Bench:
     """A vehicle and an engine, for probes."""
 
     vehicle: VehicleSpec
-    """The vehicle as its files describe it. Expected values follow from it."""
+    """The vehicle as its files describe it; expected values follow from it."""
     engine: EngineName = "bullet"
     physics: PhysicsName = "reference"
     refinement: int = 1
@@ -66,7 +66,7 @@ class Bench:
 
     @contextmanager
     def open_engine(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[ContactEngine]:
-        """Makes an engine, and closes it in the end.
+        """Makes an engine and closes it at the end.
 
         Args:
             vehicle: The vehicle in it, the bench's by default.
@@ -93,5 +93,5 @@ class Probe:
 
 
 def open_ground(*boxes: OrientedBox, start: Pose = MIDDLE) -> WorldSpec:
-    """An arena of 200 m x 200 m with only the boxes given."""
+    """Makes an arena of 200 m x 200 m with the given boxes only."""
     return WorldSpec("open ground", 0, 200.0, 200.0, boxes, start, (190.0, 190.0), 2.0, 1.5)

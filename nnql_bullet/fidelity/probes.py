@@ -1,4 +1,4 @@
-"""All probes by name, and the function that runs them."""
+"""Lists all probes by name, and runs them."""
 
 from collections.abc import Iterator
 from math import nan
@@ -16,8 +16,8 @@ PROBES: dict[str, Probe] = {probe.name: probe for probe in (*BODY, *ROLLING, *CO
 def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
     """Runs all probes one after the other.
 
-    A probe that raises an error, for example because the vehicle fell over, has a single measurement: NaN, which is
-    never accepted, with the reason as its name.
+    If a probe raises an error, for example because the vehicle fell over, its only measurement is NaN, which is never
+    accepted; the name of the measurement is the reason.
 
     Yields:
         Each probe with its measurements.

@@ -1,4 +1,4 @@
-"""Probes of the vehicle's body: its masses and inertia in the engine, and how it stands, falls, turns and tips."""
+"""Probes of the vehicle's body: masses, inertia, standing, falling, turning and tipping."""
 
 from math import cos, degrees, hypot, isnan, nan, sin, tan
 from xml.etree import ElementTree
@@ -19,7 +19,7 @@ ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
 
 
 def _inertials(vehicle: VehicleSpec) -> dict[str, tuple[float, Array]]:
-    """Mass [kg] and ascending principal moments of inertia (3,) [kg m2] of every link, from the URDF."""
+    """Reads the mass [kg] and ascending principal moments of inertia (3,) [kg m2] of every link from the URDF."""
     found = {}
     for link in ElementTree.fromstring(urdf_text(vehicle)).iter("link"):
         mass = float(link.find("inertial/mass").attrib["value"])  # type: ignore[union-attr]
@@ -116,7 +116,7 @@ def _yaw_inertia(bench: Bench) -> list[Measurement]:
 
 
 def _tilted_until_it_tips(engine: ContactEngine, side: int, slope: float) -> float:
-    """Tilts gravity and measures the slope from which on the upper rear wheel carries no load [rad].
+    """Tilts gravity and measures the slope above which the upper rear wheel carries no load [rad].
 
     Args:
         engine: The engine with the vehicle.

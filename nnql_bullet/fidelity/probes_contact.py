@@ -14,7 +14,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 def _rear_braking(vehicle: VehicleSpec) -> float:
-    """Deceleration with locked drive wheels and a rolling caster [m/s2].
+    """Computes the deceleration with locked drive wheels and a rolling caster [m/s2].
 
     The caster takes the load N_front L = m g a + (m h + I_c/r_c) d; the rest brakes the mass and the caster's spin:
     mu (m g - N_front) = (m + I_c/r_c^2) d.
@@ -39,12 +39,6 @@ def _locked_braking(bench: Bench) -> list[Measurement]:
     ]
 
 
-def _sliding(engine: ContactEngine) -> float:
-    """Horizontal speed of the vehicle [m/s]."""
-    vx, vy, _ = engine.velocity()
-    return hypot(vx, vy)
-
-
 def _skid(engine: ContactEngine, direction: float, until: float, look: Callable[[], None] = lambda: None) -> float:
     """Lets the vehicle skid with all joints locked, from twice the drive's speed.
 
@@ -62,7 +56,7 @@ def _skid(engine: ContactEngine, direction: float, until: float, look: Callable[
     engine.run(0.2)
     engine.lock_joints()
     engine.set_velocity(speed * cos(direction), speed * sin(direction))
-    while _sliding(engine) > until * speed and engine.time() < 10.0:
+    while hypot(*engine.velocity()[:2]) > until * speed and engine.time() < 10.0:
         engine.step()
         look()
     return speed
@@ -97,7 +91,7 @@ def _friction_cone(bench: Bench) -> list[Measurement]:
 
 
 def _hit(engine: ContactEngine, gap: float) -> tuple[float, float, float]:
-    """Impact of the flying, locked vehicle on a wall: impulse [N s], speed after it [m/s], penetration [m]."""
+    """Measures the impact of the flying, locked vehicle on a wall: impulse [N s], speed after it [m/s], depth [m]."""
     footprint, speed = engine.vehicle.footprint, engine.drive.speed
     front = footprint.x + footprint.half_length
     face = MIDDLE.x + front + gap

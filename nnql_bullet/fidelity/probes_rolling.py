@@ -70,13 +70,13 @@ def _straight(bench: Bench) -> list[Measurement]:
 
 
 def _quickest(turn: float, limits: Limits) -> tuple[float, float]:
-    """Peak yaw rate [rad/s] and duration [s] of the quickest turn from straight to straight."""
+    """Computes the peak yaw rate [rad/s] and duration [s] of the quickest turn from straight to straight."""
     peak = min(limits.yaw_rate, sqrt(limits.yaw_acceleration * abs(turn)))
     return peak, peak / limits.yaw_acceleration + abs(turn) / peak if peak > 0 else 0.0
 
 
 def _unicycle(start: Pose, speed: float, turn: float, limits: Limits, times: Array) -> Array:
-    """Places (n, 2) [m] of a vehicle that turns by a trapezoidal yaw rate without slip, at `times` (n,) [s]."""
+    """Computes positions (n, 2) [m] at `times` (n,) [s] of a vehicle with a trapezoidal yaw rate and no slip."""
     peak, end = _quickest(turn, limits)
     slope = limits.yaw_acceleration
 
@@ -118,7 +118,7 @@ def _actions(bench: Bench) -> list[Measurement]:
 
 
 def _slips(vehicle: VehicleSpec, motion: VehicleMotion, end: Sample) -> list[float]:
-    """Relative errors of path length and heading change by the rotation of the drive wheels."""
+    """Computes relative errors of path length and heading change against the rotation of the drive wheels."""
     left, right, *_ = (vehicle.wheel_radius * angle for angle in end.joint_angles)
     slips = [abs((left + right) / 2 / motion.path_length - 1)]
     if abs(motion.pose.yaw) > 0.1:
@@ -127,7 +127,7 @@ def _slips(vehicle: VehicleSpec, motion: VehicleMotion, end: Sample) -> list[flo
 
 
 def _turn_steadily(engine: ContactEngine, v: float, w: float) -> Array:
-    """Means over 1 s of a steady turn (5,): loads of the left, right and caster wheel, speed, yaw rate [SI]."""
+    """Measures means over 1 s of a steady turn (5,): loads of the left, right and caster wheel, speed, yaw rate."""
     vehicle = engine.vehicle
     engine.place(open_ground(), MIDDLE, v)
     for rate in np.linspace(0.0, w, round(0.5 * COMMAND_RATE)):
@@ -159,7 +159,7 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
 
 
 def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
-    """Time until the caster, released at the angle `begin`, trails within `end` [rad] from then on [s]."""
+    """Measures the time [s] after which the caster, released at the angle `begin`, stays within `end` [rad]."""
     engine.place(open_ground(), MIDDLE, speed)
     engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
     engine.run(0.2)

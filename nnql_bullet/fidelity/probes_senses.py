@@ -1,17 +1,16 @@
 """Probes of the sensor's rays and of the engine's determinism."""
 
 from dataclasses import replace
-from math import cos, pi, sin
+from math import pi
 
 import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, open_ground
-from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances
+from nnql_bullet.geometry import Array, OrientedBox, Pose, placed, ray_distances
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.contact import ContactEngine
-from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SIDE = 40.0
@@ -21,7 +20,7 @@ GRAZING = 1e-5
 
 
 def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
-    """A walled arena with 25 boxes at any place and yaw, which may overlap."""
+    """Draws a walled arena with 25 boxes at any position and yaw, which may overlap."""
     rows = np.column_stack(
         [
             generator.uniform(0.0, SIDE, (25, 2)),
@@ -32,13 +31,6 @@ def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
     boxes = tuple(OrientedBox(*row) for row in rows.tolist())
     middle = Pose(SIDE / 2, SIDE / 2, 0.0)
     return WorldSpec("boxes anywhere", seed, SIDE, SIDE, boxes, middle, (SIDE - 2.0, SIDE - 2.0), 1.0, 1.5)
-
-
-def _eye(vehicle: VehicleSpec, pose: Pose) -> tuple[float, float]:
-    """x, y of the rays' origin [m]."""
-    ahead, left, _ = vehicle.sensor
-    c, s = cos(pose.yaw), sin(pose.yaw)
-    return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
 
 
 def _analytic(eye: tuple[float, float], yaw: float, world: WorldSpec) -> Array:
@@ -52,7 +44,7 @@ def _largest_error(bench: Bench) -> Measurement:
             generator = rng(seed, Stream.LAYOUT)
             world = _cluttered(seed, generator)
             for x, y, yaw in generator.uniform((1.0, 1.0, -pi), (SIDE - 1.0, SIDE - 1.0, pi), (6, 3)).tolist():
-                eye = _eye(bench.vehicle, Pose(x, y, yaw))
+                eye = placed(Pose(x, y, yaw), *bench.vehicle.sensor[:2])
                 if _analytic(eye, yaw, world).min() < 0.05:
                     continue  # an engine does not report a box that contains the origin of a ray
                 engine.place(world, Pose(x, y, yaw), 0.0)
@@ -63,14 +55,14 @@ def _largest_error(bench: Bench) -> Measurement:
 
 
 def _hits(engine: ContactEngine, world: WorldSpec) -> int:
-    """Number of rays that meet anything when the vehicle stands in the middle."""
+    """Counts the rays that meet anything when the vehicle stands in the middle."""
     engine.place(world, MIDDLE, 0.0)
     return int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
 
 
 def _heights(bench: Bench) -> list[Measurement]:
     """Compares a box that ends just below the rays with one that ends just above them."""
-    x, y = _eye(bench.vehicle, MIDDLE)
+    x, y = placed(MIDDLE, *bench.vehicle.sensor[:2])
     box = OrientedBox(x + 4.0, y, 1.0, 1.0)
     seen = int(np.sum(_analytic((x, y), 0.0, open_ground(box)) < paper.SENSOR_RANGE))
     height = bench.vehicle.sensor_height
@@ -108,7 +100,7 @@ def _rays(bench: Bench) -> list[Measurement]:
 
 
 def _drive(engine: ContactEngine, world: WorldSpec) -> Array:
-    """Numbers that a series of decisions gives: motions, speeds and scans, in one row."""
+    """Drives a series of decisions and returns motions, speeds and scans in one row."""
     seen: list[float] = []
     engine.reset(world)
     for turn in (0.0, 0.5, -1.0, 0.3, 0.9, -0.2, 0.0, -0.7):

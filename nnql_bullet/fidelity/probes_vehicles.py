@@ -1,4 +1,4 @@
-"""Vehicles with changed properties for probes that isolate one effect, within what any vehicle can do."""
+"""Changes a vehicle's properties for probes that isolate one effect."""
 
 from dataclasses import replace
 
@@ -12,55 +12,55 @@ from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 OWN_SHARE, EASY_SHARE = 0.95, 0.6
 """Largest share of grip for a turn at the vehicle's own limits, and for a slower turn that replaces it.
 
-Near the limit of grip the wheels slip, one before the other.
+Near the limit of grip, one wheel slips before the other.
 """
 TORQUE_SHARE = 0.95
 """Largest share of the torque limit for either turn."""
 SLOWER = tuple(1 - 0.05 * n for n in range(1, 19))
-"""Shares of the vehicle's yaw rate that are tried for the slower turn."""
+"""Candidate shares of the vehicle's yaw rate for the slower turn."""
 
 
 def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
-    """The same vehicle without rolling and spinning resistance."""
+    """Returns the vehicle without rolling and spinning resistance."""
     return replace(vehicle, contact=replace(vehicle.contact, rolling_friction=0.0, spinning_friction=0.0))
 
 
 def on_ice(vehicle: VehicleSpec) -> VehicleSpec:
-    """The same vehicle without friction."""
+    """Returns the vehicle without friction."""
     return rolling_freely(vehicle).gripping(0.0)
 
 
 def driven_by(vehicle: VehicleSpec, torque: float) -> VehicleSpec:
-    """The same vehicle with drives of another torque limit [N m]."""
+    """Returns the vehicle with another torque limit of the drives [N m]."""
     return replace(vehicle, wheel_torque=torque)
 
 
 def top_heavy(vehicle: VehicleSpec) -> VehicleSpec:
-    """The vehicle with a payload of its own mass, which raises the centre of mass by 0.6 of the track."""
+    """Returns the vehicle with a payload of its own mass, which raises the centre of mass by 0.6 of the track."""
     if vehicle.payload:
         return vehicle
     return loaded(vehicle, Payload(vehicle.mass, vehicle.com_ahead, vehicle.com_height + 1.2 * vehicle.track))
 
 
 def skidding_friction(vehicle: VehicleSpec) -> float:
-    """The vehicle's friction, or less if it would tip over before it slides."""
+    """Returns the vehicle's friction, or less if it would tip over before it slides."""
     sideways = tip_acceleration(vehicle) / GRAVITY
     forwards = (vehicle.wheelbase - vehicle.com_ahead) / vehicle.com_height
     return min(vehicle.contact.wheel_friction, 0.7 * sideways, 0.7 * forwards)
 
 
 def gentlest_torque(vehicle: VehicleSpec) -> float:
-    """Half the torque limit, or half the torque at which the wheels spin or the caster lifts if that is less [N m]."""
+    """Returns half the torque limit, or half the torque at which wheels spin or the caster lifts if less [N m]."""
     weight = vehicle.mass * GRAVITY
     spinning, rearing = vehicle.contact.wheel_friction * vehicle.rear_share, vehicle.com_ahead / vehicle.com_height
     return min(vehicle.wheel_torque, min(spinning, rearing) * weight * vehicle.wheel_radius / 2) / 2
 
 
 def turning_within_its_means(vehicle: VehicleSpec, speed: float) -> tuple[VehicleSpec, float]:
-    """The vehicle with limits at which the paper's turns do not exceed grip and torque.
+    """Limits the vehicle so that the paper's turns do not exceed grip and torque.
 
     Returns:
-        The vehicle, and its yaw-rate limit over the original one: 1 if the original limits suffice.
+        The vehicle, and its yaw-rate limit over the original one; 1 if the original limits suffice.
     """
     if _suffices(vehicle, speed, OWN_SHARE):
         return vehicle, 1.0

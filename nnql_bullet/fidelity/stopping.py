@@ -21,9 +21,9 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 STANDSTILL_SPEED = 0.01
 """Speed below which a vehicle stands [m/s]."""
 TIME_LIMIT_FACTOR = 10.0
-"""Time after which a vehicle counts as not stopping, over its computed stopping time plus one second."""
+"""Time limit for a stop, over the computed stopping time plus one second."""
 REACTION = DriveOptions().decision_period
-"""Longest time until the brakes act, when an obstacle comes into sight just after a decision [s]."""
+"""Longest time until the brakes act [s]: an obstacle may come into sight just after a decision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +46,18 @@ class StopTask:
     speed: float
     """[m/s]"""
     seed: int
-    """Its number. Nothing here is random."""
+    """Number of the task; nothing is random."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """A stop from a speed, straight ahead, with wheels commanded to stand at once."""
+    """A stop from a speed, straight ahead, with wheels commanded to stop at once."""
 
     conditions: StopConditions
     speed: float
     """[m/s]"""
     distance: float
-    """Measured distance from the command on [m]."""
+    """Measured distance after the command [m]."""
     distance_on_paper: float
     """Computed distance [m]."""
     heading_drift: float
@@ -83,7 +83,7 @@ class SafeSpeed:
 
 
 def stopping_tasks(bench: Bench) -> list[StopTask]:
-    """Tasks for all stops: several speeds, loads and frictions, among them the vehicle's own."""
+    """Lists tasks for all stops: several speeds, loads and frictions, including the vehicle's own."""
     frictions = sorted({0.4, 0.6, 0.8, bench.vehicle.contact.wheel_friction})
     conditions = [StopConditions(payload, friction) for friction in frictions for payload in (0.0, 40.0, 80.0)]
     cases = [(each, float(speed)) for each in conditions for speed in range(1, 13)]
@@ -91,7 +91,7 @@ def stopping_tasks(bench: Bench) -> list[StopTask]:
 
 
 def braking_vehicle(vehicle: VehicleSpec, conditions: StopConditions) -> VehicleSpec:
-    """The vehicle under some conditions.
+    """Returns the vehicle under some conditions.
 
     Raises:
         UserError: If the vehicle already carries a payload.
@@ -138,7 +138,7 @@ def measure_stop(task: StopTask) -> Stop:
 
 
 def sight(vehicle: VehicleSpec) -> float:
-    """Range of the sensors ahead of the vehicle's front edge [m]."""
+    """Computes the range of the sensors ahead of the vehicle's front edge [m]."""
     front = vehicle.footprint.x + vehicle.footprint.half_length
     return paper.SENSOR_RANGE - (front - vehicle.sensor[0])
 
@@ -158,7 +158,7 @@ def safe_speeds(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[SafeSpeed]:
 
 
 def _largest_within(visible: float, stops: Sequence[Stop]) -> float | None:
-    """The speed v at which v t + D(v) reaches a distance [m], where D(v)/v is linear between measured speeds."""
+    """Finds the speed v at which v t + D(v) reaches a distance [m]; D(v)/v is linear between measured speeds."""
     ordered = sorted(stops, key=lambda stop: stop.speed)
     speeds = [0.0, *(stop.speed for stop in ordered)]
     lasting = [0.0, *(stop.distance / stop.speed for stop in ordered)]

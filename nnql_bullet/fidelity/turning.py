@@ -16,7 +16,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 Forces = tuple[ContactForce, ContactForce, ContactForce]
 
 LOADED = 0.05
-"""Load of a drive wheel, over its load at rest, below which its use of friction counts as zero."""
+"""Load of a drive wheel, over its load at rest, below which its used friction counts as zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def follow_turn(engine: ContactEngine, heading_change: float) -> list[Instant]:
     """Advances by one control period and records the vehicle after each physics step.
 
     Args:
-        engine: With the vehicle placed in its world.
+        engine: The engine, with the vehicle in its world.
         heading_change: Commanded change of the present yaw, positive to the left [rad].
     """
     begin, began = engine.pose(), engine.time()
@@ -66,14 +66,14 @@ class WheelForces:
     """Forces in the contact plane (k, 3) [N]."""
 
     def used(self, vehicle: VehicleSpec) -> Array:
-        """Friction over available friction of each drive wheel (k, 2); 0 where it carries almost no load."""
+        """Computes used over available friction of each drive wheel (k, 2); 0 where it carries almost no load."""
         normal, friction = self.normal[:, :2], self.friction[:, :2]
         carries = normal > LOADED * static_rear_load(vehicle)
         available = vehicle.contact.wheel_friction * np.where(carries, normal, np.inf)
         return np.asarray(friction / available)
 
     def used_by_axle(self, vehicle: VehicleSpec) -> Array:
-        """Friction over available friction of both drive wheels together (k,)."""
+        """Computes used over available friction of both drive wheels together (k,)."""
         normal, friction = self.normal[:, :2].sum(axis=1), self.friction[:, :2].sum(axis=1)
         least = LOADED * static_rear_load(vehicle)
         return np.asarray(friction / (vehicle.contact.wheel_friction * np.maximum(normal, least)))
@@ -96,19 +96,19 @@ def mean_forces(times: Sequence[float], forces: Sequence[Forces], commands: int)
 
 
 def forces_by_command(instants: Sequence[Instant], commands: int = 1) -> WheelForces:
-    """The `mean_forces` of a turn."""
+    """Computes the `mean_forces` of a turn."""
     return mean_forces([instant.time for instant in instants], [instant.forces for instant in instants], commands)
 
 
 def largest_slip(instants: Sequence[Instant], speed: float) -> float:
-    """The largest speed of a drive wheel's contact point over the ground, over the vehicle's speed."""
+    """Finds the largest speed of a drive wheel's contact point over the ground, over the vehicle's speed."""
     return max(max(instant.slips) for instant in instants) / speed
 
 
 def _observed(engine: ContactEngine, before: Pose, began: float) -> Instant:
     """Measures the physics step that began at the pose `before`.
 
-    The velocity of the rear-axle centre is its displacement over the step, along the chord.
+    The displacement in the step, along its chord, gives the velocity of the rear-axle centre.
     """
     vehicle, dt, pose = engine.vehicle, engine.time_step, engine.pose()
     turned = wrap_angle(pose.yaw - before.yaw)

@@ -1,1 +1,1 @@
-"""What a vehicle makes of its scans: point clouds, a grid map, where it is, and where actions lead."""
+"""Processes a vehicle's scans: point clouds, a grid map, localization, and prediction of actions."""

@@ -1,12 +1,11 @@
-"""What a vehicle has seen, as a coarse map around it, and the shortest way to its target through that map.
+"""A coarse grid map of obstacles around a vehicle, and the shortest path to its target through that map.
 
-The target serves as a landmark: its distance and bearing, with the way driven between two decisions, fix place and
-heading in a frame whose origin is the target and whose x axis points from the start to it. Errors of the heading do not
-add up, so the map stays true.
+The target is a landmark: its distance and bearing, and the displacement between two decisions, give the pose in a frame
+whose origin is the target and whose x axis points from the start to it. Heading errors do not accumulate.
 
-What was never seen counts as free, as in Koenig and Likhachev, "D* Lite" (AAAI 2002). The way that is left to the
-target is found anew at every decision, by sweeps over the cells (Rosenfeld and Pfaltz, "Sequential Operations in
-Digital Picture Processing", JACM 1966) until none changes.
+Unseen cells count as free, as in Koenig and Likhachev, "D* Lite" (AAAI 2002). Every decision computes the remaining
+path lengths again, by sweeps over the cells (Rosenfeld and Pfaltz, "Sequential Operations in Digital Picture
+Processing", JACM 1966) until none changes.
 """
 
 from math import floor, pi
@@ -23,43 +22,42 @@ Cells = NDArray[np.int8]
 MAP_CELL = 0.75
 """Side of a cell [m]."""
 SIZE = 56
-"""Cells along a side of the map, in whose middle the vehicle stays: 21 m to each side, which holds a trap."""
+"""Number of cells along a side of the map. The vehicle stays in its middle; a trap fits into the map."""
 BEARINGS = 24
-"""Directions in which the map is probed, from straight ahead counter-clockwise."""
+"""Number of directions in which the map is probed, from straight ahead counter-clockwise."""
 REACHES = (2.5, 5.0)
-"""Distances at which it is probed [m]."""
+"""Distances at which the map is probed [m]."""
 SENSE = BEARINGS * len(REACHES)
 """Number of probed places."""
 BARRED = 100.0
 """Value of a probed place behind an obstacle [m]; larger than any detour."""
 
 PASSAGE = 1.3
-"""Distance between the points of two rays below which no vehicle passes between them [m]."""
+"""Largest distance between the points of two rays for which no vehicle passes between them [m]."""
 NEIGHBOURS = 3.0
-"""The same for two neighbouring rays [m]. Along a wall their points are far apart; a real opening of that width lets a
-ray through once it is near."""
+"""The same distance for two neighbouring rays [m]; it is larger because their points on a wall may be far apart."""
 SEEN = 3
-"""Number of rays that have to pass an occupied cell before it counts as free again."""
+"""Number of rays that must pass through an occupied cell before it counts as free again."""
 COSTS = (40.0, 3.0, 1.5)
 """Cost factors of an occupied cell, of a cell beside one, and of the next cell. They are finite: a path leads through
 obstacles where there is no other."""
 _INSIDE = 0.15
 """Offset added to a ray hit so that it falls inside the obstacle's cell [m]."""
 _BESIDE = 4
-"""Number of following rays whose points are joined to a ray's point if they are near."""
+"""Number of following rays whose points are joined with a ray's point if they are near."""
 _MOST_SWEEPS = 40
 _DIAGONAL = 2**0.5
 _ROUNDING = 1e-9
 
 
 def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Array:
-    """Poses (n, 3) in the target's frame after one more decision.
+    """Computes poses (n, 3) in the target's frame after a decision.
 
     Args:
-        poses: Poses before it (n, 3).
-        steps: Displacements since then, in the vehicle frame of then (n, 2) [m].
-        distance: Distance of the target now (n,) [m].
-        bearing: Bearing of the target now (n,) [rad].
+        poses: Poses before the decision (n, 3).
+        steps: Displacements in the vehicle frame before the decision (n, 2) [m].
+        distance: Present distance of the target (n,) [m].
+        bearing: Present bearing of the target (n,) [rad].
     """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + c * steps[:, 0] - s * steps[:, 1]
@@ -68,12 +66,12 @@ def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Arra
 
 
 def first_poses(distance: Array, bearing: Array) -> Array:
-    """Poses (n, 3) in the target's frame at the start, for its distance (n,) [m] and bearing (n,) [rad]."""
+    """Computes poses (n, 3) in the target's frame at the start from its distance (n,) [m] and bearing (n,) [rad]."""
     return _from_target(np.zeros(len(distance)), distance, bearing)
 
 
 def _from_target(toward: Array, distance: Array, bearing: Array) -> Array:
-    """Poses (n, 3) that see the target in the direction `toward` of its own frame (n,) [rad]."""
+    """Computes poses (n, 3) from which the target is in the direction `toward` of its own frame (n,) [rad]."""
     x, y = -distance * np.cos(toward), -distance * np.sin(toward)
     return np.stack([x, y, wrap_angles(toward - bearing)], axis=-1)
 
@@ -82,15 +80,15 @@ def _from_target(toward: Array, distance: Array, bearing: Array) -> Array:
 def add_scans(
     cells: Cells, corners: NDArray[np.int64], poses: Array, distances: Array, sensor: Array, angles: Array
 ) -> None:
-    """Moves each map along with its vehicle, and enters what its rays met and what they passed through.
+    """Moves each map along with its vehicle, frees the cells that rays pass through and marks those that they hit.
 
     Args:
-        cells: Of the maps (n, SIZE, SIZE), above zero where something is; changed in place.
-        corners: Their first cells, counted from the target (n, 2); changed in place.
-        poses: Of the vehicles (n, 3).
-        distances: Of their rays (n, m) [m].
-        sensor: Where rays start, in the vehicle frame (2,) [m].
-        angles: Of the rays in the vehicle frame (m,) [rad].
+        cells: Maps (n, SIZE, SIZE), above zero in occupied cells; updated.
+        corners: First cells of the maps, counted from the target (n, 2); updated.
+        poses: Poses of the vehicles (n, 3).
+        distances: Ray distances (n, m) [m].
+        sensor: Origin of the rays in the vehicle frame (2,) [m].
+        angles: Angles of the rays in the vehicle frame (m,) [rad].
     """
     for i in range(len(cells)):
         x, y, yaw = poses[i]
@@ -119,7 +117,7 @@ def add_scans(
 
 @njit(nogil=True)
 def _hit(x: float, y: float, direction: float, distance: float) -> tuple[float, float]:
-    """Position that a ray hit."""
+    """Computes the position that a ray hit [m]."""
     way = distance + _INSIDE
     return x + np.cos(direction) * way, y + np.sin(direction) * way
 
@@ -138,7 +136,7 @@ def _enter(cells: Cells, corner: NDArray[np.int64], x: float, y: float, to_x: fl
 
 @njit(nogil=True)
 def _shift(cells: Cells, along: int, across: int) -> None:
-    """Shifts a map (SIZE, SIZE) by so many cells; new cells are free."""
+    """Shifts a map (SIZE, SIZE) by some cells; new cells are free."""
     if along == 0 and across == 0:
         return
     before = cells.copy()
@@ -150,10 +148,10 @@ def _shift(cells: Cells, along: int, across: int) -> None:
 
 @njit(nogil=True)
 def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
-    """Lengths of the shortest paths from each cell of a map to the target (SIZE, SIZE) [m].
+    """Computes the lengths of the shortest paths from each cell of a map to the target (SIZE, SIZE) [m].
 
-    A path leads from cell to neighbouring cell, and from the map's edge straight on. Lengths are weighted by `COSTS`; a
-    diagonal step costs at least as much as the cheaper cell beside it, so that no path slips through a slanted wall.
+    A path leads from cell to neighbouring cell, and straight on from the map's edge. `COSTS` weights the lengths; a
+    diagonal step costs at least as much as the cheaper cell beside it, so that no path crosses a slanted wall.
 
     Args:
         cells: The map (SIZE, SIZE).
@@ -169,7 +167,7 @@ def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
             cost[a, b] = MAP_CELL / 2 * metre[walls[a, b]]
             if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
                 left[a, b] = MAP_CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
-    # Whether a row may get shorter by the row before it, and by the one after it.
+    # Whether the row before, and the row after, may shorten the paths of a row.
     by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
     for _ in range(_MOST_SWEEPS):
         changed = False
@@ -190,7 +188,7 @@ def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
 
 @njit(nogil=True)
 def _widened(marks: Cells) -> Cells:
-    """Marks (SIZE, SIZE) of 0 and 1, and of all cells that touch one that is marked."""
+    """Extends marks (SIZE, SIZE) of 0 and 1 to all cells that touch a marked cell."""
     along, wide = np.zeros(SIZE + 2, np.int8), np.empty((SIZE, SIZE), np.int8)
     for a in range(SIZE):
         row, before, after = marks[a], marks[max(a - 1, 0)], marks[min(a + 1, SIZE - 1)]
@@ -208,11 +206,11 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
     Args:
         left: Path lengths (SIZE, SIZE) [m]; changed in place.
         cost: Cost of half a cell (SIZE, SIZE) [m].
-        a: The row.
-        beside: Another, or none.
+        a: Index of the row.
+        beside: Index of the row beside it; outside the map for none.
 
     Returns:
-        Whether any path got shorter by more than rounding.
+        Whether any path became shorter by more than rounding.
     """
     here, cost_here = left[a], cost[a]
     best = here.copy()
@@ -225,7 +223,7 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
             between = min(cost_there[b], cost_here[b + 1])
             other = there[b + 1] + _DIAGONAL * (max(cost_there[b + 1], between) + max(cost_here[b], between))
             best[b] = min(best[b], straight, one, other)
-    # From either end at once: neither waits for the other, which takes half the time.
+    # Both directions at once, because neither depends on the other.
     upward, downward = best.copy(), best.copy()
     last_up, last_down = best[0], best[SIZE - 1]
     for b in range(1, SIZE):
@@ -243,13 +241,13 @@ def _sweep(left: Array, cost: Array, a: int, beside: int) -> bool:
 
 @njit(nogil=True)
 def path_length_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -> float:
-    """Length of the path to the target from a position in the target's frame [m], interpolated between cell centres.
+    """Interpolates the length of the path to the target between cell centres [m].
 
     Args:
         left: Path lengths from `path_lengths` (SIZE, SIZE) [m].
         corner: The map's first cell (2,).
-        x: [m]; a place outside counts as the nearest inside.
-        y: [m]
+        x: x in the target's frame [m]; the nearest position in the map counts for one outside.
+        y: y in the target's frame [m].
     """
     a = min(max(x / MAP_CELL - corner[0] - 0.5, 0.0), SIZE - 1.000001)
     b = min(max(y / MAP_CELL - corner[1] - 0.5, 0.0), SIZE - 1.000001)
@@ -263,9 +261,9 @@ def path_length_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -
 
 @njit(nogil=True)
 def _free_distance(cells: Cells, corner: NDArray[np.int64], x: float, y: float, c: float, s: float) -> float:
-    """How far it is from a place to the first cell in a direction that holds something, up to the last reach [m].
+    """Computes the distance from a position to the first occupied cell in a direction, up to the last reach [m].
 
-    The cell that the place is in does not count.
+    The cell of the position itself does not count.
     """
     first_a, first_b = floor(x / MAP_CELL) - corner[0], floor(y / MAP_CELL) - corner[1]
     way = 0.0
@@ -279,18 +277,17 @@ def _free_distance(cells: Cells, corner: NDArray[np.int64], x: float, y: float, 
 
 @njit(nogil=True)
 def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array) -> tuple[Array, Array, Array]:
-    """What the maps say.
+    """Probes the maps around the vehicles.
 
     Args:
-        cells: Of the maps (n, SIZE, SIZE).
-        corners: Their first cells (n, 2).
-        poses: Of the vehicles (n, 3).
-        before: Where they were before (n, 2) [m].
+        cells: Maps (n, SIZE, SIZE).
+        corners: First cells of the maps (n, 2).
+        poses: Poses of the vehicles (n, 3).
+        before: Earlier positions of the vehicles (n, 2) [m].
 
     Returns:
-        What the way gets longer by if it begins `REACHES` off at each of `BEARINGS`, `BARRED` where something is in
-        between (n, SENSE) [m]; the way that is left (n,) [m]; and how much longer it would be from where they were
-        before (n,) [m].
+        Path length from the places at `REACHES` and `BEARINGS` less that from the vehicle, `BARRED` behind an obstacle
+        (n, SENSE) [m]; path length from the vehicle (n,) [m]; and its decrease since `before` (n,) [m].
     """
     n = len(cells)
     around, ways, progress = np.empty((n, SENSE)), np.empty(n), np.empty(n)

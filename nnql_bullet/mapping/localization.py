@@ -1,4 +1,4 @@
-"""Localization by the target: its bearing and distance correct the predicted pose of a vehicle."""
+"""Localizes a vehicle by its target: bearing and distance of the target correct the predicted pose."""
 
 from dataclasses import dataclass
 
@@ -23,15 +23,15 @@ class TargetFix:
 
 
 def found_pose(predicted: Array, before: TargetFix, now: TargetFix) -> Array:
-    """Corrects a predicted pose, given in the vehicle frame of before (3,).
+    """Corrects a predicted pose in the vehicle's earlier frame (3,).
 
-    The bearing tells the heading, and the distance where on the line to the target the vehicle is. Across that line
-    it is where the predicted path led, turned by half of the heading error, which grew along the path.
+    The bearing gives the heading, and the distance gives the position along the line to the target. The position across
+    that line is the predicted one, turned by half of the heading error, because the error grew along the path.
 
     Args:
         predicted: The predicted pose (3,).
-        before: The target as seen before.
-        now: The target as seen now.
+        before: The target seen from the earlier pose.
+        now: The target seen from the present pose.
     """
     off = _on_the_line(predicted, before, now)[2] - predicted[2]
     c, s = np.cos(off / 2), np.sin(off / 2)
@@ -40,7 +40,7 @@ def found_pose(predicted: Array, before: TargetFix, now: TargetFix) -> Array:
 
 
 def _on_the_line(pose: Array, before: TargetFix, now: TargetFix) -> Array:
-    """Moves a pose along its line to the target, and turns it, until the target is at that distance and bearing."""
+    """Moves a pose along its line to the target, and turns it, to the present distance and bearing of the target."""
     x, y = before.place - pose[:2]
     toward = float(np.arctan2(y, x))
     place = before.place - now.distance * np.array([np.cos(toward), np.sin(toward)])
@@ -48,6 +48,6 @@ def _on_the_line(pose: Array, before: TargetFix, now: TargetFix) -> Array:
 
 
 def seen_from(pose: Array, points: Array) -> Array:
-    """Transforms points (n, 2) [m] into the frame of a pose (3,) that is given in the same frame as they are."""
+    """Transforms points (n, 2) [m] into the frame of a pose (3,); both are given in one frame."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.asarray((points - pose[:2]) @ np.array([[c, -s], [s, c]]))

@@ -1,4 +1,4 @@
-"""The last scan as points in the plane."""
+"""Converts scans to points in the plane, and finds those on moving obstacles."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,21 +9,21 @@ from nnql_bullet.jit import njit
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
 
 MOVING_POINT, MOVING_POINT_SHARE = 0.06, 0.03
-"""Distance by which a point has to lie in front of what was seen before to count as moving [m], and the fraction of
-the point's distance that is added: between two rays an obstacle may reach out unseen."""
+"""Smallest distance of a moving point in front of the last scan [m], and the share of the point's distance that is
+added, because an obstacle may be unseen between two rays."""
 
 
 def seen_distances(ray_distances: Array) -> Array:
-    """Ray distances (..., 72) [m]; NaN where a ray met nothing."""
+    """Replaces ray distances (..., 72) [m] by NaN where a ray met nothing."""
     return np.where(ray_distances < paper.SENSOR_RANGE, ray_distances, np.nan)
 
 
 def point_cloud(ray_distances: Array, sensor: tuple[float, float, float]) -> Array:
-    """Points where the rays met an obstacle, in the vehicle frame (..., 72, 2) [m]; NaN where they met none.
+    """Computes the points where rays met an obstacle, in the vehicle frame (..., 72, 2) [m]; NaN where they met none.
 
     Args:
-        ray_distances: (..., 72) [m]
-        sensor: Where the rays start, in the vehicle frame [m].
+        ray_distances: Distances (..., 72) [m].
+        sensor: Origin of the rays in the vehicle frame [m].
     """
     angles = ray_angles()
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -32,21 +32,21 @@ def point_cloud(ray_distances: Array, sensor: tuple[float, float, float]) -> Arr
 
 @njit()
 def place_among_rays(x: float, y: float, sensor: Array) -> float:
-    """Index of the ray toward a point of the vehicle frame [m], with a fraction between two rays."""
+    """Computes the index of the ray toward a point in the vehicle frame [m], as a fraction between two rays."""
     step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
     return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (RAYS_PER_SECTOR - 1) / 2) % RAYS)
 
 
 @njit()
 def moving_points(points: Array, before: Array, moved: Array, strayed: float, sensor: Array) -> NDArray[np.bool_]:
-    """Which points of a scan (72,) belong to moving obstacles: they lie where the scan before saw free space.
+    """Marks the points of a scan (72,) on moving obstacles: those where the last scan saw free space.
 
     Args:
-        points: In the vehicle frame (72, 2) [m]; NaN for none.
-        before: Ray distances of the scan before (72,) [m]; NaN if there was none.
-        moved: The pose of now in the vehicle frame of then (3,).
-        strayed: Position error that pose may have [m].
-        sensor: x, y in the vehicle frame [m].
+        points: Points of the scan in the vehicle frame (72, 2) [m]; NaN for none.
+        before: Ray distances of the last scan (72,) [m]; NaN if there was none.
+        moved: The present pose in the vehicle frame of the last scan (3,).
+        strayed: Possible position error of that pose [m].
+        sensor: Origin of the rays in the vehicle frame: x, y [m].
     """
     found = np.zeros(len(points), np.bool_)
     c, s = np.cos(moved[2]), np.sin(moved[2])

@@ -1,4 +1,4 @@
-"""Predicted poses of actions, and their clearance from the last scan."""
+"""Predicts the poses that actions lead to, and their clearance from the last scan."""
 
 import numpy as np
 
@@ -12,14 +12,14 @@ PREDICTION_STEP = 0.1
 
 
 def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limits, times: Array) -> Array:
-    """Poses along turns under the drive's own profile, in the present frame of each vehicle (n, m, k, 3).
+    """Predicts poses along turns with the controller's profiles, in the present frame of each vehicle (n, m, k, 3).
 
     Args:
-        yaw_rates: At the start (n,) [rad/s].
+        yaw_rates: Yaw rates at the start (n,) [rad/s].
         turns: Heading changes (n, m) [rad].
         lengths: Path lengths from each time to the next (n, k) [m].
-        limits: Of the vehicle.
-        times: (k,) [s]
+        limits: The vehicle's limits.
+        times: Times of the poses (k,) [s].
     """
     headings = turn_headings(yaw_rates[:, None], turns, limits, times)
     places = rolled_path(0.0, lengths[:, None, :], np.diff(headings, prepend=0.0))
@@ -28,11 +28,11 @@ def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limi
 
 @njit()
 def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
-    """Distance from the footprint to the nearest point of the scan (n, m, k) [m]; infinite without points.
+    """Computes distances from the footprint to the nearest point of the scan (n, m, k) [m]; infinite without points.
 
     Args:
-        poses: Of vehicle i, in its present frame (n, m, k, 3).
-        points: That vehicle i sees, in its present frame (n, r, 2) [m]; NaN for none.
+        poses: Poses of each vehicle, in its present frame (n, m, k, 3).
+        points: Points of each vehicle's scan, in its present frame (n, r, 2) [m]; NaN for none.
         footprint: A row (6,) of `geometry.as_rows`, in the vehicle's frame.
     """
     clearances = np.empty(poses.shape[:-1])

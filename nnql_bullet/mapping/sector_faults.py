@@ -1,7 +1,7 @@
-"""Detection of dead sensors, which read nothing although something is there, and completion of their readings.
+"""Detects dead sensors, which read nothing although an obstacle is there, and completes their readings.
 
-A sensor is found dead by contradictions. What another sensor saw a decision ago has to be seen again where the
-vehicle's own motion puts it, and an obstacle that ends at both borders of a sector goes on inside.
+Contradictions show that a sensor is dead: a point from the last scan must be seen again at its place after the
+vehicle's motion, and an obstacle that reaches both borders of a sector continues inside it.
 """
 
 import numpy as np
@@ -14,18 +14,18 @@ from nnql_bullet.mapping.point_cloud import place_among_rays
 from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
 
 ENOUGH = 3.0
-"""Contradictions from which on a sensor counts as dead, until it reads something."""
+"""Number of contradictions from which a sensor counts as dead, until it reads something."""
 NEAR, CLOSE = 8.0, 4.0
-"""Distances beyond which an obstacle contradicts nothing [m]: any obstacle, which may be out of range or between two
-rays, and one that ends at one border of the sector, which counts in full only if it is close."""
+"""Largest distance of an obstacle that contradicts a sensor at all, and of one at a single border of the sector that
+counts in full [m]; a farther one may be out of range or between two rays."""
 
 ALIKE = 2.0
-"""Difference of the distances at both borders of a sector up to which they belong to one obstacle [m]."""
+"""Largest difference between the distances at both borders of a sector for one obstacle [m]."""
 
 
 @njit()
 def silent_sectors(distances: Array) -> NDArray[np.bool_]:
-    """Whether each sector reads nothing on any of its rays (8,), in a scan (72,) [m]."""
+    """Marks the sectors (8,) in which no ray of a scan (72,) [m] meets anything."""
     silent = np.empty(paper.SECTORS, np.bool_)
     for sector in range(paper.SECTORS):
         first = sector * RAYS_PER_SECTOR
@@ -35,12 +35,12 @@ def silent_sectors(distances: Array) -> NDArray[np.bool_]:
 
 @njit()
 def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
-    """Contradictions against each sector (8,) that reads nothing; 0 for those that read something.
+    """Counts the contradictions against each sector (8,) that reads nothing; 0 for the others.
 
     Args:
-        distances: Of the rays (72,) [m].
-        expected: Where the last scan's points should be now, in the vehicle frame (72, 2) [m]; NaN for none.
-        sensor: x, y in the vehicle frame [m].
+        distances: Ray distances (72,) [m].
+        expected: Expected positions of the last scan's points in the vehicle frame (72, 2) [m]; NaN for none.
+        sensor: Origin of the rays in the vehicle frame: x, y [m].
     """
     silent, against = silent_sectors(distances), np.zeros(paper.SECTORS)
     for x, y in expected:
@@ -59,23 +59,23 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
 
 @njit()
 def borders(distances: Array, sector: int) -> tuple[float, float]:
-    """Distances of the rays next to a sector, on its right and on its left [m]."""
+    """Returns the distances of the rays next to a sector, on its right and on its left [m]."""
     first = sector * RAYS_PER_SECTOR
     return distances[(first - 1) % RAYS], distances[(first + RAYS_PER_SECTOR) % RAYS]
 
 
 @njit()
 def completed(distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array) -> tuple[Array, Array]:
-    """Completes a scan: a dead sector reads the nearest of the rays beside it and of what was seen there before.
+    """Completes a scan: a dead sector reads the smallest distance of the rays beside it and of remembered points in it.
 
     Args:
-        distances: Of the rays (72,) [m].
-        dead: Which sectors (8,).
-        expected: Where the points that are remembered should be now, in the vehicle frame (72, 2) [m]; NaN for none.
-        sensor: x, y in the vehicle frame [m].
+        distances: Ray distances (72,) [m].
+        dead: Whether each sector is dead (8,).
+        expected: Expected positions of remembered points in the vehicle frame (72, 2) [m]; NaN for none.
+        sensor: Origin of the rays in the vehicle frame: x, y [m].
 
     Returns:
-        The distances (72,) [m], and for each ray of a dead sector what is remembered there (72, 2) [m].
+        The distances (72,) [m], and the remembered point of each ray in a dead sector (72, 2) [m].
     """
     whole, remembered = distances.copy(), np.full((RAYS, 2), np.nan)
     for sector in range(paper.SECTORS):

@@ -1,1 +1,1 @@
-"""Recordings as moving pictures: instants, cameras, renderers of solid things, the ground, what is written over it."""
+"""Draws recordings as videos and pictures: cameras, renderers of solid bodies, ground and light, text."""

@@ -1,4 +1,4 @@
-"""Cameras: their projections, and how they follow a vehicle."""
+"""Cameras: their projections, and their motion around a vehicle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Camera:
     width: int
     height: int
     near: float
-    """Near clipping distance [m]. A larger one gives finer depths, which have 16 bits in EGL."""
+    """Near clipping distance [m]; a larger one gives more exact depths, which have 16 bits in EGL."""
     far: float = 400.0
     """Far clipping distance [m]."""
 
@@ -86,7 +86,7 @@ Path = Callable[[Moment], Camera]
 """A camera for each moment."""
 
 CHASE_TIME_CONSTANT = 0.7
-"""Time constant with which a chasing camera follows the vehicle's yaw [s]."""
+"""Time constant of the filter through which a chasing camera follows the vehicle's yaw [s]."""
 STEP = 1 / 30
 """Time step of that filter [s]."""
 LAP = 24.0

@@ -1,4 +1,4 @@
-"""Frames of a recording: their instants, and how processes share the drawing."""
+"""Draws the frames of a recording, in one process or several."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.types import Bytes
 
 HOLD = 1.5
-"""Time for which the ending stays in the picture [s]."""
+"""Time for which a video shows its last frame [s]."""
 MAP_SHARE = 0.42
-"""Share of the width of a split picture that the map takes."""
+"""Width of the map over that of a split picture."""
 PIECE = 3_000_000
-"""Bytes of frames that one task draws."""
+"""Size of the frames of one task [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A film: the recording and how it is drawn."""
+    """A film: a recording with camera, size and renderer."""
 
     recording: Path
     camera: CameraName
@@ -38,14 +38,14 @@ class Film:
 
 
 def frame_times(begin: float, end: float, fps: float, speed: float, hold: float = HOLD) -> list[float]:
-    """Returns the instants of a film's frames [s].
+    """Computes the instants of a film's frames [s].
 
     Args:
         begin: First instant in the recording [s].
         end: Last instant in the recording [s].
         fps: Frame rate [Hz].
         speed: Playback speed; 1 is real time.
-        hold: Time for which the last instant stays [s].
+        hold: Time for which the film shows the last instant [s].
     """
     count = floor((end - begin) * fps / speed + 1e-9) + 1
     return [begin + k * speed / fps for k in range(count)] + [end] * max(round(hold * fps), 0)
@@ -69,7 +69,7 @@ def draw_frames(task: FrameTask) -> Bytes:
 
 
 def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[Bytes]:
-    """Yields frames (height, width, 3) in order, while others are drawn ahead.
+    """Yields frames (height, width, 3) in order, while processes draw later ones.
 
     Args:
         film: The film.
@@ -107,7 +107,7 @@ class Studio:
         self._paths = [PATHS[name](self._timeline, width, film.height) for name, width in views.items()]
 
     def frame(self, time: float) -> Bytes:
-        """Draws a frame (height, width, 3); the last one is kept for repeated instants."""
+        """Draws a frame (height, width, 3); a repeated instant returns the last frame again."""
         if time != self._time:
             self._time, self._frame = time, self._draw(time)
         return self._frame

@@ -1,4 +1,4 @@
-"""Recordings as files: a video, a picture of each frame, or a sheet of key moments."""
+"""Draws recordings as files: a video, a picture of each frame, or a sheet of key moments."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ from nnql_bullet.work import OnProgress, Progress, silent
 SIZE = (1280, 720)
 """Default size of pictures [pixels]."""
 FPS = 30.0
-"""Default frames a second."""
+"""Default frame rate [Hz]."""
 SMALLEST, LARGEST = 64, 7680
 """Limits of a picture's sides [pixels]."""
 
@@ -48,19 +48,19 @@ def render(
 
     Args:
         recording: The recording, or its file.
-        video: File of the video, .mp4 or .gif; none if it is not given.
+        video: File of the video, .mp4 or .gif; by default no video is written.
         camera: Behind the vehicle (chase), above the arena (top), round the vehicle (orbit), or chase and top (split).
         size: Width and height of the pictures, even numbers [pixels].
-        fps: Frames a second.
-        speed: Speed of the film relative to the drive.
-        begin: Start of the film in the drive [s].
-        end: End of the film in the drive [s]; by default the end of the drive.
-        hold: Time that the last picture stays [s].
-        renderer: Renderer of the solid bodies; "auto" takes EGL or TinyRenderer, whichever is faster here.
-        kind: Format of the video; by default the one that its name says.
-        pictures: Folder for a PNG of each frame; none if it is not given.
-        sheet: File for one picture of the key moments; none if it is not given.
-        workers: Processes that draw; None takes one a core. The result does not depend on it.
+        fps: Frame rate [Hz].
+        speed: Playback speed; 1 is real time.
+        begin: Time in the drive at which the video begins [s].
+        end: Time in the drive at which the video ends [s]; by default the end of the drive.
+        hold: Time for which the video shows the last frame [s].
+        renderer: Renderer of the solid bodies; "auto" chooses the faster of EGL and TinyRenderer.
+        kind: Format of the video; by default the suffix of its file decides.
+        pictures: Folder for a PNG of each frame; by default none is written.
+        sheet: File for a picture of the key moments; by default none is written.
+        workers: Number of processes that draw; None is one per core. The result does not depend on it.
         on_progress: Receives the progress.
 
     Raises:
@@ -77,7 +77,8 @@ def render(
         film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
         check_renderer(loaded, film.renderer)
         if video or pictures:
-            _shoot(film, frame_times(begin, last, fps, speed, hold), video, chosen, fps, pictures, workers, on_progress)
+            times = frame_times(begin, last, fps, speed, hold)
+            _write_film(film, times, video, chosen, fps, pictures, workers, on_progress)
         if sheet:
             moments = key_moments(Timeline(loaded))
             drawn = list(frames(film, [moment.time for moment in moments], make_executor(workers=workers)))
@@ -85,7 +86,7 @@ def render(
 
 
 def render_ending(recording: Path, video: Path, seconds: float, size: tuple[int, int], workers: int | None = 1) -> None:
-    """Draws the last seconds of a recording as a video with a split picture.
+    """Draws the last seconds of a recording as a video with the camera "split".
 
     Raises:
         UserError: If encoding fails.
@@ -93,11 +94,11 @@ def render_ending(recording: Path, video: Path, seconds: float, size: tuple[int,
     """
     times = frame_times(0.0, Timeline(load_recording(recording)).duration, FPS, 1.0)
     film = Film(recording, "split", *size, best_renderer(*size))
-    _shoot(film, times[-round((seconds + HOLD) * FPS) :], video, "mp4", FPS, None, workers, None)
+    _write_film(film, times[-round((seconds + HOLD) * FPS) :], video, "mp4", FPS, None, workers, None)
 
 
 def check_pictures(size: tuple[int, int], fps: float, speed: float) -> None:
-    """Checks how pictures are asked for.
+    """Checks the size, frame rate and playback speed of a video.
 
     Raises:
         UserError: If a value is out of range.
@@ -113,10 +114,10 @@ def check_pictures(size: tuple[int, int], fps: float, speed: float) -> None:
 
 
 def video_format(video: Path | str | None, kind: VideoFormat | None) -> VideoFormat:
-    """The format of a video that an argument or its file name asks for.
+    """Finds the format of a video from an argument or its file name.
 
     Raises:
-        UserError: If they contradict each other, or the name says neither.
+        UserError: If they contradict each other, or the name ends in neither format.
     """
     if video is None:
         return kind or "mp4"
@@ -128,7 +129,7 @@ def video_format(video: Path | str | None, kind: VideoFormat | None) -> VideoFor
 
 @contextmanager
 def _as_file(recording: Recording | Path) -> Iterator[tuple[Recording, Path]]:
-    """A recording with a file of it, which processes can read."""
+    """Yields a recording and a file of it, which processes can read."""
     if isinstance(recording, Path):
         yield load_recording(recording), recording
         return
@@ -138,7 +139,7 @@ def _as_file(recording: Recording | Path) -> Iterator[tuple[Recording, Path]]:
         yield recording, path
 
 
-def _shoot(
+def _write_film(
     film: Film,
     times: Sequence[float],
     video: Path | str | None,
@@ -161,6 +162,7 @@ def _shoot(
 
 
 def _reported(drawn: Iterable[Bytes], what: str, total: int, report: OnProgress) -> Iterator[Bytes]:
+    """Yields frames and reports the progress."""
     report(Progress(what, 0, total))
     for done, frame in enumerate(drawn, 1):
         yield frame

@@ -1,4 +1,4 @@
-"""Names of states and actions as films, pages and viewers show them."""
+"""Names of states and actions for videos, pages and viewers."""
 
 from math import degrees
 
@@ -17,4 +17,4 @@ TURNS = tuple(
 )
 _ACTIONS = (*TURNS, "toward the target")
 MANOEUVRES = (*_ACTIONS, *(f"stop, {action}" for action in _ACTIONS))
-"""The actions in the order of `env`, then the same with a stop."""
+"""Names of the actions in the order of `env`, then of the same actions with a stop."""

@@ -1,8 +1,8 @@
-"""Light in a picture: rays from each place find how much of the sun and of the sky it sees.
+"""Computes the light in a picture: rays from each place find the visible parts of the sun and the sky.
 
-Three lights fall on a place: that of the sun's disc, whose shadows have soft edges; that of the whole sky, which leaves
+A place receives three lights: from the sun's disc, whose shadows have soft edges; from the whole sky, which makes
 corners and the ground under the vehicle darker (ambient occlusion: Zhukov, Iones and Kronin, An ambient light
-illumination model, EGWR 1998); and that reflected by the ground. Rays meet exact shapes, so shadows have no pixels
+illumination model, EGWR 1998); and from the ground, by reflection. Rays meet exact shapes, so shadows have no pixels
 (Whitted, An improved illumination model for shaded display, CACM 1980).
 """
 
@@ -21,29 +21,29 @@ from nnql_bullet.worlds.spec import WorldSpec
 SUN_SHARE = 0.42
 """Share of the light on open ground that comes from the sun; the rest comes from the sky."""
 BOUNCE = 0.6
-"""Light reflected by the ground onto a surface that faces it, as a share of the light on open ground."""
+"""Light that the ground reflects onto a surface that faces it, over the light on open ground."""
 SUN_RADIUS = 0.03
-"""Radius of the sun's disc [rad], larger than the true one for softer edges."""
+"""Radius of the sun's disc [rad]; it is larger than the true one for softer edges."""
 SUN_RAYS, SKY_RAYS, BEARINGS = 32, 256, 48
 """Numbers of rays into the sun's disc, rays into the sky past the vehicle, and bearings past boxes."""
 SAMPLES = 2
 """Side of a square of pixels that share the rays into the sun and the sky."""
 REACH = 4.0
-"""Distance beyond which boxes take no light away [m]."""
+"""Distance beyond which boxes block no light [m]."""
 VEHICLE_REACH = 0.8
-"""Distance from the vehicle's bounding sphere beyond which it takes no light away [m]."""
+"""Distance from the vehicle's bounding sphere beyond which the vehicle blocks no light [m]."""
 FAR = 1e9
-"""Stands for infinity [m], which fast arithmetic does not support."""
+"""Distance in place of infinity [m], which fast arithmetic does not support."""
 NEARBY_CELL = 1.0
-"""Of the grid that says which boxes are near [m]."""
+"""Side of a cell of the grid that lists near boxes [m]."""
 NEARBY_MARGIN = 3.0
-"""That it reaches beyond the arena [m]."""
+"""Width of the grid's margin around the arena [m]."""
 KINDS: dict[Kind, int] = {"box": 0, "cylinder": 1, "sphere": 2}
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class Boxes(NamedTuple):
-    """Boxes on the ground, and those near each cell of a grid."""
+    """Boxes on the ground, and a grid that lists the boxes near each cell."""
 
     rows: Array
     """Rows of `as_rows` (n + m, 6): n standing boxes, then m moving ones."""
@@ -62,7 +62,7 @@ class Parts(NamedTuple):
 
     kinds: NDArray[np.int64]
     half_sizes: Array
-    """Half sizes of each (k, 3) [m]."""
+    """Half sizes of each shape (k, 3) [m]."""
     frames: Array
     """Transforms from the world to each shape (k, 3, 4)."""
     spheres: Array
@@ -107,7 +107,7 @@ def standing_boxes(world: WorldSpec) -> Boxes:
 
 
 def with_movers(boxes: Boxes, movers: tuple[OrientedBox, ...]) -> Boxes:
-    """Returns the same boxes with moving ones in their places."""
+    """Replaces the moving boxes."""
     return boxes._replace(rows=np.concatenate([boxes.rows[: boxes.still], as_rows(movers)]))
 
 
@@ -151,7 +151,7 @@ def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[n
 
 @kernel
 def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: Parts) -> NDArray[np.float32]:
-    """Computes the light in each pixel as a share of that on open ground.
+    """Computes the light in each pixel, over that on open ground.
 
     Args:
         depths: OpenGL's depths (h, w); 1 for ground and sky.
@@ -191,7 +191,7 @@ def light_in_pixels(depths: NDArray[np.float32], eye: Eye, boxes: Boxes, parts: 
 def light_at(
     place: Vector, normal: Vector, boxes: Boxes, parts: Parts, near: NDArray[np.int64], first: int, every: int
 ) -> float:
-    """Computes the light on a surface as a share of that on open ground.
+    """Computes the light on a surface, over that on open ground.
 
     Args:
         place: Place just off the surface [m].
@@ -199,7 +199,7 @@ def light_at(
         boxes: Boxes of the world.
         parts: Shapes of the vehicle.
         near: Buffer with an entry for each box.
-        first: First of the rays into the sun and the sky.
+        first: Index of the first ray into the sun and the sky.
         every: Stride to the next ray.
     """
     count = _find_near(place, boxes, near)
@@ -214,7 +214,7 @@ def light_at(
 
 @kernel
 def _find_near(place: Vector, boxes: Boxes, near: NDArray[np.int64]) -> int:
-    """Stores the boxes that may take light away in `near`, and returns their number."""
+    """Stores the boxes that may block light in `near`, and returns their number."""
     count = 0
     if place[2] >= boxes.height:
         return count
@@ -243,7 +243,7 @@ def _from_sun(
     first: int,
     every: int,
 ) -> float:
-    """Light from the sun as a share of that on open ground."""
+    """Computes the light from the sun, over that on open ground."""
     arriving, all_of_it = 0.0, 0.0
     for i in range(first, SUN_RAYS, every):
         direction = SUN[i, 0], SUN[i, 1], SUN[i, 2]
@@ -264,7 +264,7 @@ def _from_sun(
 
 @kernel
 def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int64], count: int) -> float:
-    """Light from the sky above the boxes as a share of that on open ground.
+    """Computes the light from the sky above the boxes, over that on open ground.
 
     All boxes stand on the ground and have one height, so in each bearing the sky begins above the nearest box. With
     the components a of the normal toward the bearing and c upward, the light from there is the integral of
@@ -283,7 +283,7 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
             away = min(away, _distance_to_box(place, ROUND[i, 0], ROUND[i, 1], boxes.rows, near[k]))
         rise, run = height, away  # to the lower edge of the sky
         if a < 0.0 and -a * run > rise * c:
-            rise, run = -a, c  # the surface itself is in the way
+            rise, run = -a, c  # the surface itself hides the lower sky
         squared = rise * rise + run * run
         part = c * run * run / (2 * squared)
         if a != 0.0:
@@ -294,7 +294,7 @@ def _from_sky(place: Vector, normal: Vector, boxes: Boxes, near: NDArray[np.int6
 
 @kernel
 def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every: int) -> float:
-    """Share of the sky's light that passes the vehicle."""
+    """Computes the share of the sky's light that passes the vehicle."""
     arriving, all_of_it = 0.0, 1e-9
     for i in range(first, SKY_RAYS, every):
         direction = SKY[i, 0], SKY[i, 1], SKY[i, 2]
@@ -308,7 +308,7 @@ def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every
 
 @kernel
 def _distance_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> float:
-    """Distance along a level ray to box k [m]; `FAR` if the ray misses it (see `geometry.ray_distances`)."""
+    """Computes the distance along a level ray to box k [m]; `FAR` if the ray misses it."""
     dx, dy, c, s = place[0] - rows[k, 0], place[1] - rows[k, 1], rows[k, 4], rows[k, 5]
     enter, leave = _between_planes(0.0, REACH, c * dx + s * dy, c * ux + s * uy, rows[k, 2])
     enter, leave = _between_planes(enter, leave, c * dy - s * dx, c * uy - s * ux, rows[k, 3])
@@ -317,7 +317,7 @@ def _distance_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -
 
 @kernel
 def _between_planes(enter: float, leave: float, start: float, rate: float, half: float) -> tuple[float, float]:
-    """Clips a stretch of a ray to where a coordinate, `start` at first and growing at `rate`, is within +-half."""
+    """Clips a piece of a ray to the part in which the coordinate start + rate * distance is within +-half."""
     if abs(rate) < 1e-9:
         return (enter, leave) if abs(start) < half else (enter, enter)
     first, second = (-half - start) / rate, (half - start) / rate

@@ -1,4 +1,4 @@
-"""Text and marks over a picture: readings, action values, the action, the state and the ending."""
+"""Writes text and marks over a picture: readings, action values, the action, the state and the ending."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -21,9 +21,9 @@ from nnql_bullet.types import Bytes
 Box = tuple[float, float, float, float]
 
 DESIGNED_FOR = 720
-"""Height of the picture for which sizes are given in pixels."""
+"""Height of a picture in which sizes have the stated pixels."""
 FAR_OFF = 40.0
-"""Distance beyond which the vehicle is too small to be found in the picture [m]."""
+"""Distance beyond which the vehicle is hard to find in the picture [m]."""
 
 
 class Overlay:
@@ -41,7 +41,7 @@ class Overlay:
 
         Args:
             picture: Picture (h, w, 3).
-            depths: Depths of solid things; 1 where the camera sees ground or sky (h, w).
+            depths: Depths of solid bodies (h, w); 1 for ground or sky.
             moment: Moment of the picture.
             cameras: Cameras of its parts, from left to right.
         """
@@ -69,7 +69,7 @@ class Overlay:
     def _mark(
         self, draw: ImageDraw.ImageDraw, depths: NDArray[np.float32], moment: Moment, left: int, camera: Camera
     ) -> None:
-        """Marks the path and the vehicle from afar, and the readings of the sectors from near."""
+        """Marks the path and the vehicle for a distant camera, and the sectors' readings for a near one."""
         pose = moment.pose
         if np.linalg.norm(np.subtract(camera.eye, (pose.x, pose.y, 0.0))) > FAR_OFF:
             self._mark_path(draw, moment, left, camera)
@@ -203,7 +203,7 @@ class Overlay:
 
 
 def _turn(action: int) -> str:
-    """One of the five turns in degrees, as text."""
+    """Writes one of the five turns in degrees as text."""
     turn = degrees(paper.TURNS[action])
     return f"{turn:+.0f}°" if turn else "0°"
 
@@ -213,7 +213,7 @@ RANGE_SHOWN = paper.SENSOR_RANGE - 0.05
 
 
 def _simulator(about: dict[str, object]) -> str:
-    """Name of the simulator, if the recording holds it."""
+    """Returns the name of the simulator; empty if the recording does not contain it."""
     if about.get("simulator") == "kinematic":
         return "kinematic model"
     names = {"bullet": "PyBullet", "mujoco": "MuJoCo"}

@@ -1,4 +1,4 @@
-"""Paints moments of a recording: solid things, ground and light."""
+"""Paints moments of a recording: solid bodies, ground and light."""
 
 from dataclasses import replace
 
@@ -26,13 +26,13 @@ from nnql_bullet.render.timeline import Moment, Timeline
 from nnql_bullet.types import Bytes
 
 MOST_CELLS = 2200
-"""Most cells of the map of the ground along the longer side of the arena."""
+"""Largest number of cells in the map of the ground along the longer side of the arena."""
 FINEST = 0.03
-"""Least side of a cell [m]."""
+"""Smallest side of a cell [m]."""
 PATH_WIDTH = 0.16
 """Width of the line of the path [m]."""
 VEHICLE_HEIGHT = 0.4
-"""Height from which the vehicle casts its shadow [m]."""
+"""Height of the vehicle for its shadow [m]."""
 INKS = Inks(
     floor=colours.rgb(colours.FLOOR),
     outside=colours.rgb(colours.OUTSIDE),
@@ -66,11 +66,11 @@ class Painter:
             paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
         self._safe = timeline.safe()
         self._painted = 1
-        """Number of places of the path that the map holds."""
+        """Number of positions of the path in the map."""
         self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
 
     def paint(self, moment: Moment, camera: Camera) -> tuple[Bytes, NDArray[np.float32]]:
-        """Paints what a camera sees at a moment (height, width, 3); returns the `Solids.depths` too."""
+        """Paints a camera's picture at a moment (height, width, 3); returns it with the `Solids.depths`."""
         self._follow(moment)
         samples, recording = self._renderer.samples, self._timeline.recording
         camera = replace(camera, width=samples * camera.width, height=samples * camera.height)
@@ -117,7 +117,7 @@ class Painter:
 
 
 def _averaged(picture: Bytes, samples: int) -> Bytes:
-    """Returns a picture whose pixels are means over squares of pixels."""
+    """Averages a picture over squares of pixels."""
     if samples == 1:
         return picture
     height, width, _ = picture.shape

@@ -1,4 +1,4 @@
-"""Renderers of solid things, by name."""
+"""Makes the renderers of solid bodies by name."""
 
 from importlib.util import find_spec
 from typing import Literal
@@ -12,7 +12,7 @@ from nnql_bullet.vehicle.visuals import Visuals
 RendererName = Literal["tiny", "egl", "vtk"]
 
 SMALL = 640 * 360
-"""Pixels of a picture up to which TinyRenderer is as fast as EGL in software, with less memory."""
+"""Number of pixels up to which TinyRenderer is as fast as EGL in software, and needs less memory."""
 NO_VTK = "VTK is not installed; install it with: pip install 'nnql-bullet[render]'"
 
 
@@ -20,7 +20,7 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     """Makes a renderer. VTK is imported only when it is needed.
 
     Raises:
-        UserError: If the renderer does not work here, or the recording does not hold the vehicle's shapes.
+        UserError: If the renderer does not work on this machine, or the recording has no shapes of the vehicle.
     """
     if name != "vtk":
         return BulletRenderer(recording, name)
@@ -32,10 +32,10 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
 
 
 def check_renderer(recording: Recording, name: RendererName) -> None:
-    """Checks that a renderer can draw a recording, before any work is done.
+    """Checks that a renderer can draw a recording.
 
     Raises:
-        UserError: If the renderer does not work here, or the recording does not hold the vehicle's shapes.
+        UserError: If the renderer does not work on this machine, or the recording has no shapes of the vehicle.
     """
     Visuals(recording.about["vehicle"])
     if name == "vtk" and find_spec("pyvista") is None:
@@ -45,7 +45,7 @@ def check_renderer(recording: Recording, name: RendererName) -> None:
 
 
 def best_renderer(width: int, height: int) -> RendererName:
-    """Returns EGL for pictures larger than `SMALL` where it works, else TinyRenderer.
+    """Chooses EGL for pictures larger than `SMALL` if it works, else TinyRenderer.
 
     Args:
         width: Width of the pictures [pixels].

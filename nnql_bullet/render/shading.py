@@ -1,9 +1,8 @@
-"""Shades a picture pixel by pixel: light on solid things, and ground and sky around them.
+"""Shades a picture pixel by pixel: light on solid bodies, and ground and sky around them.
 
 A renderer gives only colours and depths, so pictures look alike with every renderer. Surfaces follow from the depths;
-light falls on them from the sun and from the sky. Where there is no surface, the pixel shows the ground (its ray meets
-the plane z = 0) or the sky. Deferred shading: Saito and Takahashi, Comprehensible rendering of 3-D shapes, SIGGRAPH
-1990.
+sun and sky light them. A pixel without a surface shows the ground (its ray meets the plane z = 0) or the sky. Deferred
+shading: Saito and Takahashi, Comprehensible rendering of 3-D shapes, SIGGRAPH 1990.
 """
 
 from typing import NamedTuple
@@ -31,13 +30,13 @@ HALF_ROOT = 0.5**0.5
 
 
 kernel = njit(fastmath=True, error_model="numpy")
-"""Compiles a function."""
+"""Compiles a function with fast arithmetic."""
 _part = njit(fastmath=True, error_model="numpy", inline="always")
-"""Compiles a function into the functions that call it."""
+"""Compiles a function with fast arithmetic into the functions that call it."""
 
 
 class Eye(NamedTuple):
-    """A camera in the form that the kernels take."""
+    """A camera for the kernels."""
 
     place: Vector
     """Place of the camera [m]."""
@@ -68,7 +67,7 @@ class Inks(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """Numbers of the ground, without its arrays: reference counts of arrays in a record slow the kernels down."""
+    """Numbers of the ground; its arrays are separate, because arrays in a record slow the kernels down."""
 
     cell: float
     """Side of a cell of the map [m]; the first cell lies in the arena's lower left corner."""
@@ -96,7 +95,7 @@ def _vector(array: Array) -> Vector:
 
 @kernel
 def shadow_reach(box: Array, height: float) -> float:
-    """Largest distance of a shadow from the middle of its box (6,) [m]."""
+    """Computes the largest distance of a shadow from the middle of its box (6,) [m]."""
     return float(np.hypot(box[2], box[3]) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
 
 
@@ -162,16 +161,16 @@ def shade(
     """Shades a picture.
 
     Args:
-        colours: Colours of solid things (h, w, 3 or 4).
+        colours: Colours of solid bodies (h, w, 3 or 4).
         depths: OpenGL's depths (h, w).
         gain: Factor on the colours.
-        known: Light in each pixel as a share of that on open ground (h, w); (0, 0) if it is to be estimated.
+        known: Light in each pixel, over that on open ground (h, w); (0, 0) to estimate it here.
         eye: Camera.
         ground: Numbers of the ground.
         inks: Colours of the ground.
         cells: Map of the ground (rows, columns). The bytes of a cell, from the lowest, hold its cover by shadow, by
             the path in safe states and by the path in non-safe states.
-        casters: Moving things that cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
+        casters: Moving bodies that cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
         sectors: Free distance [m] and colour of each sector (8, 4).
 
     Returns:
@@ -223,7 +222,7 @@ def shade(
 
 @kernel
 def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
-    """Smooths the edges of solid things, where depths jump or bend.
+    """Smooths the edges of solid bodies, where depths jump or bend.
 
     Args:
         picture: Picture (h, w, 3).
@@ -257,7 +256,7 @@ def smooth_edges(picture: Bytes, depths: NDArray[np.float32]) -> Bytes:
 
 @_part
 def dot(a: Vector, b: Vector) -> float:
-    """The scalar product."""
+    """Computes the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -278,13 +277,13 @@ def _mix(colour: Vector, ink: Vector, share: float) -> Vector:
 
 @_part
 def _inside(distance: float, soft: float) -> float:
-    """Share of a pixel inside an edge: its distance from the edge, positive inside, and its size [m]."""
+    """Computes the share of a pixel of size `soft` [m] inside an edge at a distance [m], positive inside."""
     return min(max(0.5 + distance / soft, 0.0), 1.0)
 
 
 @_part
 def ray_through(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
-    """Vector from the eye through a pixel, one metre ahead."""
+    """Computes the vector from the eye through a pixel, one metre ahead."""
     x, y = (2 * column + 1) / w - 1.0, 1.0 - (2 * row + 1) / h
     return (
         eye.ahead[0] + x * eye.right[0] + y * eye.up[0],
@@ -295,16 +294,16 @@ def ray_through(row: int, column: int, h: int, w: int, eye: Eye) -> Vector:
 
 @_part
 def distance_ahead(depth: float, eye: Eye) -> float:
-    """Distance ahead of the eye at a depth [m]: OpenGL's perspective matrix, solved for it."""
+    """Computes the distance ahead of the eye at a depth [m], by OpenGL's perspective matrix."""
     return 2 * eye.near * eye.far / (eye.far + eye.near - (2 * depth - 1) * (eye.far - eye.near))
 
 
 @_part
 def surface_normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
-    """Normal of the surface in a pixel, from the neighbours that are nearest to it in depth."""
+    """Computes the normal of the surface in a pixel from the neighbours that are nearest to it in depth."""
     h, w = depths.shape
     here = depths[row, column]
-    step = 2 + min(int(distance_ahead(here, eye) / 15.0), 2)  # depths get coarser with distance
+    step = 2 + min(int(distance_ahead(here, eye) / 15.0), 2)  # depths become coarser with distance
     left, right = max(column - step, 0), min(column + step, w - 1)
     above, below = max(row - step, 0), min(row + step, h - 1)
     # Depths are not exact, so both neighbours count where the surface continues on both sides.
@@ -330,7 +329,7 @@ def surface_normal(row: int, column: int, depths: NDArray[np.float32], eye: Eye)
 
 @_part
 def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vector:
-    """Vector from the eye to the surface in a pixel [m]."""
+    """Computes the vector from the eye to the surface in a pixel [m]."""
     ray = ray_through(row, column, depths.shape[0], depths.shape[1], eye)
     distance = distance_ahead(depths[row, column], eye)
     return distance * ray[0], distance * ray[1], distance * ray[2]
@@ -338,7 +337,7 @@ def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vect
 
 @_part
 def _haze(colour: Vector, distance: float, steep: float, inks: Inks) -> Vector:
-    """Mixes the horizon's colour into distant things along flat rays."""
+    """Mixes the horizon's colour into that of distant places along flat rays."""
     return _mix(colour, inks.horizon, 0.75 * (1.0 - steep) * min(max((distance - 15.0) / 110.0, 0.0), 1.0))
 
 
@@ -396,13 +395,13 @@ def _floor(
 
 @_part
 def _grid(x: float, y: float, wide_x: float, wide_y: float, every: float, width: float) -> float:
-    """Share of a pixel that the lines of a grid cover."""
+    """Computes the share of a pixel that the lines of a grid cover."""
     return max(_line(x, wide_x, every, width), _line(y, wide_y, every, width))
 
 
 @_part
 def _line(x: float, wide: float, every: float, width: float) -> float:
-    """Share of a pixel that parallel lines cover; where lines are denser than pixels, their mean cover."""
+    """Computes the share of a pixel that parallel lines cover; the mean cover if lines are denser than pixels."""
     off = abs(x - every * np.floor(x / every + 0.5))
     line = min(max((width + wide) / 2 - off, 0.0), min(width, wide)) / wide
     return float(line + (width / every - line) * min(max(wide / every - 0.5, 0.0), 1.0))
@@ -447,7 +446,7 @@ def _look_up(
     cell: float,
     cells: NDArray[np.uint32],
 ) -> Vector:
-    """Averages the layers of the map over the ground that a pixel shows, with one look a cell up to 16 looks."""
+    """Averages the layers of the map over the ground that a pixel shows, at one point per cell and at most 16."""
     across, along = min(max(int(fine / cell), 1), 4), min(max(int(coarse / cell), 1), 4)
     dark, safe, non_safe = 0.0, 0.0, 0.0
     for i in range(across):
@@ -482,7 +481,7 @@ def _between(x: float, y: float, cells: NDArray[np.uint32]) -> Vector:
 
 @_part
 def _shadow(x: float, y: float, box: Array, height: float) -> float:
-    """Darkness of a point on the ground under a box's shadow, which is the box's base swept along the light."""
+    """Computes the darkness of a point in a box's shadow, which is the box's base moved along the light."""
     nearest = np.inf
     for k in range(7):
         up = height * k / 6

@@ -1,4 +1,4 @@
-"""A contact sheet: the key moments of a recording side by side."""
+"""Makes a contact sheet: the key moments of a recording side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class KeyMoment:
 
 
 def key_moments(timeline: Timeline, count: int = 6) -> list[KeyMoment]:
-    """Returns the start, the end and the closest passes between them, spread over time.
+    """Finds the start, the end and the closest passes between them, spread over time.
 
     Args:
         timeline: Timeline of the recording.

@@ -1,4 +1,4 @@
-"""Solid things of a recording: boxes, walls and the vehicle, drawn without ground and light."""
+"""Draws the solid bodies of a recording (boxes, walls, the vehicle) without ground and light."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.colours import SOLID_BOX, SOLID_MOVING, SOLID_WALL, unit_rgb
-from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
 from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind
+from nnql_bullet.vehicle.visuals import recorded_urdf
 
 BOX: Colour = unit_rgb(SOLID_BOX)
 WALL: Colour = unit_rgb(SOLID_WALL)
@@ -21,29 +21,29 @@ MOVING: Colour = unit_rgb(SOLID_MOVING)
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """Picture of the solid things that a camera sees."""
+    """Picture of the solid bodies that a camera sees."""
 
     colours: NDArray[np.uint8]
     """(height, width, 3 or 4)"""
     depths: NDArray[np.float32]
-    """OpenGL's depths (height, width): 1 where there is nothing."""
+    """OpenGL's depths (height, width); 1 in empty pixels."""
     gain: float
     """Factor on the colours."""
     light: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    """Light on the surface or ground in each pixel, as a share of that on open ground (height, width); (0, 0) from a
-    renderer that does not compute it."""
+    """Light on the surface or ground in each pixel, over that on open ground (height, width); (0, 0) if the renderer
+    does not compute it."""
 
 
 class Renderer(Protocol):
-    """Draws solid things."""
+    """Draws solid bodies."""
 
     lights: bool
     """Whether it computes light and shadows."""
     samples: int
-    """Pixels that it draws for each pixel of the picture, along either side."""
+    """Number of pixels that it draws for each pixel of the picture, along each side."""
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """Draws what the camera sees at a moment."""
+        """Draws the camera's picture at a moment."""
 
     def close(self) -> None:
         """Frees its resources."""
@@ -63,13 +63,10 @@ class BulletRenderer:
             kind: See `BulletScene`.
 
         Raises:
-            UserError: If the recording does not hold the vehicle's shapes, or the renderer does not work here.
+            UserError: If the recording has no shapes of the vehicle, or the renderer does not work on this machine.
         """
         vehicle = recording.about["vehicle"]
-        if "urdf" not in vehicle:
-            raise UserError(
-                "this recording does not say what the vehicle looks like; record it again with: nnql-bullet drive"
-            )
+        urdf = recorded_urdf(vehicle)
         self.scene = BulletScene(kind)
         world = recording.world
         self._height = world.obstacle_height
@@ -78,13 +75,13 @@ class BulletRenderer:
         for wall in world.walls:
             self._add_box(wall, WALL)
         self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
-        self._vehicle, joints = self.scene.add_robot(vehicle["urdf"])
+        self._vehicle, joints = self.scene.add_robot(urdf)
         names = vehicle["joints"]
         self._joints = [joints[names[key]] for key in ("left_drive", "right_drive", "swivel", "caster_roll")]
         self._axle_height = vehicle["wheel_radius"]
 
     def show(self, moment: Moment) -> None:
-        """Moves everything to its place at a moment."""
+        """Moves all bodies to their positions at a moment."""
         pose = moment.pose
         self.scene.place(self._vehicle, pose.x, pose.y, self._axle_height, pose.yaw)
         for joint, angle in zip(self._joints, moment.joint_angles, strict=True):
@@ -93,7 +90,7 @@ class BulletRenderer:
             self.scene.place(body, box.x, box.y, self._height / 2, box.yaw)
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """Draws what the camera sees at a moment."""
+        """Draws the camera's picture at a moment."""
         self.show(moment)
         return Solids(*self.scene.picture(camera.view, camera.projection, camera.width, camera.height))
 

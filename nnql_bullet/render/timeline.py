@@ -21,15 +21,15 @@ class Moment:
     speed: float
     """Speed of the rear-axle centre [m/s]."""
     step: int
-    """Number of the decision in progress; after the end, of the last one."""
+    """Number of the present decision; after the end, that of the last one."""
     over: bool
     """Whether the episode has ended."""
     movers: tuple[OrientedBox, ...]
-    """The moving boxes in their places."""
+    """Moving boxes at their positions."""
 
 
 class Timeline:
-    """Interpolates places linearly, and angles linearly along the shorter arc."""
+    """Interpolates a recording: positions linearly, and angles linearly along the shorter arc."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -65,11 +65,11 @@ class Timeline:
         )
 
     def path(self, time: float) -> Array:
-        """Returns the path up to a time [s]: places (k, 2) [m] at the start and at each sample."""
+        """Returns the path up to a time [s]: positions (k, 2) [m] at the start and at each sample."""
         return self._poses[: int(np.searchsorted(self._times, time, side="right")), :2]
 
     def safe(self) -> Array:
-        """Returns whether each piece of the path, between two of its places, was driven in a safe state (m,)."""
+        """Returns whether the state was safe in each piece of the path between two positions (m,)."""
         r = self.recording
         decision = np.searchsorted(r.state_time, self._times[1:] - 1e-9, side="left") - 1
         return np.asarray(r.state_property[np.clip(decision, 0, None)] != "NS")

@@ -15,9 +15,9 @@ from nnql_bullet.types import Bytes
 VideoFormat = Literal["mp4", "gif"]
 
 THREADS = 2
-"""Threads of the encoder, fixed because its output depends on their number."""
+"""Number of the encoder's threads; it is fixed because the output depends on it."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
-    # Browsers can play it while it loads.
+    # `faststart` lets browsers play the file while they load it.
     "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
     # One palette for each frame; a common palette would need all frames first.
     "gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"],
@@ -26,7 +26,7 @@ _BITEXACT = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "
 
 
 def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps: float, kind: VideoFormat) -> None:
-    """Encodes frames as they arrive; the file appears under its name when it is complete.
+    """Encodes frames as they arrive, and writes the file atomically.
 
     Args:
         path: Path of the file.
@@ -49,10 +49,10 @@ def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps:
 
 
 def write_pictures(folder: Path, frames: Iterable[Bytes]) -> Iterator[Bytes]:
-    """Writes each frame as frame_00001.png and so on, and passes it on.
+    """Writes the frames as frame_00001.png and so on, and yields each one again.
 
     Raises:
-        UserError: If the folder holds such pictures.
+        UserError: If the folder contains such pictures.
         OSError: If a picture cannot be written.
     """
     if any(folder.glob("frame_*.png")):

@@ -1,6 +1,6 @@
-"""Solid things drawn by VTK, for pictures in papers (needs the extra `render`).
+"""Draws solid bodies with VTK, for pictures in papers (needs the extra `render`).
 
-Curved surfaces are smooth, and the light is that of `light.py`, with soft shadows and darker corners.
+Curved surfaces are smooth, and `light.py` gives soft shadows and darker corners.
 """
 
 import os
@@ -21,13 +21,13 @@ from nnql_bullet.render.timeline import Moment
 from nnql_bullet.vehicle.visuals import Colour, Shape, Visuals, upright
 
 FACETS = 96
-"""Facets around a cylinder or sphere."""
+"""Number of facets around a cylinder or sphere."""
 
 
 class VtkRenderer:
     """Draws with VTK without a window.
 
-    Do not alternate it with PyBullet's EGL in one process: that draws into the current context.
+    Do not use it and PyBullet's EGL by turns in one process, because EGL draws into the current context.
     """
 
     lights = True
@@ -40,16 +40,16 @@ class VtkRenderer:
             recording: Recording of the drive.
 
         Raises:
-            UserError: If the recording does not hold the vehicle's shapes.
+            UserError: If the recording has no shapes of the vehicle.
         """
         self._visuals = Visuals(recording.about["vehicle"])
         world = recording.world
         self._height = world.obstacle_height
         self._boxes = standing_boxes(world)
-        os.environ.setdefault(
-            "LP_NUM_THREADS", "1"
-        )  # Mesa's software renderer: pictures are drawn in several processes
-        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # it reports each display, EGL and OSMesa that it tries
+        os.environ.setdefault("LP_NUM_THREADS", "1")  # for Mesa's software renderer; several processes draw at a time
+        vtkLogger.SetStderrVerbosity(
+            vtkLogger.VERBOSITY_ERROR
+        )  # VTK reports each display that it tries
         self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
         self._plotter.disable_anti_aliasing()  # a pixel has one depth
         for boxes, colour in ((world.obstacles, BOX), (world.walls, WALL)):
@@ -59,7 +59,7 @@ class VtkRenderer:
         self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._visuals.shapes]
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
-        """Draws what the camera sees at a moment."""
+        """Draws the camera's picture at a moment."""
         frames = self._visuals.frames(moment.pose, moment.joint_angles)
         for part, frame in zip(self._parts, frames, strict=True):
             part.user_matrix = frame
@@ -75,7 +75,7 @@ class VtkRenderer:
         self._plotter.close()
 
     def _picture(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Colours (h, w, 3) and OpenGL's depths (h, w)."""
+        """Draws colours (h, w, 3) and OpenGL's depths (h, w)."""
         view = self._plotter.camera
         view.position, view.focal_point, view.up = camera.eye, camera.target, camera.axes[1]
         view.view_angle = np.degrees(camera.field_of_view)
@@ -112,5 +112,5 @@ def _mesh(shape: Shape) -> Any:
 
 
 def _cuboid(x: float, y: float, z: float) -> Any:
-    """A box around the origin with half sizes [m]."""
+    """Makes a box around the origin with half sizes [m]."""
     return pyvista.Cube(x_length=2 * x, y_length=2 * y, z_length=2 * z)

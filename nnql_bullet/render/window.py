@@ -14,7 +14,7 @@ from nnql_bullet.sim.bullet_scene import works
 RATE = 60.0
 """Frame rate [Hz]."""
 LINGER = 3.0
-"""Time for which the ending is shown [s]."""
+"""Time for which the window shows the ending [s]."""
 THICK = 0.02
 """Half the height of the ground and of the target's disc [m]."""
 
@@ -23,11 +23,11 @@ def watch(recording: Recording) -> None:
     """Shows a recording until it ends or the window is closed.
 
     Raises:
-        UserError: If no window can be opened here, or the recording does not say what the vehicle looks like.
+        UserError: If no window can open on this machine, or the recording has no shapes of the vehicle.
     """
-    if not works("window"):  # where there is no display, the engine ends the process
+    if not works("window"):  # without a display, the engine ends the process
         raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
-    with silenced():  # its threads print messages while it is open
+    with silenced():  # PyBullet's threads print messages while the window is open
         _show(recording)
 
 

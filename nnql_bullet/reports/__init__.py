@@ -1,1 +1,1 @@
-"""Reports on runs, recordings and evaluations: text, tables, pictures and pages."""
+"""Writes reports on runs, recordings and evaluations: text, tables, pictures and pages."""

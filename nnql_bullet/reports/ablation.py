@@ -1,4 +1,4 @@
-"""An ablation of factors as text and a picture."""
+"""Writes an ablation as text and draws it as a picture."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -50,7 +50,7 @@ def about(study: Study, budget: Budget) -> str:
 
 
 def decision(factor: Factor, entries: Sequence[Entry]) -> str:
-    """Says in words whether the evidence supports a factor's default."""
+    """States in words whether the evidence supports a factor's default."""
     its = [entry for entry in entries if entry.factor is factor]
     (default,) = [entry.variant.label for entry in its if entry.verdict == "default"]
     better = [entry for entry in its if entry.verdict == "better"]
@@ -85,13 +85,13 @@ def _row(study: Study, entry: Entry) -> tuple[object, ...]:
 
 
 def shown(entry: Entry, world: str) -> str:
-    """Returns success in a tier [%]."""
+    """Formats success in a tier [%]."""
     interval = entry.success[world]
     return str(interval) if interval else f"{100 * entry.by_seed[world][0]:.1f}"
 
 
 def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
-    """Returns the same as plain values, for JSON."""
+    """Returns the ablation as plain values, for JSON."""
     return {
         "version": __version__,
         **asdict(budget),

@@ -1,4 +1,4 @@
-"""A report as data: sections of paragraphs, tables, pictures and commands. Markdown and HTML are both made of it."""
+"""A report as data: sections of paragraphs, tables, pictures and commands, for Markdown and HTML."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of cells as they print."""
+    """A table of printed cells."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -24,11 +24,11 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture that lies beside the report."""
+    """A picture in the folder of the report."""
 
     file: str
     alt: str
-    """A description for readers who do not see it."""
+    """Description for readers who do not see the picture."""
 
     def markdown(self) -> str:
         """Returns the picture as Markdown."""
@@ -47,7 +47,7 @@ class Commands:
 
 
 Block = str | Table | Picture | Commands
-"""A part of a section; a string is a paragraph, in which code stands between backticks."""
+"""A part of a section; a string is a paragraph with code between backticks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,5 +80,5 @@ class Report:
 
 
 def table(header: Sequence[str], rows: Iterable[Iterable[object]], caption: str = "", note: str = "") -> Table:
-    """Returns a table of any values; each cell is printed with `str`."""
+    """Makes a table of any values; `str` prints each cell."""
     return Table(tuple(header), tuple(tuple(map(str, row)) for row in rows), caption, note)

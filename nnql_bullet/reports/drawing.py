@@ -1,4 +1,4 @@
-"""Parts of pictures, drawn with Matplotlib's object interface: no display, no global figures."""
+"""Draws parts of pictures with Matplotlib's object interface: no display, no global figures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ DPI = 150
 OUTLINE_EVERY = 4.0
 """Distance along the path between two outlines of the vehicle [m]."""
 OPEN = ("top", "right")
-"""Spines of axes that have only a left and a lower one."""
+"""Spines to hide in axes with only a left and a lower one."""
 MARKS = "osD^vPX"
 
 _ENTRIES: dict[str, dict[str, Any]] = {
@@ -84,7 +84,7 @@ def finish_axes(
 
 
 def legend_entries(**labels: str) -> list[Line2D | Patch]:
-    """Returns legend entries for parts of `draw_world` and `draw_path`: label by the name of the part."""
+    """Returns legend entries for parts of `draw_world` and `draw_path`; arguments are labels by part."""
     return [
         Patch(label=label, **_ENTRIES[name])
         if "facecolor" in _ENTRIES[name]
@@ -94,7 +94,7 @@ def legend_entries(**labels: str) -> list[Line2D | Patch]:
 
 
 def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch] | None = None) -> None:
-    """Draws a legend under all axes; without handles it shows the labels of the first ones."""
+    """Draws a legend under all axes; by default with the labels of the first axes."""
     shown = figure.axes[0].get_legend_handles_labels()[0] if handles is None else handles
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
@@ -181,14 +181,14 @@ def draw_endings(
     success: Sequence[Estimate],
     digits: int = 0,
 ) -> None:
-    """Draws stacked bars of how drives ended, with the interval of success and its number.
+    """Draws stacked bars of the endings of drives, with success and its interval.
 
     Args:
         axes: Axes to draw on.
         names: Names of the bars, from above.
         shares: Shares of the endings for each bar.
-        success: Success that is shown with its interval for each bar.
-        digits: Decimals of the number.
+        success: Success with its interval for each bar.
+        digits: Number of decimals.
     """
     places, left = np.arange(len(names))[::-1], np.zeros(len(names))
     for ending, colour in colours.ENDINGS.items():

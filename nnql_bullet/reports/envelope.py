@@ -1,4 +1,4 @@
-"""The turns that a vehicle can follow, measured and on paper: a picture, tables and numbers."""
+"""Reports the turns that a vehicle can follow, measured and on paper: a picture, tables and numbers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 OWN_LIMITS = DISTINCT[-1]
 PAPER_GRID = 40
-"""Points along each axis at which the limits on paper are computed."""
+"""Number of points along each axis at which the limits on paper are computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ _AXES: dict[Quantity, _Axis] = {
 
 @dataclass(frozen=True, slots=True)
 class _Measure:
-    """Colours of a measure: worse is brighter."""
+    """Colours of a measure; worse values are brighter."""
 
     label: str
     value: Callable[[Followed], float]
@@ -160,7 +160,7 @@ def _draw_map(axes: Axes, part: Slice, found: Mapping[Case, Result], measure: _M
 
 
 def _paper_limits(vehicle: VehicleSpec, part: Slice) -> tuple[Array, Array, dict[str, Array]]:
-    """Returns periods, values, and the share of each limit that is used on paper; the limit is where it is 1."""
+    """Computes periods, values, and the share of each limit that is used on paper; 1 is the limit."""
     ends = _edges(part.periods)
     periods = np.linspace(ends[0], ends[-1], PAPER_GRID)
     shown = _AXES[part.quantity].shown
@@ -236,7 +236,7 @@ def case_record(result: Result) -> dict[str, float | bool]:
 
 
 def envelope_sentence(base: Case, results: Sequence[Result]) -> str:
-    """The number of turns that were followed, and the quickest one of the base case."""
+    """States the number of turns that the vehicle followed, and the quickest one of the base case."""
     followed = sum(result.measured.follows for result in results)
     agreed = sum(result.measured.follows == result.allowed for result in results)
     periods = [
@@ -344,7 +344,7 @@ def _agreement_table(results: Sequence[Result]) -> Table:
 
 
 def _shortest_table(part: Slice, found: Mapping[Case, Result]) -> Table:
-    """Returns for each value the shortest period from which on all longer ones are followed."""
+    """Finds for each value the shortest period for which the vehicle follows the turn, also in all longer ones."""
     axis = _AXES[part.quantity]
 
     def shortest(value: float, good: Callable[[Result], bool]) -> str:
@@ -400,7 +400,7 @@ def _described(bench: Bench, base: Case) -> str:
 
 
 def _edges(middles: Sequence[float]) -> Array:
-    """Returns the edges of cells from their middles."""
+    """Computes the edges of cells from their middles."""
     centres = np.asarray(middles, dtype=float)
     between = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])

@@ -1,4 +1,4 @@
-"""An evaluation as text and pictures."""
+"""Writes an evaluation as text and draws its pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -45,7 +45,7 @@ def titles(evaluation: Evaluation) -> dict[str, str]:
 
 
 def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Returns header and rows: success [%] with its interval, methods down and tiers across."""
+    """Returns header and rows of success [%] with its interval: a row for each method, a column for each tier."""
     shown = [name for name in titles(evaluation) if any(row.world == name for row in rows)]
     by_place = {(row.method, row.world): row for row in rows}
     header = ("method", "seeds", *(titles(evaluation)[name] for name in shown))
@@ -82,7 +82,7 @@ def quality_row(row: Row, title: str) -> tuple[str, ...]:
 
 
 def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
-    """Returns the section on the shield's decisions, beside the same methods without it."""
+    """Returns the section that compares methods with a shield to the same methods without it."""
     header = (
         *("method", "worlds", "goal %", "collision %"),
         *("decisions overridden %", "stops %", "standing [s]", "time [s]"),
@@ -226,7 +226,7 @@ def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
 def evaluation_values(
     evaluation: Evaluation, rows: Sequence[Row], comparisons: Sequence[Comparison], films: Sequence[FilmTask]
 ) -> dict[str, Any]:
-    """Returns the same as plain values, for JSON."""
+    """Returns the evaluation as plain values, for JSON."""
     e = evaluation
     return {
         "version": __version__,
@@ -323,12 +323,12 @@ def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> No
 
 
 def _covers(e: Evaluation) -> list[tuple[float, str]]:
-    """Returns covers in rising order, with the names of their tiers."""
+    """Returns covers in ascending order, with the names of their tiers."""
     return sorted((tier.cover, tier.name) for tier in e.tiers if tier.cover is not None)
 
 
 def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
-    """Draws success against cover, a line for each method; with fewer than two covers there is no picture."""
+    """Draws success over cover with a line for each method; draws nothing for fewer than two covers."""
     e, covers = evaluation, _covers(evaluation)
     if len(covers) < 2:
         return
@@ -353,7 +353,7 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
 
 
 def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> None:
-    """Draws paths of drives that failed: methods down, kinds of worlds across; without drives there is no picture.
+    """Draws paths of failed drives: a row for each method, a column for each kind of world; nothing without drives.
 
     Args:
         films: Drives, at most one of each method in each kind of world.

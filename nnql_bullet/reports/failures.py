@@ -1,4 +1,4 @@
-"""Groups of failures as text and pictures."""
+"""Writes groups of failures as text and draws their pictures."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -49,11 +49,11 @@ from nnql_bullet.reports.drawing import (
 T = TypeVar("T")
 
 SHOWN = 12
-"""Most drives on a contact sheet."""
+"""Largest number of drives on a contact sheet."""
 COLUMNS = 6
-"""Drives of a sheet side by side."""
+"""Number of drives in a row of a sheet."""
 CLOSE = 4.0
-"""Least half side of an enlarged part [m]."""
+"""Smallest half side of an enlarged part [m]."""
 ARENA_MARGIN = 1.0
 """Width of the frame around the arena [m]."""
 
@@ -95,7 +95,7 @@ def varied(drives: Sequence[T], places: Sequence[tuple[str, str]], most: int) ->
 
 
 def counted(found: Failures) -> str:
-    """Says how many failures there are, and how many of them were driven again."""
+    """States the number of failures and of repeated drives."""
     total, driven = len(found.evaluation.failed), len(found.replays)
     if not total:
         return "no drive of this evaluation failed"
@@ -144,7 +144,7 @@ def _group_section(name: Group, its: Sequence[Replay]) -> Section:
 
 
 def _counts(found: Failures) -> Table:
-    """Counts failures of each method in each kind of world: all, those driven again, and those of each group."""
+    """Counts failures of each method in each kind of world: all, the repeated ones, and those of each group."""
     everything = Counter(one.place for one in found.evaluation.failed)
     driven = Counter(one.failed.place for one in found.replays)
     counts = Counter((one.failed.place, one.group) for one in found.replays)
@@ -190,7 +190,7 @@ def clear(folder: Path) -> None:
 
 
 def failure_records(found: Failures) -> list[dict[str, Any]]:
-    """A record for each failure."""
+    """Returns a flat record for each failure."""
     return [
         {
             "policy": one.failed.film.policy.name,
@@ -208,7 +208,7 @@ def failure_records(found: Failures) -> list[dict[str, Any]]:
 
 
 def failures_values(found: Failures) -> dict[str, Any]:
-    """Returns the same as plain values, for JSON."""
+    """Returns the failures as plain values, for JSON."""
     return {
         "version": __version__,
         "evaluation": found.evaluation.command,
@@ -241,7 +241,7 @@ def failures_values(found: Failures) -> dict[str, Any]:
 
 
 def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) -> None:
-    """Draws a contact sheet: of each drive the whole arena, and below it the end enlarged.
+    """Draws a contact sheet: the whole arena of each drive, and below it the enlarged end.
 
     Args:
         drives: Titles, recordings and features; at least one.

@@ -1,4 +1,4 @@
-"""The fidelity report: expected and measured quantities of an engine, and its behaviour in the paper's five actions."""
+"""Reports the fidelity of an engine: expected and measured quantities, and the paper's five actions."""
 
 from dataclasses import asdict, dataclass
 from math import degrees, isfinite
@@ -30,7 +30,7 @@ class Fidelity:
     probes: list[tuple[Probe, list[Measurement], list[Measurement]]]
     """Probes with their measurements at the time step and at half of it."""
     actions: list[tuple[float, list[WatchedTurn]]]
-    """The five actions by time step [s]; the bench's own step is the first."""
+    """The five actions for each time step [s]; the bench's own step is the first."""
 
     @property
     def time_step(self) -> float:
@@ -49,7 +49,7 @@ class Fidelity:
 
     @property
     def limits(self) -> list[float]:
-        """Gaps of the five actions in the limit of a zero time step, if their error halves with it [m]."""
+        """Gaps of the five actions for a time step of zero, if their error is proportional to the step [m]."""
         (_, coarse), (_, fine) = self.actions[-2:]
         return [2 * after.gap - before.gap for before, after in zip(coarse, fine, strict=True)]
 
@@ -142,12 +142,12 @@ def _measured_rows(probe: Probe, measured: list[Measurement], halved: list[Measu
 
 
 def fidelity_records(fidelity: Fidelity) -> list[dict[str, Any]]:
-    """A flat record for each quantity."""
+    """Returns a flat record for each quantity."""
     return [{"probe": probe.name, **_plain(m)} for probe, measured, _ in fidelity.probes for m in measured]
 
 
 def fidelity_table(fidelity: Fidelity) -> str:
-    """Every quantity as text: expected, measured, accepted; probe by probe."""
+    """Writes a table of every quantity: expected, measured, accepted; probe by probe."""
     rows = [("quantity", "unit", "expected", "measured", "accepted", "")]
     for probe, measured, _ in fidelity.probes:
         rows.append((probe.title, "", "", "", "", ""))
@@ -165,7 +165,7 @@ def fidelity_table(fidelity: Fidelity) -> str:
 
 
 def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
-    """Returns the same as plain values, for JSON."""
+    """Returns the report as plain values, for JSON."""
     f = fidelity
     return {
         "version": __version__,
@@ -274,7 +274,7 @@ def _draw_loads(axes: Axes, turn: WatchedTurn, vehicle: VehicleSpec) -> None:
 
 
 def _on_paper(turn: WatchedTurn, vehicle: VehicleSpec) -> Demand:
-    """Returns the demand of a turn on paper, at the end of each wheel command."""
+    """Computes the demand of a turn on paper, at the end of each wheel command."""
     times, shape = turn.forces.times, turn.turn
     speed = float(np.hypot(*turn.ideal[0]) / turn.times[0])
     rates, _ = sample_turn(shape, times)
@@ -295,11 +295,11 @@ def _grip_row(turn: WatchedTurn, vehicle: VehicleSpec) -> tuple[str, ...]:
 
 
 def share_used(m: Measurement) -> float:
-    """Returns the share of its tolerance that a measurement uses: 1 at the edge."""
+    """Computes the share of its tolerance that a measurement uses; 1 is the limit."""
     if not isfinite(m.measured):
         return 1e3
     off = m.measured - m.expected
-    if m.low == 0.0 and m.expected > 0:  # a limit, of which the whole counts
+    if m.low == 0.0 and m.expected > 0:  # a range from 0 to a limit
         return m.measured / m.high
     room = m.high - m.expected if off >= 0 else m.expected - m.low
     return abs(off) / room if room > 0 else (0.0 if off == 0 else 1e3)

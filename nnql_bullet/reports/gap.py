@@ -1,4 +1,4 @@
-"""The gap between two simulators as text and pictures."""
+"""Writes the sim-to-sim gap between two simulators as text and draws its pictures."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -135,7 +135,7 @@ def gap_markdown(gap: Gap) -> str:
 
 
 def gap_values(gap: Gap) -> dict[str, Any]:
-    """Returns the same as plain values, for JSON."""
+    """Returns the gap as plain values, for JSON."""
     d = divergence(gap.pairs)
     return {
         "version": __version__,
@@ -195,7 +195,8 @@ def gap_records(gap: Gap) -> list[dict[str, Any]]:
 
 
 def gap_table(gap: Gap) -> str:
-    """Endings on the two sides against each other, then success by fault, as text."""
+def gap_table(gap: Gap) -> str:
+    """Writes a table of endings on both sides, then success by fault, as text."""
     title = f"; {gap.title}" if gap.title else ""
     lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives{title}"]
     lines.append(f"{'':<11}" + "".join(f"{ending:>11}" for ending in ENDINGS))
@@ -213,7 +214,7 @@ def gap_table(gap: Gap) -> str:
 
 
 def draw_gap(gap: Gap, path: Path) -> None:
-    """Draws the outcomes on both sides, the distance between both vehicles, and the differences where both arrive."""
+    """Draws outcomes on both sides, distances between both vehicles, and differences if both reach the target."""
     figure = new_figure(11.0, 8.2)
     (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
     _draw_outcomes(outcomes, gap)
@@ -225,7 +226,7 @@ def draw_gap(gap: Gap, path: Path) -> None:
 
 
 def draw_faults(gap: Gap, path: Path) -> None:
-    """Draws how drives end with each fault, with the Wilson interval of success; without faults there is no picture."""
+    """Draws the endings with each fault, with the Wilson interval of success; draws nothing without faults."""
     if not gap.trials:
         return
     rows = fault_rows(gap)
@@ -247,14 +248,14 @@ FLIPS_SHOWN = 6
 
 
 def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
-    """Draws both paths of the first drives that ended differently, and where they parted.
+    """Draws both paths of the first drives that ended differently, and the place of the first different decision.
 
-    Moving boxes are shown at the instant when the two parted.
+    Moving boxes are drawn at the time of that decision.
 
     Args:
         gap: Measured gap.
         folder: Folder of the recordings.
-        path: Path of the picture; without such drives there is none.
+        path: Path of the picture; nothing is drawn without such drives.
     """
     if not gap.flips:
         return

@@ -1,4 +1,4 @@
-"""An HTML page about some runs; it contains its pictures and needs no network."""
+"""Writes an HTML page about some runs; it contains its pictures and needs no network."""
 
 import json
 import os
@@ -39,7 +39,7 @@ from nnql_bullet.training.base import RECENT
 TEMPLATE = "report.html.j2"
 PLAYER = "player.js"
 PLAYED = 4
-"""Most failures of a group that the page shows; each makes it larger."""
+"""Largest number of failures of a group on the page; each makes the file larger."""
 LIBRARIES = ("numpy", "scipy", "numba", "torch", "gymnasium", "pybullet", "mujoco", "trimesh", "yourdfpy", "matplotlib")
 """Libraries that results may depend on."""
 CSS_DPI = 96
@@ -64,7 +64,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class FailureGroup:
-    """Failures that look alike."""
+    """Failures of one group."""
 
     name: str
     about: str
@@ -76,9 +76,9 @@ class FailureGroups:
     """Results of `failures` for the policies of a page."""
 
     command: str
-    """Command that makes them again."""
+    """Command that repeats them."""
     most: int
-    """Most failures of each method in each kind of world that were driven again."""
+    """Largest number of repeated failures of each method in each kind of world."""
     groups: list[FailureGroup]
 
 
@@ -90,18 +90,18 @@ class Results:
     version: str
     """Version of the program that wrote them."""
     command: str
-    """Command that makes them again, without the folder."""
+    """Command that repeats them, without the folder."""
     report: Report
     absent: list[str]
     """Policies of the page that the results do not contain."""
     methods: dict[str, list[str]]
     """Policies of the page by their method in an evaluation."""
     success: list[tuple[str, str, Estimate]]
-    """Method, worlds and success of those policies, in an evaluation."""
+    """Method, worlds and success of the page's policies, in an evaluation."""
     failures: list[Failure]
-    """Failures of those policies, in an evaluation."""
+    """Failures of the page's policies, in an evaluation."""
     grouped: FailureGroups | None
-    """Groups of these failures, if `failures` sorted them."""
+    """Groups of these failures, if `failures` made them."""
 
 
 def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Results | None:
@@ -189,7 +189,7 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
 
 
 def failures_command(results: Path) -> str:
-    """Returns the command that sorts the failures of an evaluation."""
+    """Returns the command that groups the failures of an evaluation."""
     return shlex.join(["nnql-bullet", "failures", str(results)])
 
 
@@ -315,7 +315,7 @@ def _version(library: str) -> str:
 
 
 def _training_command(run: Run) -> str:
-    """Returns the command that trains a run again."""
+    """Returns the command that repeats a training."""
     preset, flags = train_arguments(run.config)
     return shlex.join(["nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder)])
 
@@ -377,7 +377,7 @@ def _image(path: Path, alt: str) -> Markup:
 
     Args:
         path: Path of a PNG file.
-        alt: Description for readers who do not see it.
+        alt: Description for readers who do not see the picture.
 
     Raises:
         UserError: If the file is missing or not a PNG.
@@ -393,7 +393,7 @@ def _image(path: Path, alt: str) -> Markup:
 
 
 def _inline(text: str) -> Markup:
-    """Converts text in which code stands between backticks."""
+    """Converts text with code between backticks to HTML."""
     parts = text.split("`")
     return Markup("").join(
         Markup("<code>{}</code>").format(part) if number % 2 else escape(part) for number, part in enumerate(parts)

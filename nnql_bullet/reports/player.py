@@ -1,4 +1,4 @@
-"""A recording as few numbers, for the player of a page (player.js)."""
+"""Writes a recording in a short form, for the player of a page (player.js)."""
 
 import json
 from typing import Any
@@ -13,15 +13,14 @@ from nnql_bullet.worlds.spec import Patrol
 RATE = 10
 """Rate of poses [Hz]."""
 EVEN = 1e-6
-"""Smallest change of speed that counts as a change [m/s]."""
+"""Largest change of speed that counts as none [m/s]."""
 
 
 def player_text(recording: Recording, title: str) -> str:
-    """Returns the drive as JSON without characters that have a meaning in HTML.
+    """Writes a drive as JSON without characters that have a meaning in HTML.
 
-    Lengths are in metres and angles in radians. Series are shorter: `x`, `y` and `yaw` of the rear axle (at `RATE`, and
-    at the end) and `times` of the decisions hold differences in hundredths; `readings`, one a sector and decision, are
-    in tenths.
+    Lengths are in metres and angles in radians. Series are differences in hundredths: `x`, `y` and `yaw` of the rear
+    axle (at `RATE`, and at the end) and `times` of the decisions. `readings` of each decision and sector are in tenths.
     """
     values = json.dumps(_values(recording, title), separators=(",", ":"))
     return values.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
@@ -56,7 +55,7 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
 
 
 def _track(patrol: Patrol, times: Array) -> dict[str, Any]:
-    """Returns a moving box, the end of its track, and the times and places where its speed changes."""
+    """Returns a moving box, the end of its track, and the times and positions at which its velocity changes."""
     places = np.array([(box.x, box.y) for box in map(patrol.at, times.tolist())])
     speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
     bends = np.flatnonzero(np.abs(np.diff(speeds, axis=0)).max(axis=1) > EVEN) + 1
@@ -77,6 +76,6 @@ def _rounded(*numbers: float) -> list[float]:
 
 
 def _differences(series: Array) -> list[int]:
-    """Returns differences of a series (n,) in hundredths, the first from 0; sums are exact to half a hundredth."""
+    """Computes differences of a series (n,) in hundredths, the first from 0; sums are exact to half a hundredth."""
     found: list[int] = np.diff(np.rint(100 * series), prepend=0).astype(int).tolist()
     return found

@@ -1,4 +1,4 @@
-"""Pictures of runs and recordings."""
+"""Draws pictures of runs and recordings."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
 
 BAND_PLACES = 400
-"""Points along a curve at which its interval is computed."""
+"""Number of points along a curve at which its interval is computed."""
 
 
 def draw_trajectory(recording: Recording, path: Path) -> None:
@@ -61,7 +61,7 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
 def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
     """Draws endings, returns and path lengths of training episodes, as means over a trailing window.
 
-    With several vehicles, episodes are ordered by their end, and the temperature by their begin.
+    With several vehicles, episodes are ordered by their end, and temperatures by their beginning.
     """
     figure = new_figure(8.0, 7.2)
     ends, returns, length = figure.subplots(3, 1, sharex=True, height_ratios=(2.2, 1.2, 1.2))
@@ -131,7 +131,7 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
 
 
 def draw_map(world: WorldSpec, path: Path) -> None:
-    """Draws a world from above, with moving boxes where they start."""
+    """Draws a world from above, with moving boxes at time 0."""
     figure = new_figure(6.0, 6.0)
     axes = figure.add_subplot()
     draw_world(axes, world, 0.0)
@@ -141,7 +141,7 @@ def draw_map(world: WorldSpec, path: Path) -> None:
 
 
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
-    """Draws the tightest moment enlarged."""
+    """Draws the moment with the smallest clearance enlarged."""
     moment = _tightest(recording)
     vehicle = moved(recording.footprint, Pose(*recording.sample_pose[moment]))
     x, y = vehicle.x, vehicle.y
@@ -153,7 +153,7 @@ def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:
 
 
 def _tightest(recording: Recording) -> int:
-    """Returns the sample closest to a box, in the control period with the smallest clearance."""
+    """Finds the sample closest to a box, in the control period with the smallest clearance."""
     step = int(np.argmin(recording.clearance))
     begin, end = recording.state_time[step : step + 2] + 1e-9
     within = np.flatnonzero((recording.sample_time > begin) & (recording.sample_time <= end))

@@ -1,14 +1,13 @@
-"""A recording on a time line, as an .rrd file that the Rerun viewer opens: `rerun FILE` (needs the extra `viz`).
+"""Writes a recording as an .rrd file for the Rerun viewer: `rerun FILE` (needs the extra `viz`).
 
-World, vehicle, rays and sectors are shapes in 3D; readings, action values, clearance and what else is measured are
-curves. There are two time lines: `time` since the reset, and `decision`, on which each state stands under the number of
-decisions before it. What belongs to a step (clearance, heading error, reward) stands where the step ends. Between
-decisions there is `time` alone.
+World, vehicle, rays and sectors are shapes in 3D; readings, action values, clearance and other numbers are curves.
+There are two time lines: `time` since the reset, and `decision`, the number of decisions before a state. Values of a
+step (clearance, heading error, reward) are at its end. Samples between decisions are on `time` only.
 
-The vehicle is drawn as its URDF says, with wheels that turn. Older recordings do not know it: there it is a box over
-its footprint, and heights are over its rear axle.
+The vehicle has the shapes of its URDF, with wheels that turn. In older recordings, which lack the URDF, it is a box
+over its footprint, and heights are relative to the rear axle.
 
-Nothing is sent anywhere: the library writes to the file alone, and its usage statistics come from its viewer only.
+The library writes to the file only and sends nothing; only its viewer sends usage statistics.
 """
 
 import hashlib
@@ -47,16 +46,16 @@ DECIDERS = {"agent": SAFE, "shield": NON_SAFE}
 
 
 def write_rrd(recording: Recording, path: Path) -> None:
-    """Writes an .rrd file atomically, with a layout that the viewer opens with.
+    """Writes an .rrd file atomically, with a layout for the viewer.
 
     Raises:
-        OSError: If it cannot be written; then nothing is left under its name.
+        OSError: If the file cannot be written.
     """
     write_atomically(path, lambda temporary: _write(recording, temporary))
 
 
 def _write(recording: Recording, path: Path) -> None:
-    # A start time or an identity of its own would make two files of one recording differ.
+    # The default identity and start time would make two files of one recording differ.
     with rr.RecordingStream("nnql-bullet", recording_id=_identity(recording), send_properties=False) as stream:
         stream.save(path, default_blueprint=_layout(recording))
         stream.send_recording_name(_name(recording))
@@ -69,7 +68,7 @@ def _write(recording: Recording, path: Path) -> None:
 
 
 def _identity(recording: Recording) -> str:
-    """Returns a hash of the content; the viewer merges files of one identity."""
+    """Hashes the content; the viewer merges files of one identity."""
     found = hashlib.sha256(json.dumps(recording.about, sort_keys=True).encode())
     for field in fields(recording):
         if field.name != "about":
@@ -83,7 +82,7 @@ def _name(recording: Recording) -> str:
 
 
 def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Logs static things, then moving boxes at the samples."""
+    """Logs static bodies, then moving boxes at the samples."""
     world = recording.world
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     stream.log("world/boxes", _boxes(world.obstacles, world.obstacle_height, BOX), static=True)
@@ -129,7 +128,7 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Logs the shapes of each link and its frames at the samples; before the first sample it stands as there."""
+    """Logs the shapes of each link and its frames at the samples; the first frames also hold before them."""
     visuals = Visuals(recording.about["vehicle"])
     all_angles = np.concatenate([recording.joint_angles[:1], recording.joint_angles])
     frames = [visuals.link_frames(angles) for angles in all_angles]
@@ -165,7 +164,7 @@ def _axle_height(recording: Recording) -> float:
 
 
 def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Logs rays and sectors at the states in the world; orange ones met something."""
+    """Logs rays and sectors at the states in the world; those that met something are orange."""
     x, y, above = recording.about["vehicle"]["sensor"]
     height = above + _axle_height(recording)
     yaw = recording.state_pose[:, 2]
@@ -183,7 +182,7 @@ def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def _from(origins: Array, angles: Array, distances: Array, height: float) -> Array:
-    """Returns points (n, m, 3) at distances (n, m) [m] in directions (n, m) [rad] from origins (n, 2) [m]."""
+    """Computes points (n, m, 3) at distances (n, m) [m] in directions (n, m) [rad] from origins (n, 2) [m]."""
     x = origins[:, :1] + distances * np.cos(angles)
     y = origins[:, 1:] + distances * np.sin(angles)
     return np.stack([x, y, np.full_like(x, height)], axis=2)
@@ -232,7 +231,7 @@ def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
     begins, ends = _at_states(recording, slice(None, -1)), _at_states(recording, slice(1, None))
     at_samples = [_times(recording.sample_time)]
     _log_curve(stream, "readings", at_states, recording.readings, SECTORS)
-    # A value holds for a moment, and there may be none before and after it: points, not lines.
+    # Points instead of lines, because values may be missing before and after one.
     dots = rr.SeriesPoints(names=TURNS, colors=_rgba(*LINES[: len(TURNS)]), marker_sizes=[3.0] * len(TURNS))
     stream.log("q_values", dots, static=True)
     _send_numbers(stream, "q_values", begins, recording.q_values)
@@ -258,7 +257,7 @@ def _send_numbers(stream: rr.RecordingStream, entity: str, index: list[rr.TimeCo
 
 
 def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Logs in words changes of the property, the shield's decisions, contacts and the ending."""
+    """Logs texts about changes of the property, the shield's decisions, contacts and the ending."""
     nearest = recording.readings.min(axis=1)
     labels = [PROPERTIES[letters][0] for letters in recording.state_property.tolist()]
     events = [
@@ -317,13 +316,13 @@ def _layout(recording: Recording) -> rrb.Blueprint:
 
 
 def _at_states(recording: Recording, which: slice | list[int] = slice(None)) -> list[rr.TimeColumn]:
-    """Returns the places of some states on both time lines."""
+    """Returns the positions of some states on both time lines."""
     number = np.arange(len(recording.state_time))[which]
     return [_times(recording.state_time[which]), rr.TimeColumn(DECISION, sequence=number)]
 
 
 def _times(seconds: Array) -> rr.TimeColumn:
-    """Returns times [s] in the viewer's unit, nanoseconds."""
+    """Converts times [s] to the viewer's unit, nanoseconds."""
     return rr.TimeColumn(TIME, duration=np.round(1e9 * seconds).astype("timedelta64[ns]"))
 
 
@@ -341,7 +340,7 @@ def _on_ground(points: Array) -> Array:
 
 
 def _boxes(boxes: Sequence[OrientedBox], height: float, colour: str) -> rr.Boxes3D:
-    """Boxes that stand on the ground."""
+    """Makes boxes that stand on the ground."""
     return rr.Boxes3D(
         centers=[(box.x, box.y, height / 2) for box in boxes],
         half_sizes=[(box.half_length, box.half_width, height / 2) for box in boxes],
@@ -352,5 +351,5 @@ def _boxes(boxes: Sequence[OrientedBox], height: float, colour: str) -> rr.Boxes
 
 
 def _rgba(*colours: str, alpha: float = 1.0) -> NDArray[np.uint32]:
-    """Colours '#rrggbb' as numbers 0xRRGGBBAA."""
+    """Converts colours '#rrggbb' to numbers 0xRRGGBBAA."""
     return np.array([int(colour[1:], 16) << 8 | round(255 * alpha) for colour in colours], dtype=np.uint32)

@@ -1,4 +1,4 @@
-"""Stopping of a vehicle, measured and on paper: a picture, tables and numbers."""
+"""Reports the stopping distances of a vehicle, measured and on paper: a picture, tables and numbers."""
 
 from collections.abc import Sequence
 from math import degrees
@@ -70,7 +70,7 @@ def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> No
 
 
 def _mark_safe_speed(axes: Axes, safe: SafeSpeed, way: float, colour: str, line: int) -> None:
-    """Draws a line from the sight to the axis, and the speed as text on a line counted from below."""
+    """Draws a vertical line at the safe speed, and the speed as text on a line counted from below."""
     words = f"({safe.on_paper:.2f})"
     if safe.measured is not None:
         axes.plot([safe.measured] * 2, [0.0, way], color=colour, lw=0.9, ls=":")
@@ -107,7 +107,7 @@ def safe_speed_record(safe: SafeSpeed) -> dict[str, float | None]:
 
 
 def stopping_sentences(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[str]:
-    """The largest speeds from which the vehicle stops within what its sensors see, a line each."""
+    """Writes a line for each largest speed from which the vehicle stops within the range of its sensors."""
     lines = [f"stops within the {sight(vehicle):.2f} m that it sees ahead of its front edge, from at most:"]
     for safe in safe_speeds(vehicle, stops):
         measured = "more than was measured" if safe.measured is None else f"{safe.measured:.2f} m/s"
@@ -136,7 +136,7 @@ def stopping_values(bench: Bench, stops: Sequence[Stop]) -> dict[str, Any]:
 
 
 def stopping_markdown(bench: Bench, stops: Sequence[Stop]) -> str:
-    """Returns the report as Markdown: stops, and the speeds from which it stops within its sight."""
+    """Returns the report as Markdown: all stops, and the speeds from which the vehicle stops within its sight."""
     vehicle = bench.vehicle
     safe_rows = [
         (

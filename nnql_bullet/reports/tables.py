@@ -1,4 +1,4 @@
-"""CSV text, and values for JSON."""
+"""Writes tables as text and CSV, and prepares values for JSON."""
 
 import csv
 import io
@@ -13,7 +13,7 @@ NOT_A_CERTIFICATE = (
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table as plain text, its columns as wide as they have to be."""
+    """Writes a table as plain text with columns of the needed width."""
     widths = [max(len(line[column]) for line in (header, *rows)) for column in range(len(header))]
     lines = (
         "  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)) for line in (header, *rows)
@@ -22,7 +22,7 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
-    """Returns a line for each record, under the names of the first one; numbers are exact."""
+    """Writes records as CSV, with the names of the first one as header; numbers are exact."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
     writer.writeheader()
@@ -31,5 +31,5 @@ def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the values with None for NaN and infinity, which JSON lacks."""
+    """Replaces NaN and infinity, which JSON lacks, by None."""
     return {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in values.items()}

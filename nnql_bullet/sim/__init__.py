@@ -1,1 +1,1 @@
-"""Simulators: what moves the vehicle, behind one seam."""
+"""Simulators move the vehicles; they all have one interface."""

@@ -1,7 +1,7 @@
 """Contact physics in PyBullet. The only module that imports pybullet.
 
-Collision groups keep apart what must not meet: the wheels, which are spheres with one true contact point each, touch
-only the ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays see only these.
+Collision groups separate the contacts: the wheels, which are spheres with one contact point each, touch only the
+ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays meet only these.
 """
 
 import ctypes
@@ -40,7 +40,7 @@ from nnql_bullet.worlds.spec import WorldSpec, track_velocities
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Keeps what C code prints, and holds back until later, off what this program prints."""
+    """Discards the output of C code, including the part that C still buffers."""
     c = ctypes.CDLL(None)
     kept = os.dup(1), os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -63,13 +63,13 @@ CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
 """Collision groups, one bit each."""
 
 SHAPES_PER_COMPOUND = 16
-"""`createCollisionShapeArray` takes no more."""
+"""Largest number of shapes that `createCollisionShapeArray` takes."""
 
 FASTEST_JOINT = 1e4
-"""[rad/s]"""
+"""Limit on the speed of joints [rad/s]."""
 
 LOCK = 1e4
-"""What holds a locked joint [N m]."""
+"""Torque that holds a locked joint [N m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +79,12 @@ class Physics:
     time_step: float
     """[s]"""
     iterations: int
-    """At most, a step."""
+    """Largest number of the solver's iterations in a step."""
     residual: float
-    """The solver stops when its squared residual falls below this."""
+    """Squared residual below which the solver stops."""
     resists_driven: bool
-    """Whether rolling resistance acts on driven wheels too. There it only takes 1 N m of what the controllers have, and
-    costs the solver a third of its time; on free wheels it always acts."""
+    """Whether rolling resistance also acts on driven wheels; it always acts on free wheels. On driven wheels it only
+    reduces the available torque, and costs the solver time."""
 
 
 PHYSICS = {
@@ -120,7 +120,7 @@ class BulletEngine(ContactEngine):
         """Disconnects the client."""
         self._finalizer()
 
-    # What it is probed with
+    # Quantities for probes
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
@@ -129,64 +129,64 @@ class BulletEngine(ContactEngine):
             self._hold(joint, 0.0)
 
     def lock_joints(self) -> None:
-        """Stops every joint and holds it where it is."""
+        """Stops every joint and holds its angle."""
         for joint in self._joints:
             angle = JointState(*bullet.getJointState(self.body, joint, self.client)).position
             bullet.resetJointState(self.body, joint, angle, 0.0, self.client)
             self._hold(joint, LOCK)
 
     def set_gravity(self, gravity: Vector) -> None:
-        """[m/s2]; a placed vehicle has it pointing down."""
+        """Sets the acceleration of gravity [m/s2]; `place` sets it pointing down."""
         bullet.setGravity(*gravity, self.client)
 
     def set_velocity(self, x: float, y: float) -> None:
-        """Sends the chassis along [m/s], without turning it; the joints go on as they were."""
+        """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
         bullet.resetBaseVelocity(self.body, [x, y, 0.0], [0.0, 0.0, 0.0], self.client)
 
     def set_swivel(self, angle: float) -> None:
-        """Turns the caster from trailing [rad], at rest."""
+        """Turns the caster to an angle from trailing [rad], at rest."""
         bullet.resetJointState(self.body, self._swivel, angle, 0.0, self.client)
 
     def twist(self, torque: float) -> None:
-        """Turns the chassis about the vertical during the next physics step [N m]."""
+        """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
         bullet.applyExternalTorque(self.body, -1, [0.0, 0.0, torque], bullet.WORLD_FRAME, self.client)
 
     def touching(self) -> bool:
-        """Whether the chassis touches anything now. The wheels touch nothing but the ground."""
+        """Whether the chassis touches an obstacle or wall; it cannot touch anything else."""
         return bool(bullet.getContactPoints(bodyA=self.body, linkIndexA=-1, physicsClientId=self.client))
 
     def obstacle_force(self) -> float:
-        """Normal force of obstacles and walls on the chassis, as a sum over all contacts [N]."""
+        """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
         return self._contact_force(-1).normal
 
     def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
-        """Of the ground on the left, right and caster wheel."""
+        """Forces of the ground on the left, right and caster wheel."""
         left, right, front = (self._contact_force(joint) for joint in (self.left, self.right, self._caster))
         return left, right, front
 
     def wheel_speeds(self) -> tuple[float, float]:
-        """Left and right drive wheel [rad/s]."""
+        """Speeds of the left and right drive wheel [rad/s]."""
         left, right = self._joint_states(self.left, self.right)
         return left.velocity, right.velocity
 
     def wheel_heights(self) -> Vector:
-        """Of the left, right and caster wheel centre above the ground [m]."""
+        """Heights of the left, right and caster wheel centre above the ground [m]."""
         left, right, front = (self._link_height(joint) for joint in (self.left, self.right, self._caster))
         return left, right, front
 
     def sample(self) -> Sample:
-        """The vehicle now."""
+        """The vehicle at the present time."""
         left, right, swivel, roll = self._joint_states(self.left, self.right, self._swivel, self._caster)
         angles = left.position, right.position, swivel.position, roll.position
         return Sample(self.time(), self.pose(), angles, (left.velocity, right.velocity))
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
-        """What the engine holds of every link, by the link's name."""
+        """Properties of every link in the engine, by the link's name."""
         base, _ = bullet.getBodyInfo(self.body, self.client)
         names = {base.decode(): -1, **{joint.link_name: joint.number for joint in self._joint_infos()}}
         return {name: self._dynamics(index).dynamics for name, index in names.items()}
 
-    # How it is built
+    # Construction
 
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
         bullet.resetSimulation(physicsClientId=self.client)
@@ -207,8 +207,8 @@ class BulletEngine(ContactEngine):
             numSubSteps=0,
             numSolverIterations=self.physics.iterations,
             solverResidualThreshold=self.physics.residual,
-            # Keeps one contact a wheel: with the default of 0.02 m a rolling wheel drags old contacts along, at the
-            # solver's cost. The engine holds this one number for the whole process; every simulator sets the same.
+            # One contact for each wheel: with the default of 0.02 m a rolling wheel keeps old contacts, which cost the
+            # solver time. The engine has one such value for the whole process; every simulator sets the same.
             contactBreakingThreshold=CONTACT_MARGIN,
             deterministicOverlappingPairs=1,
             physicsClientId=self.client,
@@ -221,7 +221,7 @@ class BulletEngine(ContactEngine):
         bullet.setCollisionFilterGroupMask(ground, -1, GROUND, WHEEL, self.client)
 
     def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
-        """Static boxes as one body of compound shapes: the solver then keeps one body instead of many.
+        """Adds static boxes as one body of compound shapes, which costs the solver less than many bodies.
 
         Like the ground it is a plain rigid body ("maximal coordinates"), which costs less than a multibody.
         """
@@ -236,9 +236,9 @@ class BulletEngine(ContactEngine):
         bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
 
     def _add_patrol(self, box: OrientedBox) -> tuple[int, Quaternion]:
-        """A body that is to be told where it is, and how it is turned.
+        """Adds a moving box; returns the engine's number of it, and its orientation.
 
-        It is a multibody: of a plain rigid body without mass the engine takes no notice how fast it moves.
+        It is a multibody, because the engine ignores the velocity of a plain rigid body without mass.
         """
         halves = [box.half_length, box.half_width, self._half_height]
         shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=self.client)
@@ -260,7 +260,7 @@ class BulletEngine(ContactEngine):
         infos = self._joint_infos()
         joints = {joint.name: joint.number for joint in infos if joint.joint_type != bullet.JOINT_FIXED}
         for joint in joints.values():
-            self._hold(joint, 0.0)  # every joint starts with a motor that holds it
+            self._hold(joint, 0.0)  # initially every joint has a motor that holds it
         self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
         self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
@@ -268,11 +268,11 @@ class BulletEngine(ContactEngine):
         self._com = self._dynamics(-1).inertia_position
         wheels = (self.left, self.right, self._caster)
         for link in range(-1, len(infos)):
-            # Damping goes to the whole body and must stand in a call of its own; so must friction.
+            # Damping, which applies to the whole body, needs a separate call; so does friction.
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
             group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
             bullet.setCollisionFilterGroupMask(self.body, link, group, mask, self.client)
-        # Else the engine holds every joint below 100 rad/s: a small caster drags from 5 m/s on.
+        # By default the engine limits joints to 100 rad/s; a small caster would drag at high speed.
         bullet.changeDynamics(self.body, -1, maxJointVelocity=FASTEST_JOINT, physicsClientId=self.client)
         contact = vehicle.contact
         for wheel in wheels:
@@ -295,7 +295,7 @@ class BulletEngine(ContactEngine):
         self._resisted = rolling_friction > 0
 
     def _hold(self, joint: int, torque: float) -> None:
-        """Has the joint's motor stand still within a torque limit [N m]; with none, the joint is free."""
+        """Lets a joint's motor hold its angle within a torque limit [N m]; with a limit of 0 the joint is free."""
         bullet.setJointMotorControl2(
             self.body, joint, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=self.client
         )
@@ -327,7 +327,7 @@ class BulletEngine(ContactEngine):
         self._steps += len(speeds) * len(steps)
 
     def _place_patrols(self) -> None:
-        """Says how fast they go, too, which the engine forgets whenever a place is set: a hit is as hard as that."""
+        """Sets positions and then velocities, which the impact depends on; setting a position clears the velocity."""
         places, velocities = self._movers[:, :2].tolist(), track_velocities(self._tracks, self.time()).tolist()
         for (body, turned), (x, y), (vx, vy) in zip(self._patrols, places, velocities, strict=True):
             bullet.resetBasePositionAndOrientation(body, [x, y, self._half_height], turned, self.client)
@@ -370,7 +370,7 @@ def _release(client: int, folder: TemporaryDirectory[str] | None) -> None:
 
 
 def has_numpy() -> bool:
-    """Whether this build of PyBullet takes and gives NumPy arrays."""
+    """Whether this build of PyBullet supports NumPy arrays."""
     return bool(bullet.isNumpyEnabled())
 
 

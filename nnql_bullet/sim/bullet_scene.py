@@ -1,4 +1,4 @@
-"""Things that are only looked at: PyBullet's renderers and its window, without any physics."""
+"""PyBullet's renderers and its window, which show boxes and a vehicle without physics."""
 
 import importlib.util
 import multiprocessing
@@ -22,28 +22,27 @@ from nnql_bullet.types import Vector
 SceneKind = Literal["tiny", "egl", "window"]
 
 NO_EGL = "EGL does not work here; choose the renderer 'tiny', or install EGL (Debian: libegl1)"
-NOTHING = 1 - 1e-6
-"""Depth from which on there is nothing: TinyRenderer's is 1 but for rounding."""
+EMPTY_DEPTH = 1 - 1e-6
+"""Smallest depth of an empty pixel; TinyRenderer's is 1 up to rounding."""
 
 Colour = tuple[float, float, float]
 """Red, green, blue, from 0 to 1."""
 
 
 class BulletScene:
-    """Boxes and a vehicle, drawn unlit: what comes back are the colours that things were given.
+    """Boxes and a vehicle, drawn without light: pixels have the objects' own colours.
 
-    The renderers of PyBullet light things differently, EGL large ones wrongly; colours and depths are what they agree
-    on.
+    PyBullet's renderers light objects differently, and EGL lights large ones wrongly; they agree on colours and depths.
     """
 
     def __init__(self, kind: SceneKind) -> None:
         """Starts a renderer.
 
         Args:
-            kind: TinyRenderer, which works everywhere; EGL, which is quicker; or a window.
+            kind: TinyRenderer, which works everywhere; EGL, which is faster; or a window.
 
         Raises:
-            UserError: If it does not work here.
+            UserError: If the renderer does not work on this machine.
         """
         self._kind = kind
         with silenced():
@@ -58,20 +57,20 @@ class BulletScene:
                 raise UserError(NO_EGL)
 
     def close(self) -> None:
-        """Frees it."""
+        """Frees the renderer."""
         with silenced():
             if bullet.isConnected(self.client):
                 bullet.disconnect(self.client)
 
     def add_box(self, half_extents: tuple[float, float, float], colour: Colour) -> int:
-        """A box; the engine's number of it."""
+        """Adds a box; returns the engine's number of it."""
         shape = bullet.createVisualShape(
             bullet.GEOM_BOX, halfExtents=half_extents, rgbaColor=(*colour, 1.0), physicsClientId=self.client
         )
         return int(bullet.createMultiBody(0.0, -1, shape, physicsClientId=self.client))
 
     def add_disc(self, radius: float, half_height: float, colour: Colour) -> int:
-        """An upright cylinder; the engine's number of it."""
+        """Adds an upright cylinder; returns the engine's number of it."""
         shape = bullet.createVisualShape(
             bullet.GEOM_CYLINDER,
             radius=radius,
@@ -82,19 +81,19 @@ class BulletScene:
         return int(bullet.createMultiBody(0.0, -1, shape, physicsClientId=self.client))
 
     def add_robot(self, urdf: str) -> tuple[int, dict[str, int]]:
-        """What the text of a URDF looks like; the engine's number of it, and those of its joints by their names."""
+        """Adds the visible shapes of a URDF's text; returns the engine's number of it, and of its joints by name."""
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             file = Path(folder) / "robot.urdf"
-            file.write_text(_one_look_a_link(urdf) if self._kind == "window" else urdf, encoding="utf-8")
-            with silenced():  # it complains of links without a mass
+            file.write_text(_one_visual_per_link(urdf) if self._kind == "window" else urdf, encoding="utf-8")
+            with silenced():  # PyBullet warns of links without a mass
                 body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
         joints = range(bullet.getNumJoints(body, self.client))
         infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]
         return body, {info.name: info.number for info in infos}
 
     def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
-        """Puts the origin of something somewhere [m, rad]."""
-        # The engine places centres of mass.
+        """Sets the position [m] and yaw [rad] of an object's origin."""
+        # The engine sets centres of mass.
         ahead, left, up = DynamicsInfo(*bullet.getDynamicsInfo(body, -1, self.client)).inertia_position
         c, s = cos(yaw), sin(yaw)
         centre = (x + c * ahead - s * left, y + s * ahead + c * left, z + up)
@@ -108,20 +107,20 @@ class BulletScene:
     def picture(
         self, view: Array, projection: Array, width: int, height: int
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], float]:
-        """What a camera sees.
+        """Draws the picture of a camera.
 
         Args:
             view: OpenGL's view matrix (4, 4).
             projection: OpenGL's projection matrix (4, 4).
-            width: In pixels.
-            height: In pixels.
+            width: Width [pixels].
+            height: Height [pixels].
 
         Returns:
-            Colours (height, width, 4), OpenGL's depths (height, width), which are 1 where nothing is, and what the
-            colours have to be multiplied by to be those that things were given.
+            Colours (height, width, 4); OpenGL's depths (height, width), 1 in empty pixels; and the factor that turns
+            the colours into the objects' own.
         """
         egl = self._kind == "egl"
-        # Without a direction, EGL's light is the same everywhere, and half of what it should be.
+        # Without a direction, EGL's light is uniform and half as bright as it should be.
         light = {"lightDirection": (0.0, 0.0, 0.0)} if egl else {"lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0}
         with silenced():
             _, _, colours, depths, _ = bullet.getCameraImage(
@@ -137,16 +136,16 @@ class BulletScene:
                 **light,
             )
         shape = (height, width)
-        there = np.where(np.reshape(depths, shape) < NOTHING, np.reshape(depths, shape), np.float32(1.0))
-        return np.reshape(colours, (*shape, 4)), there, 2.0 if egl else 1.0
+        cleared = np.where(np.reshape(depths, shape) < EMPTY_DEPTH, np.reshape(depths, shape), np.float32(1.0))
+        return np.reshape(colours, (*shape, 4)), cleared, 2.0 if egl else 1.0
 
     def show(self, on: bool) -> None:
-        """Whether the window draws; at first it does not, which makes building the scene quicker."""
+        """Switches the window's drawing on or off; it starts off, because the scene is then built faster."""
         bullet.configureDebugVisualizer(bullet.COV_ENABLE_RENDERING, int(on), physicsClientId=self.client)
 
     @property
     def is_open(self) -> bool:
-        """Whether the window has not been closed."""
+        """Whether the window is open."""
         return bool(bullet.isConnected(self.client))
 
     def look(self, eye: Vector, target: Vector) -> None:
@@ -158,16 +157,16 @@ class BulletScene:
 
 
 @cache
-def works(kind: SceneKind, patience: float = 60.0) -> bool:
-    """Whether a renderer draws something here. It is tried in a process of its own, which a bad policy may end.
+def works(kind: SceneKind, timeout: float = 60.0) -> bool:
+    """Whether a renderer works on this machine. Another process tries it, because a bad driver may end the process.
 
     Args:
         kind: See `BulletScene`.
-        patience: How long it may take [s].
+        timeout: Longest time for the trial [s].
     """
     process = multiprocessing.get_context("spawn").Process(target=_draw_something, args=(kind,))
     process.start()
-    process.join(patience)
+    process.join(timeout)
     if process.is_alive():
         process.kill()
         process.join()
@@ -176,7 +175,7 @@ def works(kind: SceneKind, patience: float = 60.0) -> bool:
 
 def _draw_something(kind: SceneKind) -> None:
     for stream in (1, 2):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)  # whether it fails is told by the exit code
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)  # the exit code reports a failure
     scene = BulletScene(kind)
     scene.add_box((0.5, 0.5, 0.5), (1.0, 0.0, 0.0))
     ahead = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -3], [0, 0, 0, 1]])
@@ -186,13 +185,13 @@ def _draw_something(kind: SceneKind) -> None:
 
 
 def _load_egl(client: int) -> bool:
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's software renderer: pictures are drawn in several processes
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # for Mesa's software renderer; several processes draw at a time
     found = importlib.util.find_spec("eglRenderer")
     return found is not None and bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
 
 
-def _one_look_a_link(urdf: str) -> str:
-    """The same robot with a link for every visual shape: the window gives all shapes of a link one colour."""
+def _one_visual_per_link(urdf: str) -> str:
+    """Gives every visual shape its own link, because the window shows all shapes of a link in one colour."""
     robot = ElementTree.fromstring(urdf)
     for link in robot.findall("link"):
         for number, visual in enumerate(link.findall("visual")[1:]):

@@ -1,4 +1,4 @@
-"""PyBullet's answers by name: it gives plain tuples, which are read here and nowhere else."""
+"""Names the fields of PyBullet's answers, which are plain tuples. No other module reads these tuples."""
 
 from collections.abc import Iterable
 from math import hypot
@@ -36,7 +36,7 @@ class JointInfo(NamedTuple):
 
     @property
     def link_name(self) -> str:
-        """Name of the link that the joint moves, which has the joint's number."""
+        """Name of the link that the joint moves; its number is that of the joint."""
         return self.child_link_name.decode()
 
 
@@ -70,7 +70,7 @@ class DynamicsInfo(NamedTuple):
 
     @property
     def dynamics(self) -> LinkDynamics:
-        """The part that every engine has."""
+        """The values that every engine has."""
         return LinkDynamics(
             self.mass, self.inertia_diagonal, self.lateral_friction, self.rolling_friction, self.spinning_friction
         )
@@ -108,7 +108,7 @@ class LinkState(NamedTuple):
 
 
 def contact_force(contacts: Iterable[Any]) -> ContactForce:
-    """The force of all contacts that `getContactPoints` gave."""
+    """Sums the forces of contacts from `getContactPoints`."""
     points = [ContactPoint(*contact) for contact in contacts]
     return ContactForce(
         normal=float(sum(point.normal_force for point in points)),
@@ -117,5 +117,5 @@ def contact_force(contacts: Iterable[Any]) -> ContactForce:
 
 
 def hit_fractions(hits: Iterable[Any]) -> list[float]:
-    """Share of its length at which each ray of `rayTestBatch` ended."""
+    """Returns the share of its length at which each ray of `rayTestBatch` ended."""
     return [fraction for _body, _link, fraction, _position, _normal in hits]

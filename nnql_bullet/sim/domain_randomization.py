@@ -1,7 +1,7 @@
-"""Domain randomization: each training episode disturbs the vehicle in its own way.
+"""Domain randomization: each training episode disturbs the vehicle in another way.
 
-A policy that was trained with many disturbances takes reality as one more of them (Tobin et al., "Domain Randomization
-for Transferring Deep Neural Networks from Simulation to the Real World", IROS 2017).
+For a policy trained with many disturbances, reality is just another one (Tobin et al., "Domain Randomization for
+Transferring Deep Neural Networks from Simulation to the Real World", IROS 2017).
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 @options
 class DomainRandomization:
-    """Largest disturbances; an episode draws its own values up to these. By default there are none."""
+    """Largest disturbances; each episode draws values up to these. By default there are none."""
 
     start_yaw: bool = False
     """Whether an episode starts at a random yaw."""
@@ -32,13 +32,13 @@ class DomainRandomization:
     dead_sector: UnitInterval = 0.0
     """Probability that one sensor sees nothing during the whole episode."""
     turn_scale: UnitInterval = 0.0
-    """Largest relative error of all turns of an episode, as on poor ground or with drives that lag."""
+    """Largest relative error of all turns of an episode, for example by poor ground or slow drives."""
     turn_noise_degrees: NonNegative = 0.0
     """Largest standard deviation of the noise of each turn [degrees]."""
 
     @property
     def any(self) -> bool:
-        """Whether the vehicle is disturbed; the yaw of its start does not count."""
+        """Whether there is any disturbance besides the random start yaw."""
         return self.noise > 0 or self.dead_sector > 0 or self.turn_scale > 0 or self.turn_noise_degrees > 0
 
 
@@ -51,7 +51,7 @@ class _Episode:
     turn_noise: float
     """[rad]"""
     generator: np.random.Generator
-    """Generator of the noise to come."""
+    """Generator of the episode's noise."""
 
 
 class RandomizedSimulator:
@@ -94,13 +94,13 @@ class RandomizedSimulator:
         self._simulator.close()
 
     def _degrade(self, ray_distances: Array, row: int, vehicle: int) -> None:
-        """Replaces a row of ray distances by what the vehicle's sensors read."""
+        """Applies the vehicle's sensor faults to a row of ray distances."""
         episode = self._episodes[vehicle]
         ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator)
 
 
 def turned(world: WorldSpec, domain_randomization: DomainRandomization) -> WorldSpec:
-    """The world with a random yaw at its start, if the options ask for it."""
+    """Gives the world a random yaw at its start, if the options ask for it."""
     if not domain_randomization.start_yaw:
         return world
     yaw = rng(world.seed, Stream.DOMAIN_RANDOMIZATION, 1).uniform(-pi, pi)

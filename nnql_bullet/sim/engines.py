@@ -1,4 +1,4 @@
-"""The engines of contact physics by name, and a simulator of n of them."""
+"""Makes the engines of contact physics by name, and a simulator of n engines."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,19 +18,19 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 EngineName = Literal["bullet", "mujoco"]
 PhysicsName = Literal["reference", "fast"]
-"""Named settings, which every engine has."""
+"""Names of settings; every engine has both."""
 
 
 def contact_engine(
     engine: EngineName, physics: PhysicsName, vehicle: VehicleSpec, drive: DriveOptions, refinement: int = 1
 ) -> ContactEngine:
-    """Makes an engine. Its library is imported only when it is asked for.
+    """Makes an engine; its library is imported here and not before.
 
     Args:
         engine: Name of the engine.
         physics: Name of its settings.
         vehicle: The vehicle in it.
-        drive: How decisions reach the wheels.
+        drive: Options of the vehicle's controller.
         refinement: Divisor of the settings' time step.
 
     Raises:
@@ -40,7 +40,7 @@ def contact_engine(
         from nnql_bullet.sim import bullet
 
         plain = bullet.PHYSICS[physics]
-        # The errors of the steps add up, and the residual is the square of an error.
+        # The errors of all steps add up, and the residual is a squared error.
         finer = replace(plain, time_step=plain.time_step / refinement, residual=plain.residual / refinement**2)
         return bullet.BulletEngine(vehicle, drive, finer)
     try:
@@ -52,7 +52,7 @@ def contact_engine(
 
 
 class ContactSimulator:
-    """A `Simulator` of n engines, which are driven one after another in this process."""
+    """A `Simulator` of n engines, which run one after another in this process."""
 
     def __init__(self, engines: Sequence[ContactEngine]) -> None:
         self.engines = engines
@@ -97,7 +97,7 @@ class ContactSimulator:
 def contact_simulator(
     engine: EngineName, physics: PhysicsName, vehicle: VehicleSpec, drive: DriveOptions, size: int
 ) -> ContactSimulator:
-    """Makes a simulator of n engines, see `contact_engine`.
+    """Makes a simulator of n engines (see `contact_engine`).
 
     Raises:
         UserError: If the library is not installed.

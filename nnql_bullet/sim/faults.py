@@ -1,4 +1,4 @@
-"""Faults of the sensors, around any simulator."""
+"""Adds faults of the sensors to any simulator."""
 
 from collections.abc import Mapping
 from typing import Annotated
@@ -24,7 +24,7 @@ class SensorFaults:
     noise: NonNegative = 0.0
     """Standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
-    """Number of a sensor that sees nothing; 0 is the front, counted counter-clockwise."""
+    """Number of a sensor that sees nothing; 0 is the front, the others follow counter-clockwise."""
 
     @property
     def any(self) -> bool:
@@ -33,7 +33,7 @@ class SensorFaults:
 
 
 def degraded(distances: Array, faults: SensorFaults, generator: np.random.Generator) -> Array:
-    """Ray distances (72,) [m] as faulty sensors read them."""
+    """Applies faults to ray distances (72,) [m]."""
     seen = distances
     if faults.noise > 0:
         noisy = np.clip(distances + generator.normal(0.0, faults.noise, len(distances)), 0.0, paper.SENSOR_RANGE)
@@ -46,7 +46,7 @@ def degraded(distances: Array, faults: SensorFaults, generator: np.random.Genera
 
 
 class FaultySimulator:
-    """A `Simulator` whose sensors have faults. The noise of an episode is a function of its world alone."""
+    """A `Simulator` whose sensors have faults. The noise of an episode depends on its world alone."""
 
     def __init__(self, simulator: Simulator, faults: SensorFaults) -> None:
         self.size = simulator.size

@@ -1,8 +1,8 @@
-"""The kinematic model: the same drive, sensors and endings as contact physics, but wheels that never slip or lag.
+"""The kinematic model: the same controller, sensors and endings as contact physics, but the wheels never slip or lag.
 
 A vehicle follows the profiles of yaw rate and speed exactly, as a unicycle (Siegwart and Nourbakhsh, Autonomous Robots,
 3.2). Its footprint is an oriented box; contact with obstacles, walls and patrols is checked after every wheel command.
-The kernels step many vehicles in as many worlds on all cores, and allocate nothing.
+The kernels simulate many vehicles in as many worlds on all cores, without allocating memory.
 """
 
 import logging
@@ -28,8 +28,8 @@ from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profi
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
-SHARE = 16
-"""Smallest number of vehicles that get a thread of their own."""
+VEHICLES_PER_THREAD = 16
+"""Smallest number of vehicles in a thread."""
 STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
 
@@ -37,7 +37,7 @@ _NO_EVENT, _TOUCHING, _AT_TARGET = 0, 1, 2
 
 
 class _Constants(NamedTuple):
-    """Numbers that are the same for all vehicles at all times."""
+    """Constants of all vehicles."""
 
     speed: float
     """Speed of the drive [m/s]."""
@@ -71,11 +71,10 @@ class _State(NamedTuple):
     clearance: Array
     """Clearance at `pose` (n,) [m]."""
     solids: Array
-    """Rows of `as_rows` (n, most, 6), of which each world fills the first: obstacles and walls, then the patrols as
-    they are now, then the patrols' tracks (`WorldSpec.tracks`)."""
+    """Rows of each world (n, most, 6): obstacles and walls, patrols (both as in `as_rows`), and the patrols' tracks."""
     counts: NDArray[np.int64]
     """Number of solids, of patrols among them, and of wheel commands since the reset (n, 3). They share an array, as
-    solids and tracks do, because each array costs time in a call of a kernel."""
+    solids and tracks do, because each argument of a kernel costs time."""
     target: Array
     """x, y, radius (n, 3) [m]."""
 
@@ -86,15 +85,15 @@ class _Period(NamedTuple):
     rates: Array
     """Yaw rates at the start and after each command (n, k + 1) [rad/s]."""
     headings: Array
-    """Likewise: headings since the start (n, k + 1) [rad]."""
+    """Headings relative to the start, at the same times (n, k + 1) [rad]."""
     speeds: Array
-    """Likewise: speeds (n, k + 1) [m/s]."""
+    """Speeds at the same times (n, k + 1) [m/s]."""
     path: Array
-    """Likewise: poses (n, k + 1, 3)."""
+    """Poses at the same times (n, k + 1, 3)."""
     near: Array
     """Work space for the solids that may come close, and their tracks (n, most, 6)."""
     commands: NDArray[np.int64]
-    """Number of commands that were carried out (n,)."""
+    """Number of executed commands (n,)."""
     path_length: Array
     """(n,) [m]"""
     clearance: Array
@@ -110,7 +109,7 @@ class _Period(NamedTuple):
 class KinematicSimulator:
     """A `Simulator` of n ideal vehicles.
 
-    The first one on a machine waits while the kernels are compiled; they are then kept on disk.
+    The first one on a machine compiles the kernels, which takes a while and is kept on disk.
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, size: int, threads: int | None = None) -> None:
@@ -118,9 +117,9 @@ class KinematicSimulator:
 
         Args:
             vehicle: The vehicle.
-            drive: How decisions reach the wheels.
+            drive: Options of the vehicle's controller.
             size: Number of vehicles.
-            threads: Number of threads that share the work, one a core by default. The result does not depend on it.
+            threads: Number of threads, by default one per core. The result does not depend on it.
         """
         self.vehicle = vehicle
         self.drive = drive
@@ -198,7 +197,7 @@ class KinematicSimulator:
         return motion, period.ray_distances.copy()
 
     def path(self, vehicle: int) -> Array:
-        """Poses of the last control period at its start and after each command that was carried out (k + 1, 3)."""
+        """Returns a vehicle's poses in the last control period: at its start and after each command (k + 1, 3)."""
         return self._period.path[vehicle, : self._period.commands[vehicle] + 1]
 
     def _extend(self, trace: list[Sample], vehicle: int, over: bool) -> None:
@@ -218,15 +217,15 @@ class KinematicSimulator:
                 trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
 
     def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
-        """Calls a kernel, which releases the interpreter's lock, for a share of the vehicles in each thread."""
-        mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // SHARE)))
+        """Calls a kernel, which releases the interpreter's lock, for some of the vehicles in each thread."""
+        mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // VEHICLES_PER_THREAD)))
         waiting = [self._pool.submit(kernel, share, *arguments) for share in others]
         kernel(mine, *arguments)
         for future in waiting:
             future.result()
 
     def _make_room(self, most: int) -> None:
-        """Grows the arrays so that each world can have so many rows."""
+        """Enlarges the arrays to at least `most` rows for each world."""
         room = self._state.solids.shape[1]
         if most > room:
             grown = np.zeros((self.size, most, 6))
@@ -265,7 +264,7 @@ def _empty_period(size: int, commands: int) -> _Period:
 
 @cache
 def _compile() -> None:
-    """Compiles the kernels, or loads them from disk, by a call for no vehicle."""
+    """Compiles the kernels, or loads them from disk, by a call without vehicles."""
     none, some = np.zeros(0, np.int64), np.zeros(1)
     constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
     with _announced("compiling the kinematic model; it is kept on disk, so this happens once"):
@@ -294,7 +293,7 @@ def _advance(
     state: _State,
     period: _Period,
 ) -> None:
-    """Drives some vehicles for one control period, and scans."""
+    """Drives some vehicles for one control period, then scans."""
     for i in vehicles:
         _advance_one(i, heading_changes[i], speed_scales[i], constants, state, period)
         _scan_one(i, constants, state, period)
@@ -302,7 +301,7 @@ def _advance(
 
 @njit(nogil=True)
 def _scan(vehicles: NDArray[np.int64], constants: _Constants, state: _State, period: _Period) -> None:
-    """Scans with some vehicles."""
+    """Computes the ray distances of some vehicles."""
     for i in vehicles:
         _scan_one(i, constants, state, period)
 
@@ -325,14 +324,14 @@ def _advance_one(
     chord, c, s = np.nan, 0.0, 0.0
     for k in range(1, len(headings)):
         middle = yaw + (headings[k - 1] + headings[k]) / 2
-        if middle != chord:  # the chord of an arc points along its middle heading; once straight, it stays
+        if middle != chord:  # the chord of an arc points along its middle heading; straight ahead it stays the same
             chord, c, s = middle, np.cos(middle), np.sin(middle)
         if not steady:
             stride = (speeds[k - 1] + speeds[k]) / 2 / COMMAND_RATE
         path[k, 0] = path[k - 1, 0] + stride * c
         path[k, 1] = path[k - 1, 1] + stride * s
         path[k, 2] = yaw + headings[k]
-    # No point of the footprint gets nearer to a solid by more than this from one command to the next [m].
+    # From one command to the next, no point of the footprint comes nearer to a solid by more than `hop` [m].
     quickest = max(abs(start_rate), abs(peak))
     hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
     count, moving, clock = state.counts[i]
@@ -359,7 +358,7 @@ def _advance_one(
 
 @njit()
 def _fastest(tracks: Array) -> float:
-    """The highest speed on tracks (m, 6) [m/s]; 0 where there are none."""
+    """Finds the highest speed on tracks (m, 6) [m/s]; 0 without tracks."""
     fastest = 0.0
     for track in tracks:
         fastest = max(fastest, 2.0 * track[4] * np.hypot(track[2], track[3]))
@@ -368,7 +367,7 @@ def _fastest(tracks: Array) -> float:
 
 @njit()
 def _near(i: int, travel: float, constants: _Constants, state: _State, period: _Period) -> tuple[Array, Array]:
-    """Finds the solids that may be the nearest one during the control period, and the tracks of those that move.
+    """Finds the solids that may be the nearest ones in the control period, and the tracks of those that move.
 
     During the period the distance to any solid changes by `travel` [m] at most.
     """
@@ -381,7 +380,7 @@ def _near(i: int, travel: float, constants: _Constants, state: _State, period: _
     count, moving = 0, 0
     for j in range(solids):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
-            for column in range(6):  # a whole row at once takes seconds to compile
+            for column in range(6):  # numba takes seconds to compile the assignment of a row
                 near[count, column] = state.solids[i, j, column]
             count += 1
     for j in range(solids - patrols, solids):
@@ -403,18 +402,18 @@ def _follow(
     tracks: Array,
     clock: int,
 ) -> tuple[int, int, float, float]:
-    """Follows a path (k + 1, 3) up to the first contact or the target.
+    """Follows a path up to the first contact or the target.
 
-    The clearance is computed only where it may be the smallest: it changes by `hop` at most from one command to the
-    next.
+    The clearance is computed only where it may be the smallest: from one command to the next it changes by `hop` at
+    most.
 
     Args:
-        path: Poses.
+        path: Poses (k + 1, 3).
         target: x, y, radius [m].
         clearance: Clearance at the path's start [m].
         hop: Largest change of the clearance from one pose to the next [m].
         footprint: A row (6,) in the vehicle's frame.
-        solids: Rows (n, 6) of `as_rows`; the last m are patrols, which are moved.
+        solids: Rows (n, 6) of `as_rows`; the last m are patrols, which this moves.
         tracks: Tracks of the patrols (m, 6).
         clock: Number of commands up to the path's start.
 
@@ -461,7 +460,7 @@ def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> 
 def cast_rays(
     x: float, y: float, yaw: float, directions: Array, boxes: Array, sensor_range: float, distances: Array
 ) -> None:
-    """Computes where rays first meet a box: `geometry.ray_distances` as a kernel, one box at a time.
+    """Computes the distances at which rays meet a box: `geometry.ray_distances` as a kernel, one box at a time.
 
     Args:
         x: x of the rays' origin [m].
@@ -469,8 +468,8 @@ def cast_rays(
         yaw: Yaw of the frame of the directions [rad].
         directions: Unit vectors (m, 2).
         boxes: Rows (n, 6) of `geometry.as_rows`.
-        sensor_range: Distance that a ray reads which meets nothing [m].
-        distances: Filled with the distances (m,) [m].
+        sensor_range: Length of a ray that meets nothing [m].
+        distances: Array to fill (m,) [m].
     """
     distances[:] = sensor_range
     c, s = np.cos(yaw), np.sin(yaw)
@@ -479,7 +478,7 @@ def cast_rays(
             continue
         dx, dy = x - box[0], y - box[1]
         start_x, start_y = box[4] * dx + box[5] * dy, box[4] * dy - box[5] * dx
-        # The vehicle's frame turned into the box's.
+        # Yaw of the vehicle's frame in the box's frame.
         cos_turn, sin_turn = box[4] * c + box[5] * s, box[4] * s - box[5] * c
         for i in range(len(directions)):
             ux, uy = directions[i, 0], directions[i, 1]
@@ -492,7 +491,7 @@ def cast_rays(
 
 @njit()
 def _slab(start: float, direction: float, half: float) -> tuple[float, float]:
-    """Distances at which a ray enters and leaves the slab from -half to half; an empty interval if it never does."""
+    """Computes the distances at which a ray enters and leaves the slab from -half to half; empty if it misses it."""
     if direction == 0.0:
         return (-np.inf, np.inf) if abs(start) <= half else (np.inf, -np.inf)
     first, second = (-half - start) / direction, (half - start) / direction
@@ -503,10 +502,10 @@ def _slab(start: float, direction: float, half: float) -> tuple[float, float]:
 def _caster_rates(
     swivel: float, speed: float, yaw_rate: float, ahead: float, trail: float, radius: float
 ) -> tuple[float, float]:
-    """Rates [rad/s] of the swivel angle and of the wheel of a trailing caster that rolls without slip.
+    """Computes the rates [rad/s] of the swivel angle and the wheel of a trailing caster that rolls without slip.
 
     The swivel axis is `ahead` of the axle and moves at (speed, yaw_rate * ahead). The wheel is `trail` behind it along
-    the fork and cannot move sideways.
+    the fork and does not move sideways.
     """
     along = speed * np.cos(swivel) + yaw_rate * ahead * np.sin(swivel)
     across = yaw_rate * ahead * np.cos(swivel) - speed * np.sin(swivel)

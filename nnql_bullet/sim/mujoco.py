@@ -1,15 +1,15 @@
 """Contact physics in MuJoCo. The only module that imports mujoco.
 
-Collision bits keep apart what must not meet: the wheels, which are spheres with one true contact point each, touch only
-the ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays see only these.
+Collision bits separate the contacts: the wheels, which are spheres with one contact point each, touch only the ground;
+the chassis, a box over the whole footprint, touches only obstacles and walls; rays meet only these.
 
-The engine's constraints are soft by design. Here they are as hard as it lets them be, which takes three measures:
+The engine's constraints are soft by design. Three measures make them as hard as the engine allows:
 
-- Each constraint is to be met by the end of the step, and is given in to by a ten-thousandth (`IMPEDANCE`).
-- A drive is no actuator, whose gain would have to be far too high for a free wheel, but a clutch: dry friction, as
-  strong as the torque limit, between the wheel and a shaft that turns as commanded.
-- The engine solves a convex relaxation of Coulomb's law in which whatever slides is lifted at once by the friction
-  coefficient times the speed of sliding: a skidding vehicle would hop. That lift is made up for (`_let_slide`).
+- A constraint is met at the end of the step, up to a small share (`IMPEDANCE`).
+- A drive is a clutch: dry friction, as strong as the torque limit, between the wheel and a shaft that turns as
+  commanded. An actuator would need a gain that is too high for a free wheel.
+- The engine solves a convex relaxation of Coulomb's law, in which a sliding contact separates with the friction
+  coefficient times the sliding speed: a skidding vehicle would hop. `_let_slide` compensates this lift.
 """
 
 from dataclasses import dataclass
@@ -35,36 +35,32 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 WHEEL, CHASSIS = 1, 2
-"""Collision bits: what the ground touches, and what obstacles and walls touch."""
+"""Collision bits: the ground touches wheels; obstacles and walls touch the chassis."""
 OBSTACLE = 1
-"""Group of the geoms that rays see; all others are in group 0."""
+"""Group of the geoms that rays meet; all others are in group 0."""
 
 IMPEDANCE = 0.9999
-"""Share of a constraint that is met; the engine takes no more. What is left has the vehicle sink in by a micrometre at
-most, and creep by less than that in 10 s."""
+"""Share to which a constraint is met, the largest that the engine takes; the vehicle hardly sinks in or creeps."""
 CONSTRAINT_STEPS = 2.0
-"""Time constant of a constraint, in steps: the engine takes no less. A wrong velocity is put right in one step."""
+"""Time constant of a constraint, in steps, the smallest that the engine takes; it corrects a velocity in one step."""
 HIT_DAMPING = 5.0
-"""Damping ratio of the chassis's contacts. With 1, critical damping, they throw the vehicle back at up to a quarter of
-the speed of a hit; that share falls with the square of the ratio."""
+"""Damping ratio of the chassis's contacts; the rebound from a hit falls with its square. 1 is critical damping."""
 SCRAPING = 0.25
-"""Friction of the chassis on obstacles and walls; in PyBullet it is the product of two default values of 0.5."""
+"""Friction of the chassis on obstacles and walls; in PyBullet it is the product of two default values."""
 SHAFT = 1e4
-"""Inertia of the shaft that a drive's clutch holds on to [kg m2]. A torque of 100 N m changes its speed by less than
-1e-4 rad/s in a step, after which it turns as commanded again."""
+"""Inertia of the shaft of a drive's clutch [kg m2]; it is so large that the clutch hardly changes the shaft's speed."""
 LOCK = 1e4
-"""What holds a locked joint [N m]."""
+"""Torque that holds a locked joint [N m]."""
 SINK = 1e-7
-"""How deep the wheels stand in the ground at the start [m]: the engine sees contact only where things overlap."""
+"""Depth of the wheels in the ground at the start [m]; the engine finds contacts only where shapes overlap."""
 SLIDES = 0.999999
-"""Share of its limit from which friction is taken to be sliding friction; the solver puts that on the limit exactly."""
+"""Share of the friction limit from which a contact slides; the solver puts sliding friction exactly on the limit."""
 AGREEMENT = 1e-5
-"""Accelerations of sliding contacts agree with Coulomb's law if they are off by no more than this [m/s2]; what is given
-in to (see `IMPEDANCE`), which keeps a wheel in contact, is a hundred times as much."""
-GENTLEST = -0.1
-"""Slope of the secant method, which takes it for at least that steep: it keeps steps within bounds."""
+"""Tolerance of a sliding contact's acceleration [m/s2]; the error that `IMPEDANCE` leaves is much larger."""
+LARGEST_SLOPE = -0.1
+"""Upper bound on the slope in the secant method; it limits the steps of the method."""
 PASSES = 30
-"""After which what is still off is left to the next step; most steps take 1 to 8."""
+"""Largest number of solutions of one step; the next step corrects the remaining error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +80,9 @@ PHYSICS = {
 class MujocoEngine(ContactEngine):
     """One vehicle in one world.
 
-    Resistance to rolling and spinning acts on free wheels only. The engine has one limit for friction in all directions
-    together, so that a wheel which rolls, and thereby uses up its limit, would slip by up to 4 % of its speed in turns.
-    On driven wheels resistance only takes 1 N m of what the drives have.
+    Resistance to rolling and spinning acts on free wheels only. The engine has one friction limit for all directions
+    together, so a wheel with rolling resistance would slip in turns. On driven wheels the resistance would only reduce
+    the available torque.
     """
 
     _com = (0.0, 0.0, 0.0)
@@ -106,70 +102,70 @@ class MujocoEngine(ContactEngine):
         self._model = self._data = None
         self._position = self._velocity = self._shafts = np.empty(0)
 
-    # What it is probed with
+    # Quantities for probes
 
     def release_wheels(self) -> None:
         """Lets the drive wheels roll freely."""
         self._hold(drives=0.0, joints=0.0)
 
     def lock_joints(self) -> None:
-        """Stops every joint and holds it where it is."""
+        """Stops every joint and holds its angle."""
         self._velocity[self._joint_rates] = 0.0
         self._hold(drives=0.0, joints=LOCK)
 
     def set_gravity(self, gravity: Vector) -> None:
-        """[m/s2]; a placed vehicle has it pointing down."""
+        """Sets the acceleration of gravity [m/s2]; `place` sets it pointing down."""
         self._model.opt.gravity[:] = gravity
 
     def set_velocity(self, x: float, y: float) -> None:
-        """Sends the chassis along [m/s], without turning it; the joints go on as they were."""
+        """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
         self._velocity[:6] = x, y, 0.0, 0.0, 0.0, 0.0
 
     def set_swivel(self, angle: float) -> None:
-        """Turns the caster from trailing [rad], at rest."""
+        """Turns the caster to an angle from trailing [rad], at rest."""
         self._position[self._joint_angles[2]] = angle
         self._velocity[self._joint_rates[2]] = 0.0
 
     def twist(self, torque: float) -> None:
-        """Turns the chassis about the vertical during the next physics step [N m]."""
+        """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
         self._data.xfrc_applied[self._chassis, 5] = torque
         self._twisted = True
 
     def touching(self) -> bool:
-        """Whether the chassis touches anything now. The wheels touch nothing but the ground."""
+        """Whether the chassis touches an obstacle or wall; it cannot touch anything else."""
         return len(self._contacts(self._chassis)) > 0
 
     def obstacle_force(self) -> float:
-        """Normal force of obstacles and walls on the chassis, as a sum over all contacts [N]."""
+        """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
         return self._contact_force(self._chassis).normal
 
     def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
-        """Of the ground on the left, right and caster wheel."""
+        """Forces of the ground on the left, right and caster wheel."""
         left, right, front = (self._contact_force(wheel) for wheel in self._wheels)
         return left, right, front
 
     def wheel_speeds(self) -> tuple[float, float]:
-        """Left and right drive wheel [rad/s]."""
+        """Speeds of the left and right drive wheel [rad/s]."""
         left, right, *_ = self._velocity[self._joint_rates].tolist()
         return left, right
 
     def wheel_heights(self) -> Vector:
-        """Of the left, right and caster wheel centre above the ground [m]."""
-        mujoco.mj_kinematics(self._model, self._data)  # after a step these are still where it began
+        """Heights of the left, right and caster wheel centre above the ground [m]."""
+        mujoco.mj_kinematics(self._model, self._data)  # a step leaves the heights of its beginning
         left, right, front = self._data.xpos[self._wheels, 2].tolist()
         return left, right, front
 
     def sample(self) -> Sample:
-        """The vehicle now."""
+        """The vehicle at the present time."""
         left, right, swivel, roll = self._position[self._joint_angles].tolist()
         return Sample(self.time(), self.pose(), (left, right, swivel, roll), self.wheel_speeds())
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
-        """What the engine holds of every link, by the link's name."""
+        """Properties of every link in the engine, by the link's name."""
         links = np.flatnonzero(self._model.body_rootid == self._chassis)
         return {self._model.body(link).name: self._dynamics(link) for link in links.tolist()}
 
-    # How it is built
+    # Construction
 
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
         vehicle = self.vehicle
@@ -191,10 +187,10 @@ class MujocoEngine(ContactEngine):
         self.set_velocity(speed * cos(pose.yaw), speed * sin(pose.yaw))
         rolling, front = speed / vehicle.wheel_radius, speed / vehicle.caster_radius
         self._velocity[self._joint_rates] = rolling, rolling, 0.0, front
-        mujoco.mj_kinematics(model, data)  # puts what rays see into its place
+        mujoco.mj_kinematics(model, data)  # sets the positions of the geoms that rays meet
 
     def _compiled(self, world: WorldSpec, ground: bool) -> Any:
-        """The world with the vehicle in it, as a model.
+        """Compiles a model of the world with the vehicle in it.
 
         Raises:
             UserError: If the engine cannot take the URDF.
@@ -217,7 +213,7 @@ class MujocoEngine(ContactEngine):
             raise UserError(f"{self.vehicle.urdf}: MuJoCo cannot take this URDF: {reason}") from None
 
     def _hold(self, drives: float, joints: float) -> None:
-        """Has the clutches pass on a torque of up to `drives`, and every joint resist up to `joints` [N m]."""
+        """Limits the torque of the clutches to `drives`, and the friction of every joint to `joints` [N m]."""
         self._driven = drives > 0
         self._model.tendon_frictionloss[:] = drives
         self._model.dof_frictionloss[self._joint_rates] = joints
@@ -249,12 +245,12 @@ class MujocoEngine(ContactEngine):
         self._data.mocap_pos[:, :2] = self._movers[:, :2]
 
     def _let_slide(self) -> None:
-        """Solves the step anew, where contacts slide, for the accelerations that Coulomb's law has them end with.
+        """Solves the step again so that sliding contacts satisfy Coulomb's law.
 
-        The solver exceeds the normal acceleration that it goes for, of a sliding contact, by its lift (see `_make_up`).
-        Asking for one that is lower by just that makes up for it: the change of variables of de Saxcé and Feng, The
-        bipotential method, Mathematical and Computer Modelling 28 (1998). The lift that comes out depends on the one
-        made up for; the two are brought together.
+        The normal acceleration of a sliding contact exceeds its reference by a lift (see `_compensate_lifts`). A
+        reference that is lower by the lift compensates it: the change of variables of de Saxcé and Feng, The
+        bipotential method, Mathematical and Computer Modelling 28 (1998). The lift depends on the compensation, so this
+        iterates until both are equal.
         """
         model, data = self._model, self._data
         contact = data.contact
@@ -263,7 +259,7 @@ class MujocoEngine(ContactEngine):
         lifts, last = np.zeros(len(rows)), np.zeros((len(rows), 2))
         for _ in range(PASSES):
             mujoco.mj_mulJacVec(model, data, reached, data.qacc)
-            if _make_up(rows, sizes, frictions, references, reached, lifts, last, data.efc_aref):
+            if _compensate_lifts(rows, sizes, frictions, references, reached, lifts, last, data.efc_aref):
                 break
             mujoco.mj_fwdConstraint(model, data)
 
@@ -273,13 +269,13 @@ class MujocoEngine(ContactEngine):
 
     def _velocities(self) -> tuple[Vector, Vector]:
         angular = np.empty(3)
-        mujoco.mju_rotVecQuat(angular, self._velocity[3:6], self._position[3:7])  # it is held in the chassis's axes
+        mujoco.mju_rotVecQuat(angular, self._velocity[3:6], self._position[3:7])  # given in the chassis's axes
         (vx, vy, vz), (wx, wy, wz) = self._velocity[:3].tolist(), angular.tolist()
         return (vx, vy, vz), (wx, wy, wz)
 
     def _cast(self, begins: Array, ends: Array) -> Array:
         if len(self._tracks):
-            mujoco.mj_kinematics(self._model, self._data)  # else rays see patrols where the last step began
+            mujoco.mj_kinematics(self._model, self._data)  # a step leaves the patrols of its beginning
         count, furthest = len(begins), paper.SENSOR_RANGE
         directions = (ends - begins).ravel() / furthest
         distances, hits = np.empty(count), np.empty(count, np.int32)
@@ -300,7 +296,7 @@ class MujocoEngine(ContactEngine):
         return np.where((hits < 0) | (distances > furthest), furthest, distances)
 
     def _contacts(self, link: int) -> NDArray[np.intp]:
-        """Which contacts of the last step were with a link; it had one wherever the two overlapped."""
+        """Finds the contacts of the last step with a link."""
         return np.flatnonzero((self._model.geom_bodyid[self._data.contact.geom] == link).any(axis=1))
 
     def _contact_force(self, link: int) -> ContactForce:
@@ -315,7 +311,7 @@ class MujocoEngine(ContactEngine):
         model, axes = self._model, np.empty(9)
         mujoco.mju_quat2Mat(axes, model.body_iquat[link])
         moments = np.empty(3)
-        moments[np.argmax(np.abs(axes.reshape(3, 3)), axis=0)] = model.body_inertia[link]  # it sorts them
+        moments[np.argmax(np.abs(axes.reshape(3, 3)), axis=0)] = model.body_inertia[link]  # the engine sorts them
         ix, iy, iz = moments.tolist()
         friction = spinning = rolling = 0.0
         if model.body_geomnum[link]:
@@ -324,7 +320,7 @@ class MujocoEngine(ContactEngine):
 
 
 def _hard(damping: float, time_step: float) -> list[float]:
-    """The engine's `solref` of a constraint with this damping ratio."""
+    """Returns the engine's `solref` for a constraint with a damping ratio."""
     return [CONSTRAINT_STEPS * time_step, damping]
 
 
@@ -332,11 +328,11 @@ def _set_solver(spec: Any, time_step: float) -> None:
     spec.option.timestep = time_step
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # friction is the same in all directions
-    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND  # there is only one, and `_let_slide` works without
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND  # `_let_slide` works without; there is only one
 
 
 def _set_contacts(spec: Any, vehicle: VehicleSpec) -> None:
-    """What the vehicle's geoms touch, and how; their values hold against anything."""
+    """Sets the contacts of the vehicle's geoms; their values take priority over those of other geoms."""
     time_step, contact = spec.option.timestep, vehicle.contact
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
@@ -356,7 +352,7 @@ def _set_contacts(spec: Any, vehicle: VehicleSpec) -> None:
 
 
 def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
-    """Two shafts, which become the last joints, and the friction between each and its wheel; also what locks joints."""
+    """Adds a shaft for each drive wheel, as the last joints, and the friction between them; sets friction of joints."""
     friction = {"solref_friction": _hard(1.0, spec.option.timestep)}
     for wheel in (vehicle.joints.left_drive, vehicle.joints.right_drive):
         shaft = f"shaft of {wheel}"
@@ -377,7 +373,7 @@ def _add_solids(spec: Any, world: WorldSpec) -> None:
 
 
 def _add_patrols(spec: Any, world: WorldSpec) -> None:
-    """Bodies that are told where they are. The engine takes them to stand: it feels how deep they hit, not how fast."""
+    """Adds bodies that are moved from outside. The engine ignores their velocity; only their depth affects a hit."""
     half_height = world.obstacle_height / 2
     for patrol in world.patrols:
         body = spec.worldbody.add_body(mocap=True, pos=[patrol.box.x, patrol.box.y, half_height])
@@ -385,7 +381,7 @@ def _add_patrols(spec: Any, world: WorldSpec) -> None:
 
 
 def _add_box(body: Any, box: OrientedBox, half_height: float, pos: list[float]) -> None:
-    """A box as obstacles are, somewhere in a body."""
+    """Adds a box to a body, with the contacts of an obstacle."""
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[box.half_length, box.half_width, half_height],
@@ -399,13 +395,13 @@ def _add_box(body: Any, box: OrientedBox, half_height: float, pos: list[float]) 
 
 @njit()
 def _slides(rows: NDArray[np.int32], sizes: NDArray[np.int32], frictions: Array, forces: Array) -> bool:
-    """Whether any contact uses all the friction there is, in all its directions together.
+    """Whether any contact uses all available friction, in all its directions together.
 
     Args:
-        rows: The first row of each contact among the solver's, its normal; those of friction follow (n,).
-        sizes: How many rows it has (n,).
+        rows: First row of each contact in the solver: its normal; its rows of friction follow (n,).
+        sizes: Number of rows of each contact (n,).
         frictions: Coefficients of the rows after the first (n, 5) [1, m].
-        forces: Of all rows [N, N m].
+        forces: Forces of all rows [N, N m].
     """
     for contact in range(len(rows)):
         row, used = rows[contact], 0.0
@@ -417,7 +413,7 @@ def _slides(rows: NDArray[np.int32], sizes: NDArray[np.int32], frictions: Array,
 
 
 @njit()
-def _make_up(
+def _compensate_lifts(
     rows: NDArray[np.int32],
     sizes: NDArray[np.int32],
     frictions: Array,
@@ -427,29 +423,29 @@ def _make_up(
     last: Array,
     asked: Array,
 ) -> bool:
-    """Makes up for the lift of contacts: the norm of friction coefficient times what is missing of an acceleration.
+    """Compensates the lifts of contacts by one step of the secant method for each contact.
 
-    What is missing in the directions of friction is what would end the sliding within the step. The lift that comes out
-    grows with the one made up for, by less than that grows. The secant method finds where they are the same, for each
-    contact on its own.
+    The lift of a contact is the norm, over its rows of friction, of coefficient times missing acceleration: that which
+    would end the sliding within the step. The lift grows with its compensation, but more slowly; the method finds where
+    both are equal.
 
     Args:
         rows: See `_slides`.
         sizes: See `_slides`.
         frictions: See `_slides`.
-        references: Accelerations that are gone for, in all rows [m/s2, rad/s2].
-        reached: Those that came out [m/s2, rad/s2].
-        lifts: Made up for so far (n,) [m/s2]; brought up to date.
-        last: What was made up for before that, and how much more came out (n, 2) [m/s2]; brought up to date.
-        asked: `references` less the lifts; brought up to date.
+        references: Wanted accelerations of all rows [m/s2, rad/s2].
+        reached: Accelerations that the solver reached [m/s2, rad/s2].
+        lifts: Lifts compensated so far (n,) [m/s2]; updated.
+        last: Lifts compensated before that, and by how much the resulting ones exceeded them (n, 2) [m/s2]; updated.
+        asked: `references` less the lifts; updated.
 
     Returns:
-        Whether what came out is what was made up for.
+        Whether the resulting lifts equal the compensated ones.
     """
     agreed = True
     for contact in range(len(rows)):
         row, lift = rows[contact], 0.0
-        if row < 0:  # it is left out
+        if row < 0:  # the solver excludes this contact
             continue
         for k in range(1, sizes[contact]):
             lift += (frictions[contact, k - 1] * (reached[row + k] - references[row + k])) ** 2
@@ -458,7 +454,7 @@ def _make_up(
         agreed = agreed and abs(more) <= AGREEMENT
         slope = -1.0
         if lifts[contact] != before:
-            slope = min(max((more - more_before) / (lifts[contact] - before), -1.0), GENTLEST)
+            slope = min(max((more - more_before) / (lifts[contact] - before), -1.0), LARGEST_SLOPE)
         last[contact, 0], last[contact, 1] = lifts[contact], more
         lifts[contact] = max(lifts[contact] - more / slope, 0.0)
         asked[row] = references[row] - lifts[contact]

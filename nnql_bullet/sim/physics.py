@@ -1,7 +1,6 @@
 """One vehicle in one world of contact physics, as quantities that probes can set and read.
 
-An engine fills in the abstract methods; `sim.contact` adds the control of the wheels. So two engines differ in their
-physics and in nothing else.
+An engine implements the abstract methods; `sim.contact` adds the control of the wheels. Engines differ in nothing else.
 """
 
 from abc import ABC, abstractmethod
@@ -48,16 +47,16 @@ class ContactForce:
 
 
 class VehiclePhysics(ABC):
-    """One vehicle in one world of contact physics. The methods are what probes need."""
+    """One vehicle in one world of contact physics. Probes use its methods."""
 
     _com: Vector
     """Origin of `_frame` in the chassis frame [m]."""
     _tracks: Array
     """Tracks of the patrols: rows (m, 6) of `WorldSpec.tracks`."""
     _solids: Array
-    """Obstacles, walls and patrols as they are now: rows (n, 6) of `geometry.as_rows`."""
+    """Obstacles, walls and patrols at the present time: rows (n, 6) of `geometry.as_rows`."""
     _movers: Array
-    """The rows of the patrols: a view into `_solids` (m, 6)."""
+    """Rows of the patrols: a view into `_solids` (m, 6)."""
 
     def __init__(self, vehicle: VehicleSpec, time_step: float) -> None:
         self.vehicle = vehicle
@@ -65,7 +64,7 @@ class VehiclePhysics(ABC):
         self._steps = 0
 
     def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
-        """Builds a world from nothing, so that nothing of before is left, and puts the vehicle into it.
+        """Builds a new world and places the vehicle in it; nothing of an earlier world remains.
 
         Args:
             world: The obstacles, walls and patrols.
@@ -81,12 +80,12 @@ class VehiclePhysics(ABC):
         self._move_patrols()
 
     def run(self, seconds: float) -> None:
-        """Runs physics steps for a time, to the nearest step."""
+        """Runs physics steps for a time [s], rounded to whole steps."""
         for _ in range(round(seconds / self.time_step)):
             self.step()
 
     def step(self) -> None:
-        """Runs one physics step, then moves the patrols to where they are by then."""
+        """Runs one physics step, then moves the patrols."""
         self._step()
         self._move_patrols()
 
@@ -105,7 +104,7 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def lock_joints(self) -> None:
-        """Stops every joint and holds it where it is."""
+        """Stops every joint and holds its angle."""
 
     @abstractmethod
     def set_gravity(self, gravity: Vector) -> None:
@@ -113,7 +112,7 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def set_velocity(self, x: float, y: float) -> None:
-        """Sets the velocity of the chassis [m/s], which then does not turn; the joints keep theirs."""
+        """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
 
     @abstractmethod
     def set_swivel(self, angle: float) -> None:
@@ -125,7 +124,7 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def touching(self) -> bool:
-        """Whether the chassis touches an obstacle or wall now. It cannot touch anything else."""
+        """Whether the chassis touches an obstacle or wall; it cannot touch anything else."""
 
     @abstractmethod
     def obstacle_force(self) -> float:
@@ -176,19 +175,19 @@ class VehiclePhysics(ABC):
         """Yaw rate [rad/s]."""
         return float(self._velocities()[1][2])
 
-    # What else an engine fills in
+    # Further methods that an engine implements
 
     @abstractmethod
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
-        """Builds the world and the vehicle in the engine, see `place`; sets `_com`."""
+        """Builds the world and the vehicle in the engine (see `place`) and sets `_com`."""
 
     @abstractmethod
     def _step(self) -> None:
-        """Runs and counts one physics step, in which the patrols stay where they were."""
+        """Runs and counts one physics step, without moving the patrols."""
 
     @abstractmethod
     def _engage_motors(self) -> None:
-        """Prepares the drive wheels for `_command`, after a release for instance."""
+        """Prepares the drive wheels for `_command`, for example after a release."""
 
     @abstractmethod
     def _command(self, speeds: list[float]) -> None:
@@ -196,7 +195,7 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def _place_patrols(self) -> None:
-        """Puts each patrol where its row of `_movers` says."""
+        """Moves each patrol to the position in its row of `_movers`."""
 
     @abstractmethod
     def _frame(self) -> tuple[Vector, Quaternion]:
@@ -208,10 +207,10 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def _cast(self, begins: Array, ends: Array) -> Array:
-        """Distances (n,) [m] at which rays from `begins` to `ends` (n, 3) meet an obstacle or wall."""
+        """Computes the distances (n,) [m] at which rays from `begins` to `ends` (n, 3) meet an obstacle or wall."""
 
     def _move_patrols(self) -> None:
-        """Moves the patrols to where they are now."""
+        """Moves the patrols to their positions at the present time."""
         if len(self._tracks):
             follow_tracks(self._tracks, self.time(), self._movers)
             self._place_patrols()
@@ -221,7 +220,7 @@ class VehiclePhysics(ABC):
 def rear_axle(
     position: tuple[float, float, float], orientation: tuple[float, float, float, float], ahead: float, up: float
 ) -> tuple[float, float, float]:
-    """x, y [m] and yaw [rad] of the rear-axle centre, from a frame fixed to the chassis.
+    """Computes x, y [m] and yaw [rad] of the rear-axle centre from a frame fixed to the chassis.
 
     Args:
         position: Origin of the frame in the world [m].

@@ -1,7 +1,7 @@
-"""Vehicles that are shared out among worker processes.
+"""Simulates vehicles in several worker processes.
 
-Each process makes a simulator of its own for its share. Worlds, commands, motions and samples travel. A worker ends
-when its pipe ends, whatever the reason, so no worker outlives this process.
+Each process makes its own simulator for some of the vehicles. Pipes carry worlds, commands, motions and samples. A
+worker ends when its pipe closes, for any reason, so no worker outlives this process.
 """
 
 import multiprocessing
@@ -24,7 +24,7 @@ from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, 
 from nnql_bullet.worlds.spec import WorldSpec
 
 EXIT_TIMEOUT = 5.0
-"""Time that a worker may take to end by itself [s]."""
+"""Time limit for a worker to end by itself [s]."""
 
 
 class WorkerSimulator:
@@ -34,25 +34,24 @@ class WorkerSimulator:
         """Starts the processes. After any error the simulator can only be closed.
 
         Args:
-            make: Makes a simulator of a given size; it is sent to the processes, so it must be importable there.
+            make: Makes a simulator of a given size; the processes must be able to import it.
             size: Number of vehicles.
             workers: Number of processes, at most `size`.
         """
         self.size = size
         self._shares = [np.arange(first, size, workers) for first in range(workers)]
-        context = multiprocessing.get_context("spawn")  # a fork would copy threads' locks, and all memory
+        context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads, and all memory
         self._pipes: list[Connection] = []
         self._processes: list[BaseProcess] = []
-        # Ctrl-C reaches every process of a terminal, but only this process is to react. Its children inherit the
-        # signals that it blocks.
-        resource_tracker.ensure_running()  # else the first child starts it, and that unblocks Ctrl-C again
+        # Ctrl-C reaches every process of a terminal, but only this one should react. Children inherit blocked signals.
+        resource_tracker.ensure_running()  # otherwise the first child starts it, which unblocks Ctrl-C
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             for share in self._shares:
                 mine, theirs = context.Pipe()
                 process = context.Process(target=_serve, args=(theirs, make, len(share)), daemon=True)
                 process.start()
-                theirs.close()  # so that the end of the process is the end of the pipe
+                theirs.close()  # so that the pipe closes when the process ends
                 self._pipes.append(mine)
                 self._processes.append(process)
         finally:
@@ -107,7 +106,7 @@ class WorkerSimulator:
         return motion, ray_distances
 
     def close(self) -> None:
-        """Ends the processes: closes their pipes, and kills those that go on."""
+        """Ends the processes: closes their pipes, and kills those that do not end."""
         for pipe in self._pipes:
             pipe.close()
         for process in self._processes:
@@ -123,7 +122,11 @@ class WorkerSimulator:
             raise self._death_of(worker) from None
 
     def _collect(self, workers: Iterable[int]) -> dict[int, Any]:
-        """Answers of some workers, in the order that they come; a death is noticed at once."""
+        """Collects the answers of some workers as they come.
+
+        Raises:
+            WorkerDied: As soon as a worker dies.
+        """
         waiting = {self._pipes[worker]: worker for worker in workers}
         answers = {}
         while waiting:

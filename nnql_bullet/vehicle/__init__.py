@@ -1,1 +1,1 @@
-"""The vehicle: what its URDF and TOML say, and how a commanded turn becomes wheel speeds."""
+"""The vehicle: its description in URDF and TOML, its limits, and the controller of its wheels."""

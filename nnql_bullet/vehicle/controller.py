@@ -1,7 +1,7 @@
-"""The vehicle's controller: it turns the decisions of an agent into wheel-speed commands.
+"""The vehicle's controller: it converts the decisions of an agent into wheel-speed commands.
 
 A decision asks for a heading change and a speed. The controller plans profiles of heading, yaw rate and speed within
-the vehicle's limits, and commands the wheel speeds that follow them. It feeds the heading back, in proportion.
+the vehicle's limits, and commands the wheel speeds that follow them, with proportional feedback of the heading.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,12 @@ COMMAND_RATE = 120.0
 
 @options
 class DriveOptions:
-    """How the agent's decisions reach the wheels."""
+    """Options of the vehicle's controller."""
 
     decision_period: Positive = 0.5
-    """Time from one decision to the next [s]. The paper's "one step" has no length. A turn may last for several
-    decisions."""
+    """Time between decisions [s]; the paper states no length of "one step". A turn may last for several decisions."""
     speed: Positive = paper.SPEED
-    """Speed of the rear-axle centre, unless a decision asks for less [m/s]."""
+    """Speed of the rear-axle centre [m/s], unless a decision asks for less."""
     heading_gain: NonNegative = 4.0
     """Yaw rate per heading error [1/s]."""
 
@@ -49,7 +48,7 @@ class Plan:
 
 
 def command_times(drive: DriveOptions) -> Array:
-    """Times of the m wheel commands of a control period, and of its end (m + 1,) [s].
+    """Computes the times of the m wheel commands of a control period, and of its end (m + 1,) [s].
 
     Raises:
         UserError: If the period is not a whole number of commands.
@@ -101,7 +100,7 @@ def _profiles(
 def command_wheels(
     feed_forward: Array, heading_error: float, heading_gain: float, track: float, wheel_radius: float, speeds: Array
 ) -> None:
-    """Computes the wheel speeds of k commands in a row, with the heading fed back once.
+    """Computes the wheel speeds of k successive commands, with feedback of the heading at the first.
 
     Args:
         feed_forward: Rows of `Plan.feed_forward` (k, 2).
@@ -109,7 +108,7 @@ def command_wheels(
         heading_gain: Yaw rate per heading error [1/s].
         track: Distance between the drive wheels [m].
         wheel_radius: Radius of the drive wheels [m].
-        speeds: Filled with left and right wheel speeds (k, 2) [rad/s].
+        speeds: Array to fill with left and right wheel speeds (k, 2) [rad/s].
     """
     correction = heading_gain * heading_error
     for k in range(len(speeds)):
@@ -118,7 +117,7 @@ def command_wheels(
 
 
 def whole_steps(period: float, time_step: float) -> int:
-    """Number of physics steps in a control period.
+    """Computes the number of physics steps in a control period.
 
     Raises:
         UserError: If it is not a whole number of at least one.

@@ -1,8 +1,8 @@
-"""Friction, wheel torque and wheel loads that a manoeuvre needs, and the limits that follow, from Newton and Euler.
+"""Friction, wheel torque and wheel loads that a manoeuvre needs, and the limits that follow, by Newton and Euler.
 
-The vehicle is a rigid body on two driven rear wheels and a free front caster. The caster rolls where it is pulled: it
-carries load and takes no side force. All results include the payload of the `VehicleSpec`. They leave out rolling
-resistance and the force that swings the caster's own mass.
+The vehicle is a rigid body on two driven rear wheels and a free front caster. The caster trails: it carries load and
+takes no side force. All results include the payload of the `VehicleSpec`. They neglect rolling resistance and the
+force that swings the caster's own mass.
 
 Sources: Gillespie, Fundamentals of Vehicle Dynamics, chapters 1 (axle loads), 3 (braking) and 9 (roll-over); Wong,
 Theory of Ground Vehicles, 3.8 (braking) and 5.1 (centripetal force); Siegwart and Nourbakhsh, Introduction to
@@ -20,7 +20,7 @@ from nnql_bullet.vehicle.profiles import Turn
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 INSTANTS = 60
-"""Number of instants evaluated in each phase of a turn, with both ends, where the peaks are."""
+"""Number of instants evaluated in each phase of a turn, including both ends; the peaks are at the ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Demand:
     def friction(self) -> Array:
         """Coefficient of friction that both drive wheels together need (n,).
 
-        A rigid axle distributes its side force as grip allows. It slides when both wheels together reach their limit:
+        A rigid axle distributes its side force between the wheels. It slides when both together reach their limit:
         |sum of forces| <= mu (N_left + N_right), where the longitudinal forces count by their magnitude.
         """
         along = np.abs(self.drive_forces).sum(axis=1)
@@ -58,7 +58,7 @@ class TurnDemand:
     torque: float
     """Largest torque of a drive [N m]."""
     least_load: float
-    """Smallest load on a drive wheel over its load at rest; below zero the wheel lifts."""
+    """Smallest load on a drive wheel over its load at rest; the wheel lifts below zero."""
     lateral: float
     """Largest lateral acceleration of the centre of mass [m/s2]."""
 
@@ -120,7 +120,7 @@ def turn_demand(vehicle: VehicleSpec, speed: float, turn: Turn) -> TurnDemand:
 
 
 def worst(vehicle: VehicleSpec, demand: Demand) -> TurnDemand:
-    """Extreme values of a demand over its instants."""
+    """Computes the extreme values of a demand over its instants."""
     return TurnDemand(
         friction=float(demand.friction.max()),
         torque=float(np.abs(demand.torques).max()),
@@ -130,25 +130,25 @@ def worst(vehicle: VehicleSpec, demand: Demand) -> TurnDemand:
 
 
 def static_rear_load(vehicle: VehicleSpec) -> float:
-    """Load on each drive wheel at rest [N]."""
+    """Computes the load on each drive wheel at rest [N]."""
     return vehicle.mass * GRAVITY * vehicle.rear_share / 2
 
 
 def tip_acceleration(vehicle: VehicleSpec) -> float:
-    """Lateral acceleration that lifts the inner drive wheel: g (T/2)(1 - a/L)/h [m/s2]."""
+    """Computes the lateral acceleration that lifts the inner drive wheel: g (T/2)(1 - a/L)/h [m/s2]."""
     return GRAVITY * vehicle.track / 2 * vehicle.rear_share / vehicle.com_height
 
 
 def tip_angle(vehicle: VehicleSpec) -> float:
-    """Sideways slope on which a wheel lifts, which is also the roll angle at which the vehicle tips over [rad]."""
+    """Computes the sideways slope on which a wheel lifts [rad]; it is also the roll angle at which the vehicle tips."""
     return atan(tip_acceleration(vehicle) / GRAVITY)
 
 
 def grip_acceleration(vehicle: VehicleSpec) -> float:
-    """Lateral acceleration of a steady turn that uses all grip: mu g (1 - a/L)/sqrt(1 + (2a/T)^2) [m/s2].
+    """Computes the lateral acceleration of a turn at the limit of grip: mu g (1 - a/L)/sqrt(1 + (2a/T)^2) [m/s2].
 
-    The root accounts for the longitudinal forces that hold the turn, because the side force acts behind the centre of
-    mass.
+    The root accounts for the longitudinal forces of the wheels: they balance the moment of the side force, which acts
+    behind the centre of mass.
     """
     straight = vehicle.contact.wheel_friction * GRAVITY * vehicle.rear_share
     return straight / sqrt(1 + (2 * vehicle.com_ahead / vehicle.track) ** 2)
@@ -159,17 +159,17 @@ class Braking:
     """Decelerations of a vehicle that brakes on its drive wheels, straight ahead."""
 
     by_grip: float
-    """Deceleration with locked wheels: mu g (1 - a/L)/(1 + mu h/L), because braking unloads them [m/s2]."""
+    """Deceleration with locked wheels, which braking unloads: mu g (1 - a/L)/(1 + mu h/L) [m/s2]."""
     by_torque: float
-    """Deceleration with rolling wheels at the torque limit: 2 tau/(r m), m with the wheels' inertia [m/s2]."""
+    """Deceleration with rolling wheels at the torque limit: 2 tau/(r m) [m/s2]; m includes the wheels' inertia."""
 
     @property
     def deceleration(self) -> float:
-        """The deceleration that the vehicle reaches: the smaller of both [m/s2]."""
+        """Deceleration of the vehicle: the smaller of both [m/s2]."""
         return min(self.by_grip, self.by_torque)
 
     def stopping_distance(self, speed: float, reaction: float = 0.0) -> float:
-        """Distance driven until the vehicle stands: v t + v^2/(2d) [m].
+        """Computes the distance driven until the vehicle stands: v t + v^2/(2d) [m].
 
         Args:
             speed: Speed when the obstacle is seen [m/s].
@@ -178,7 +178,7 @@ class Braking:
         return speed * reaction + speed * speed / (2 * self.deceleration)
 
     def largest_speed(self, distance: float, reaction: float = 0.0) -> float:
-        """Largest speed from which the vehicle stops within a distance: root of the stopping distance [m/s].
+        """Computes the largest speed from which the vehicle stops within a distance [m/s].
 
         Args:
             distance: Free distance ahead [m].
@@ -199,13 +199,13 @@ def braking(vehicle: VehicleSpec) -> Braking:
 
 
 MIN_TURNING_BRAKES = 0.4
-"""Lower bound on the deceleration in a turn, over that straight ahead; braking ends the turn, too."""
+"""Lower bound on the deceleration in a turn, over that straight ahead; braking also ends the turn."""
 MIN_YAW_ACCELERATION = 0.1
-"""Lower bound on the yaw acceleration that the vehicle follows, over the commanded limit."""
+"""Lower bound on the yaw acceleration that the vehicle can follow, over the commanded limit."""
 
 
 def followed_limits(vehicle: VehicleSpec, speed: float, acceleration: float = 0.0) -> Limits:
-    """Computes the limits within which the vehicle follows its commands, at most the commanded limits.
+    """Computes the limits within which the vehicle follows its commands; they do not exceed the commanded limits.
 
     Grip limits the yaw rate of a steady turn. The force F of a drive wheel, the smaller of tau/r and mu N less its part
     in the acceleration along the vehicle, limits the yaw acceleration: F T >= Izz alpha + a m (v w + a alpha).
@@ -225,7 +225,7 @@ def followed_limits(vehicle: VehicleSpec, speed: float, acceleration: float = 0.
 
 
 def turning_deceleration(vehicle: VehicleSpec, speed: float) -> float:
-    """Deceleration that is left while the vehicle turns at the yaw rate of `followed_limits` [m/s2].
+    """Computes the deceleration that is left while the vehicle turns at the yaw rate of `followed_limits` [m/s2].
 
     Each drive wheel takes half the side force, within its circle of friction, and the longitudinal force that holds the
     turn. The remaining longitudinal force brakes.
@@ -243,13 +243,13 @@ def turning_deceleration(vehicle: VehicleSpec, speed: float) -> float:
 
 
 def braking_rear_load(vehicle: VehicleSpec, deceleration: float) -> float:
-    """Load on each drive wheel while braking, over its load at rest."""
+    """Computes the load on each drive wheel while braking, over its load at rest."""
     moved = vehicle.mass * deceleration * vehicle.com_height / vehicle.wheelbase / 2
     return 1 - moved / static_rear_load(vehicle)
 
 
 def _product_of_inertia(vehicle: VehicleSpec) -> float:
-    """Sum of m x z about the centre of mass [kg m2], of the payload alone.
+    """Computes the payload's product of inertia about the centre of mass, the sum of m x z [kg m2].
 
     The product of inertia of the empty vehicle is small and counts as zero.
     """
@@ -261,9 +261,9 @@ def _product_of_inertia(vehicle: VehicleSpec) -> float:
 
 
 def _caster_contact(vehicle: VehicleSpec, speed: float, yaw_rate: Array) -> tuple[Array, Array]:
-    """Contact point of the caster, ahead and to the left of the rear-axle centre (n,) [m].
+    """Computes the caster's contact point, ahead and to the left of the rear-axle centre (n,) [m].
 
-    Its contact point moves in the wheel's plane: w L' cos(delta) - v sin(delta) = t w, for the swivel axis L' = L + t
+    The contact point moves in the wheel's plane: w L' cos(delta) - v sin(delta) = t w, with the swivel axis L' = L + t
     ahead of the axle and the trail t.
     """
     trail, swivel = vehicle.caster_trail, vehicle.wheelbase + vehicle.caster_trail

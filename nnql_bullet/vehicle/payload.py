@@ -13,12 +13,12 @@ LOAD_HEIGHT = 0.55
 
 
 def deck_load(vehicle: VehicleSpec, mass: float, height: float = LOAD_HEIGHT) -> Payload:
-    """A load of some mass [kg] on the middle of the deck, its centre at some height above the ground [m]."""
+    """Makes a load of a mass [kg] on the middle of the deck; `height` is that of its centre above the ground [m]."""
     return Payload(mass, vehicle.footprint.x, height)
 
 
 def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
-    """The vehicle with a load: mass, centre of mass and inertia of both together (parallel-axis theorem).
+    """Adds a load to a vehicle: to its mass, centre of mass and inertia (parallel-axis theorem).
 
     Raises:
         UserError: If the vehicle already carries a load.
@@ -41,7 +41,7 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """The text of the vehicle's URDF, in which its load is one more link.
+    """Returns the text of the vehicle's URDF, with an additional link for its load.
 
     Raises:
         OSError: If the URDF cannot be read.

@@ -1,9 +1,9 @@
-"""Yaw-rate and speed profiles inside the vehicle's limits, from a commanded heading change and speed to wheel speeds.
+"""Yaw-rate and speed profiles within the vehicle's limits, for a commanded heading change and speed.
 
-A turn goes from the present yaw rate to a peak, holds it, and comes back to zero when the heading change is reached:
-the trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest
-turn within the limits on yaw rate and yaw acceleration. Meanwhile the speed goes to the commanded speed at the limit
-on acceleration. A control period that ends before its profile hands its yaw rate and speed on to the next one.
+In a turn the yaw rate rises to a peak, stays there, and falls to zero when the heading change is reached: the
+trapezoidal velocity profile of Lynch and Park, Modern Robotics, 9.2.2, applied to the yaw rate. It is the quickest turn
+within the limits on yaw rate and yaw acceleration. Meanwhile the speed ramps to the commanded speed at the limit on
+acceleration. If a control period ends before its profile, the next one starts at the yaw rate and speed reached.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ class Turn:
 
     @property
     def duration(self) -> float:
-        """Time until the vehicle runs straight again [s]."""
+        """Time until the yaw rate is zero [s]."""
         return self.rise + self.hold + self.fall
 
 
 def plan_turn(yaw_rate: float, heading_change: float, limits: Limits) -> Turn:
-    """Plans the quickest turn by a heading change that ends running straight.
+    """Plans the quickest turn by a heading change that ends with a yaw rate of zero.
 
     Args:
         yaw_rate: Yaw rate at the start [rad/s].
@@ -52,7 +52,7 @@ def turn_profile(
     At acceleration `a`, the ramps to the peak and to zero cover (2 peak^2 - start^2) / 2a; the hold covers the rest.
     """
     a = acceleration
-    # The peak lies on the side of the heading change that is left when the turn ends at once.
+    # The peak has the sign of the heading change that remains if the vehicle stops turning now.
     side = copysign(1.0, heading_change - yaw_rate * abs(yaw_rate) / (2 * a))
     start, change = side * yaw_rate, side * heading_change
     peak = min(sqrt(max(a * change + start * start / 2, 0.0)), max_rate)
@@ -86,7 +86,7 @@ def turn_headings(yaw_rates: Array, heading_changes: Array, limits: Limits, time
 
 
 def rolled_path(yaw: float, lengths: Array, heading_changes: Array) -> Array:
-    """Computes the places after each of several arcs; an arc counts as the chord along its middle heading.
+    """Computes the positions after each of several arcs; a chord along its middle heading approximates each arc.
 
     Args:
         yaw: Heading at the start [rad].
@@ -94,19 +94,19 @@ def rolled_path(yaw: float, lengths: Array, heading_changes: Array) -> Array:
         heading_changes: Heading changes of the arcs (..., m) [rad].
 
     Returns:
-        Places relative to the start (..., m, 2) [m].
+        Positions relative to the start (..., m, 2) [m].
     """
     middles = yaw + np.cumsum(heading_changes, axis=-1) - heading_changes / 2
     return np.cumsum(np.stack([lengths * np.cos(middles), lengths * np.sin(middles)], axis=-1), axis=-2)
 
 
 def ramp_distances(speeds: Array, goals: Array, acceleration: float, times: Array) -> Array:
-    """Computes the distances that vehicles drive between times while their speed ramps as in `sample_ramp`.
+    """Computes the distances that vehicles drive between times while their speed changes as in `sample_ramp`.
 
     Args:
         speeds: Speeds at the start (n,) [m/s].
         goals: Speeds to reach (n,) [m/s].
-        acceleration: Limit, speeding up and slowing down [m/s2].
+        acceleration: Limit on acceleration and deceleration [m/s2].
         times: (k,) [s]
 
     Returns:
@@ -122,7 +122,7 @@ def ramp_distances(speeds: Array, goals: Array, acceleration: float, times: Arra
 def sample_profile(
     start: float, peak: float, rise: float, hold: float, fall: float, times: Array, rates: Array, headings: Array
 ) -> None:
-    """Fills `rates` and `headings` (n,) as `sample_turn` does, as a kernel."""
+    """Samples a turn into `rates` and `headings` (n,), see `sample_turn`."""
     for i, time in enumerate(times):
         t = min(time, rise)
         rate = start + (peak - start) * t / rise if rise > 0 else peak
@@ -137,14 +137,14 @@ def sample_profile(
 
 @njit()
 def sample_ramp(start: float, goal: float, acceleration: float, times: Array, speeds: Array) -> None:
-    """Fills `speeds` (n,) [m/s] with the speeds of a vehicle that goes to another speed and keeps it.
+    """Samples the speed of a vehicle that changes to another speed and keeps it.
 
     Args:
         start: Speed at the start [m/s].
         goal: Speed to reach [m/s].
-        acceleration: Limit, speeding up and slowing down [m/s2].
+        acceleration: Limit on acceleration and deceleration [m/s2].
         times: (n,) [s]
-        speeds: The array to fill.
+        speeds: Array to fill (n,) [m/s].
     """
     for i, time in enumerate(times):
         change = acceleration * time
@@ -165,6 +165,6 @@ def _sample_profiles(
 
 @njit()
 def wheel_speeds(speed: float, yaw_rate: float, track: float, wheel_radius: float) -> tuple[float, float]:
-    """Left and right wheel speed [rad/s] of a differential drive (Siegwart and Nourbakhsh, Autonomous Robots, 3.2)."""
+    """Computes the wheel speeds [rad/s] of a differential drive (Siegwart and Nourbakhsh, Autonomous Robots, 3.2)."""
     half = yaw_rate * track / 2
     return (speed - half) / wheel_radius, (speed + half) / wheel_radius

@@ -29,7 +29,7 @@ class Limits:
     yaw_acceleration: Positive
     """[rad/s2]"""
     acceleration: Positive
-    """Along the vehicle, speeding up and slowing down [m/s2]."""
+    """Acceleration and deceleration along the vehicle [m/s2]."""
 
 
 @options
@@ -110,9 +110,9 @@ class VehicleSpec:
     wheel_torque: float
     """Torque limit of each drive [N m]."""
     payload: Payload | None = None
-    """The load, which `mass`, the centre of mass and `yaw_inertia` include."""
+    """The load; `mass`, the centre of mass and `yaw_inertia` include it."""
     source: str = ""
-    """The shipped robot or TOML file that it was read from."""
+    """Name of the shipped robot or path of the TOML file from which it was read."""
 
     @staticmethod
     def load(name: "str | Path | VehicleSpec") -> "VehicleSpec":
@@ -143,7 +143,7 @@ class VehicleSpec:
         return 1 - self.com_ahead / self.wheelbase
 
     def gripping(self, friction: float) -> "VehicleSpec":
-        """The same vehicle with another friction of its wheels."""
+        """Returns the vehicle with another friction of its wheels."""
         return replace(self, contact=replace(self.contact, wheel_friction=friction))
 
     @property

@@ -51,10 +51,10 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
 
 
 def robot_name(vehicle: str | Path | VehicleSpec) -> str:
-    """The name or TOML file of a vehicle, for a configuration.
+    """Returns the name or TOML file of a vehicle, for a configuration.
 
     Raises:
-        UserError: If the vehicle is not, or no longer, what a file says.
+        UserError: If the vehicle differs from its file or has none.
     """
     if not isinstance(vehicle, VehicleSpec):
         return str(vehicle)
@@ -64,19 +64,19 @@ def robot_name(vehicle: str | Path | VehicleSpec) -> str:
 
 
 class _Unfit(Exception):
-    """The URDF does not describe a vehicle that this package can drive; the text says what to change."""
+    """The URDF does not describe a vehicle that this package can drive; the text names the change needed."""
 
 
 def _load_urdf(path: Path) -> Any:
     if not path.is_file():
         raise UserError(f"{path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
-    import yourdfpy  # 70 MB that a worker process does not need, which receives a VehicleSpec
+    import yourdfpy  # here because worker processes, which receive a VehicleSpec, do not need its memory
 
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
     try:
         ElementTree.parse(path)  # yourdfpy silently repairs broken XML
         return yourdfpy.URDF.load(str(path), load_meshes=False, load_collision_meshes=False)
-    except Exception as error:  # yourdfpy raises whatever its parsers raise
+    except Exception as error:  # yourdfpy passes on all errors of its parsers
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(f"{path}: cannot be read as a URDF: {reason}") from None
 
@@ -129,7 +129,7 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Any) -> VehicleSpec:
 
 
 def _composite(urdf: Any) -> tuple[float, Any, Any]:
-    """Mass, centre of mass, and inertia about it, of all links together (parallel-axis theorem)."""
+    """Computes mass, centre of mass and inertia about it of all links together (parallel-axis theorem)."""
     parts = []
     for link in urdf.link_map.values():
         inertial = link.inertial

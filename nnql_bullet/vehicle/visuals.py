@@ -43,15 +43,11 @@ class Visuals:
         Raises:
             UserError: If the entry has no URDF, or the URDF shows a mesh.
         """
-        if "urdf" not in vehicle:
-            raise UserError(
-                "this recording does not say what the vehicle looks like; record it again with: nnql-bullet drive"
-            )
-        import yourdfpy  # 70 MB
+        import yourdfpy  # here because few programs need its memory
 
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             path = Path(folder) / "vehicle.urdf"
-            path.write_text(vehicle["urdf"], encoding="utf-8")
+            path.write_text(recorded_urdf(vehicle), encoding="utf-8")
             self._urdf: Any = yourdfpy.URDF.load(str(path), load_meshes=False, load_collision_meshes=False)
         paints = {material.name: material.color for material in self._urdf.robot.materials}
         links = self._urdf.link_map.values()
@@ -60,7 +56,7 @@ class Visuals:
         self._axle_height = vehicle["wheel_radius"]
 
     def link_frames(self, joint_angles: Sequence[float]) -> dict[str, Array]:
-        """Transforms from each link's frame to the chassis frame (4, 4), by link.
+        """Computes the transforms from each link's frame to the chassis frame (4, 4), by link.
 
         Args:
             joint_angles: Angles of left drive, right drive, swivel and caster roll [rad].
@@ -69,14 +65,25 @@ class Visuals:
         return {link: self._urdf.get_transform(link) for link in self._urdf.link_map}
 
     def frames(self, pose: Pose, joint_angles: Sequence[float]) -> list[Array]:
-        """Transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
+        """Computes the transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
         links = self.link_frames(joint_angles)
         chassis = upright(pose.x, pose.y, self._axle_height, pose.yaw)
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
 
 
+def recorded_urdf(vehicle: Mapping[str, Any]) -> str:
+    """Returns the text of the URDF in a recording's entry `vehicle`.
+
+    Raises:
+        UserError: If the entry has none.
+    """
+    if "urdf" not in vehicle:
+        raise UserError("this recording has no shapes of the vehicle; record it again with: nnql-bullet drive")
+    return str(vehicle["urdf"])
+
+
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
-    """Transform from a frame at a place [m], rotated about z by a yaw [rad], to the world (4, 4)."""
+    """Makes the transform (4, 4) to the world from a frame at a position [m], rotated about z by a yaw [rad]."""
     frame = np.eye(4)
     frame[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     frame[:3, 3] = x, y, z

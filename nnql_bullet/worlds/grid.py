@@ -12,7 +12,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 GRID_CELL = 0.2
 """Side of a cell [m]."""
 GRID_DIAGONAL = hypot(GRID_CELL, GRID_CELL)
-"""Diagonal of a cell [m]."""
+"""Length of a cell's diagonal [m]."""
 _GROWTH = np.array([0.0, 0.0, GRID_DIAGONAL / 2, GRID_DIAGONAL / 2, 0.0, 0.0])
 """Growth of the rows of boxes, so that none is too thin to occupy a cell [m]."""
 
@@ -30,7 +30,7 @@ def is_solvable(world: WorldSpec, clearance: float) -> bool:
     start, target = ends_of(world)
     if not (is_inside(start, shape) and is_inside(target, shape)):
         return False
-    # The search begins at the target, which is nearer to a corner in most worlds and so is more often shut in.
+    # The search begins at the target: in most worlds it is nearer to a corner, so obstacles enclose it more often.
     return bool(_are_joined(target, start, shape, grown_boxes(world), centre_distance(clearance)))
 
 

@@ -15,7 +15,7 @@ from nnql_bullet.worlds.grid import GRID_CELL, Cell, centre_distance, ends_of, g
 from nnql_bullet.worlds.spec import WorldSpec
 
 CHECK_SPACING = GRID_CELL / 4
-"""Distance between points of a straight line whose cells have to be free [m]."""
+"""Distance between the checked points of a straight line [m]; the cell of each point must be free."""
 SURVEY_SPACING = 2.0
 """Distance along the path between measurements of its surroundings [m]."""
 VISIBILITY_RANGE = 100.0
@@ -24,7 +24,7 @@ VISIBILITY_RANGE = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Difficulty:
-    """Measures of how difficult a world is for a vehicle, whatever its policy.
+    """Measures of a world's difficulty, which do not depend on a policy.
 
     The last three are means along the shortest path, after Perille, Truong, Xiao and Stone, Benchmarking Metric Ground
     Navigation (SSRR 2020).
@@ -39,7 +39,7 @@ class Difficulty:
     closest_obstacle: float
     """Distance to the closest obstacle or wall [m]."""
     visibility: float
-    """Length of rays in all directions [m]."""
+    """Mean length of rays in all directions [m]."""
 
 
 def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
@@ -101,7 +101,7 @@ def _along(path: Array, every: float) -> Array:
 
 
 def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.bool_]:
-    """Which cells are free, by the exact distance transform of the occupied and wall cells."""
+    """Marks the free cells, by the exact distance transform of the occupied and wall cells."""
     taken = np.ones((shape[0] + 2, shape[1] + 2), np.bool_)
     taken[1:-1, 1:-1] = _taken_cells(shape, grown_boxes(world))
     distance = np.asarray(distance_transform_edt(~taken, sampling=GRID_CELL))
@@ -110,7 +110,7 @@ def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.b
 
 @njit(nogil=True)
 def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
-    """Which cells have their centres in a box."""
+    """Marks the cells whose centres are in a box."""
     taken = np.zeros(shape, np.bool_)
     for i in range(len(boxes)):
         box = boxes[i]
@@ -139,6 +139,7 @@ def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
 
 @njit(nogil=True)
 def _apart(one: Cell, other: Cell) -> float:
+    """Distance between two cells, in cells."""
     return float(np.hypot(one[0] - other[0], one[1] - other[1]))
 
 

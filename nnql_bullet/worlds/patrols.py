@@ -15,15 +15,14 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 Speed = Annotated[float, Field(gt=0, le=1)]
 MOST_TRIES = 20_000
 SWEEP_MARGIN = 0.1
-"""Smallest distance between the area that a patrol sweeps and obstacles that stand still [m]."""
+"""Smallest distance between the area that a patrol sweeps and the fixed obstacles [m]."""
 
 
 @options
 class Patrols:
     """Options of patrols: boxes that go back and forth on straight tracks, as carts do.
 
-    Patrols stop for nothing. Their tracks are clear of all obstacles that stand still, but may cross one another; where
-    they cross, patrols pass through one another.
+    Patrols never stop. Their tracks are clear of all fixed obstacles, but may cross; patrols pass through each other.
     """
 
     count: Annotated[int, Field(ge=0)]
@@ -48,7 +47,7 @@ class Patrols:
         refuse_crossed_ranges(self, "side", "track", "speed")
 
     def draw(self, world: WorldSpec, rng: np.random.Generator) -> tuple[Patrol, ...]:
-        """Draws patrols one by one, and rejects those that would touch an obstacle or come near the start or target.
+        """Draws patrols one by one; rejects those that would touch an obstacle or come near the start or target.
 
         Numbers are rounded, so that all machines draw the same patrols.
 

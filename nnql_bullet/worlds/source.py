@@ -20,15 +20,14 @@ from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
-
-
+"""Largest number of draws of a random layout."""
 ROOM = 0.7888466169590319
-"""Default half width of the path that every world has [m]: that of the shipped vehicle."""
+"""Default half width of the free path in every world [m]; it fits the shipped vehicle."""
 
 
 @options
 class World:
-    """Description of a kind of world, from which worlds are drawn: the same seed gives the same world.
+    """A kind of world, from which worlds are drawn; the same seed gives the same world.
 
     Example:
         >>> import nnql_bullet as nb
@@ -42,7 +41,7 @@ class World:
     layout: AnyLayout
     """How obstacles are placed."""
     name: str = "world"
-    """The stem of the file's name if the world comes from a file."""
+    """Name of the kind; by default the stem of its file's name."""
     patrols: Patrols | None = None
     """Moving boxes, in addition to those of the layout."""
     width: Positive = paper.ARENA_SIDE
@@ -52,7 +51,7 @@ class World:
     start: tuple[float, float] = paper.START
     """Start of the rear-axle centre [m]."""
     start_yaw_degrees: float | None = None
-    """Heading at the start; by default towards the target."""
+    """Heading at the start [degrees]; by default towards the target."""
     target: tuple[float, float] = paper.TARGET
     """[m]"""
     target_radius: Positive = 2.0
@@ -80,10 +79,10 @@ class World:
 
     @staticmethod
     def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
-        """Makes a world of boxes that stand where you say.
+        """Makes a world with boxes at given places.
 
         Args:
-            boxes: Centre x and y, length and width [m] and, if it is turned, yaw [degrees] of each box.
+            boxes: Centre x and y, length and width [m] and optionally yaw [degrees] of each box.
             **values: Other fields of `World`.
 
         Raises:
@@ -100,21 +99,20 @@ class World:
         draw_map(self.draw(seed), Path(path))
 
     def draw(self, seed: int, room: float = ROOM) -> WorldSpec:
-        """The world of a seed, with a path of half width `room` [m] from start to target.
+        """Draws the world of a seed, with a path of half width `room` [m] from start to target.
 
-        A random layout is drawn again until there is one; the attempt is part of the stream, so the result depends on
-        the arguments alone. Patrols, which come and go, do not count; they are drawn last, so that they leave the rest
-        as it is without them.
+        A random layout is drawn again until it leaves such a path. The result depends on the arguments alone. Patrols
+        are drawn last, so they do not change the other obstacles; they may cross the path.
 
         Raises:
-            UserError: If there is no path, or the start or the target stands too close to an obstacle, or there is no
-                room for the patrols.
+            UserError: If there is no path, or the start or the target is too close to an obstacle, or there is no room
+                for the patrols.
         """
         for attempt in range(MOST_ATTEMPTS if self.layout.is_random else 1):
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
                 return self._with_patrols(world)
-        self._explain(world, room)
+        self._check_ends(world, room)
         random = self.layout.is_random
         again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
         raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
@@ -140,7 +138,8 @@ class World:
         patrols = self.patrols
         return replace(world, patrols=patrols.draw(world, rng(world.seed, Stream.PATROLS))) if patrols else world
 
-    def _explain(self, world: WorldSpec, room: float) -> None:
+    def _check_ends(self, world: WorldSpec, room: float) -> None:
+        """Raises UserError if the start or the target is outside the arena or too close to an obstacle."""
         for key, (x, y) in (("start", self.start), ("target", self.target)):
             if not (0 < x < world.width and 0 < y < world.depth):
                 raise UserError(f"world '{self.name}': its {key} ({x:g}, {y:g}) is outside the arena; move it inside")
@@ -154,7 +153,7 @@ WorldLike = Annotated[
     Annotated[str, Tag("a name")] | Annotated[World, Tag("a table")],
     Discriminator(lambda value: "a table" if isinstance(value, Mapping | World) else "a name"),
 ]
-"""A shipped world or a TOML file, or a world in full."""
+"""The name of a shipped world, the path of a TOML file, or a `World`."""
 
 
 def load_world(name: str) -> World:

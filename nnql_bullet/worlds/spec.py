@@ -18,7 +18,7 @@ WALL_THICKNESS = 1.0
 class Patrol:
     """A box that goes back and forth on a straight track at constant speed and reverses at once at its ends.
 
-    It stops for nothing and passes through other patrols.
+    It never stops and passes through other patrols.
     """
 
     box: OrientedBox
@@ -28,7 +28,7 @@ class Patrol:
     speed: float
     """[m/s]"""
     phase: float
-    """Share of a round trip that lies behind it at time 0; 0 is at `box`."""
+    """Share of a round trip completed at time 0; 0 is at `box`."""
 
     @property
     def track(self) -> tuple[float, float, float, float, float, float]:
@@ -45,13 +45,13 @@ class Patrol:
 
 @njit()
 def there_and_back(round_trips: float) -> float:
-    """Position along a track after some round trips, from 0 at one end to 1 at the other: a triangle wave."""
+    """Computes the position along a track, from 0 at one end to 1 at the other: a triangle wave."""
     return float(1.0 - abs(1.0 - 2.0 * (round_trips % 1.0)))
 
 
 @njit()
 def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
-    """Moves boxes to their places at a time.
+    """Moves boxes on tracks to their positions at a time.
 
     Args:
         tracks: Rows (m, 6) of `WorldSpec.tracks`.
@@ -66,7 +66,7 @@ def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
 
 @njit()
 def track_velocities(tracks: Array, time: float) -> Array:
-    """Velocities (m, 2) [m/s] of boxes on tracks (m, 6) at a time after the reset [s]."""
+    """Computes velocities (m, 2) [m/s] of boxes on tracks (m, 6) at a time after the reset [s]."""
     velocities = np.empty((len(tracks), 2))
     for i in range(len(tracks)):
         there = (tracks[i, 5] + tracks[i, 4] * time) % 1.0 < 0.5
@@ -122,7 +122,7 @@ class WorldSpec:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of everything in the world but its name and seed, the same on every machine."""
+        """Hash of the world without its name and seed; it is the same on every machine."""
         numbers = [self.width, self.depth, self.start.x, self.start.y, self.start.yaw, *self.target, self.target_radius]
         for box in self.obstacles:
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw]

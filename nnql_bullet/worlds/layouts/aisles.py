@@ -23,7 +23,7 @@ class Aisles:
 
     Rows of racks run from wall to wall along y. Cross aisles go through all rows at the same places; the last may run
     along the wall. Some racks are missing, and some aisles are blocked. The shipped vehicle cannot turn round in an
-    aisle while it drives, but a rack is no longer than its sensors reach, so it can see a block before it enters.
+    aisle while it drives. A rack is not longer than its sensors' range, so it can see a block before it enters.
     """
 
     is_random: ClassVar[bool] = True
@@ -86,7 +86,7 @@ class Aisles:
         return standing + closed + [(aisle, self._block(rack, rng)) for aisle, rack in stretches]
 
     def _spans(self, begin: float, end: float, length: Span, rng: np.random.Generator) -> list[Span]:
-        """Draws spans, with an aisle's width between each and the next, from `begin` to `end`; the last is cut."""
+        """Draws spans from `begin` to `end`, an aisle apart; the last one is cut."""
         spans = []
         while begin < end:
             after = min(round(begin + rng.uniform(*length), 2), end)

@@ -22,12 +22,12 @@ class Arena:
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Size (2,) and points to keep free (n, 2) [m], as `leaves_room` takes them."""
+        """Size (2,) and points to keep free (n, 2) [m], the arguments of `leaves_room`."""
         return np.array([self.width, self.depth]), np.array(self.keep_free)
 
 
 class Layout(Protocol):
-    """Options of a layout, which place its obstacles."""
+    """Options of a layout; they place its obstacles."""
 
     @property
     def is_random(self) -> bool:
@@ -62,7 +62,7 @@ def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) 
 
 
 def rounded(box: OrientedBox) -> OrientedBox:
-    """The box with its numbers rounded to 1 mm and 1e-4 rad, so that all machines draw the same box."""
+    """Rounds a box to 1 mm and 1e-4 rad, so that all machines draw the same box."""
     return OrientedBox(
         round(box.x, 3), round(box.y, 3), round(box.half_length, 3), round(box.half_width, 3), round(box.yaw, 4)
     )

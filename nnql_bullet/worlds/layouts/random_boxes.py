@@ -1,4 +1,4 @@
-"""A random layout: boxes of random size, place and yaw, without overlap, until they cover a share of the arena."""
+"""A random layout: boxes of random size, place and yaw that do not overlap and cover a share of the arena."""
 
 from math import pi
 from typing import Annotated, ClassVar, Literal
@@ -66,7 +66,7 @@ class RandomBoxes:
         low = (0.0, 0.0, self.min_side, self.min_side, -pi / 2)
         high = (arena.width, arena.depth, self.max_side, self.max_side, pi / 2)
         drawn = rng.uniform(low, high, (count, 5)).tolist()
-        # NumPy rounds some numbers near a half otherwise than Python does.
+        # Python's `round` and not NumPy's: they differ for some numbers near a half.
         return np.array(
             [
                 (round(x, 3), round(y, 3), round(length / 2, 3), round(width / 2, 3), round(yaw, 4))

@@ -19,8 +19,8 @@ class Traps:
     """Options of traps; a trap has a back wall and two side walls.
 
     The first trap stands across the straight line from start to target and opens towards the start; the others stand
-    anywhere. A trap of the default width is wide enough for the shipped vehicle to turn round in it. A policy without
-    memory returns to it all the same: outside the trap it sees free space, and the target is still behind the trap.
+    anywhere. The shipped vehicle can turn round in a trap of the default width. A policy without memory still returns
+    to the trap: outside it sees free space, and the target is behind the trap.
     """
 
     is_random: ClassVar[bool] = True
@@ -32,7 +32,7 @@ class Traps:
     max_width: Positive = 14.0
     """[m]"""
     min_depth: Positive = 8.0
-    """Distance from the opening to the back wall [m]; beyond the sensors' range they see no back wall from outside."""
+    """Distance from the opening to the back wall [m]; from outside, the sensors see the back wall only in range."""
     max_depth: Positive = 15.0
     """[m]"""
     min_thickness: Positive = 0.5
@@ -40,7 +40,7 @@ class Traps:
     max_thickness: Positive = 1.5
     """[m]"""
     clear_radius: NonNegative = 4.0
-    """Smallest distance of traps, with their inside, from the start and the target [m]."""
+    """Smallest distance of traps, including their inside, from the start and the target [m]."""
 
     def __post_init__(self) -> None:
         """Refuses ranges in the wrong order."""
@@ -67,7 +67,7 @@ class Traps:
         )
 
     def _across(self, arena: Arena, rng: np.random.Generator) -> list[OrientedBox]:
-        """Draws a trap whose opening and back wall the straight line to the target passes in their middle halves."""
+        """Draws a trap; the straight line to the target crosses the middle halves of its opening and back wall."""
         (x, y), (target_x, target_y) = arena.keep_free
         width, depth, thickness = self._sizes(rng)
         there, enters, ends = rng.uniform((0.0, -width / 4, -width / 4), (1.0, width / 4, width / 4)).tolist()
@@ -91,7 +91,7 @@ class Traps:
 
 
 def _trap(middle: Pose, width: float, depth: float, thickness: float) -> list[OrientedBox]:
-    """The outline of a trap, and its back, left and right walls.
+    """Makes the outline of a trap, and its back, left and right walls.
 
     Args:
         middle: Centre of its inside; the yaw points from the opening to the back wall.
