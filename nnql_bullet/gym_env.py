@@ -11,9 +11,9 @@ Observation, `Box` of 11 float32:
 
 Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target.
 
-Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode terminates at the
-target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step also `ending`,
-`state_property`, `heading_error` and a `reward/NAME` for each term.
+Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
+terminates at the target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step
+also `ending`, `state_property`, `heading_error` and a `reward/NAME` for each term.
 """
 
 from collections.abc import Sequence

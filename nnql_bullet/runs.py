@@ -259,7 +259,7 @@ def _is_configured(policy: Path) -> bool:
     return policy.suffix == ".toml" or (str(policy) in RULES and not policy.exists())
 
 
-def load_run(folder: Path, episodes: int | None = None) -> Run:
+def load_run(folder: Path | str, episodes: int | None = None) -> Run:
     """Reads a run folder as it was at its last checkpoint. Nothing is written.
 
     Args:
@@ -269,6 +269,7 @@ def load_run(folder: Path, episodes: int | None = None) -> Run:
     Raises:
         UserError: If the folder holds no run, its files do not fit each other, or it has more episodes already.
     """
+    folder = Path(folder)
     if not (folder / CONFIG).is_file():
         raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that a training wrote")
     config = parse(RunConfig, migrated(read_toml(folder / CONFIG)), str(folder / CONFIG))

@@ -205,7 +205,7 @@ class _Case:
 
 
 def paper_table(task: TaskOptions) -> Array:
-    """The paper's terms of every step: by the properties before and after, and by whether it got closer (4, 4, 2, 6)."""
+    """The paper's terms of a step by its properties before and after, and by whether it got closer (4, 4, 2, 6)."""
     before, after, got_closer = np.indices((len(StateProperty), len(StateProperty), 2))
     far = np.ones((*before.shape, paper.SECTORS))
     s_tm1, s_t = _Case(far, before), _Case(far - got_closer[..., None], after)
@@ -214,7 +214,8 @@ def paper_table(task: TaskOptions) -> Array:
 
 def look_up(s_tm1: State, s_t: State, task: TaskOptions, table: Array) -> Array:
     """What `reward_terms` gives for the paper's terms (..., 6), from their `paper_table`: faster."""
-    return table[s_tm1.state_property, s_t.state_property, np.asarray(_got_closer(s_tm1, s_t, task), np.int64)]
+    terms: Array = table[s_tm1.state_property, s_t.state_property, np.asarray(_got_closer(s_tm1, s_t, task), np.int64)]
+    return terms
 
 
 def _stays_non_safe(s_tm1: State, s_t: State) -> Booleans:
@@ -225,7 +226,7 @@ def _got_closer(s_tm1: State, s_t: State, task: TaskOptions) -> NDArray[np.bool_
     """Whether the distance to the obstacles fell (...)."""
     if task.closer == "smallest":
         return np.less(smallest(s_t.readings), smallest(s_tm1.readings))
-    return np.less(np.mean(s_t.readings, axis=-1), np.mean(s_tm1.readings, axis=-1))
+    return np.asarray(s_t.readings.mean(axis=-1) < s_tm1.readings.mean(axis=-1))
 
 
 # The end of an episode (IV.A)

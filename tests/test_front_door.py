@@ -2,8 +2,10 @@
 
 import ast
 import doctest
+import inspect
 import subprocess
 import sys
+import typing
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +18,7 @@ import nnql_bullet as nb
 from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
+from nnql_bullet.task import REWARD_TERMS, RewardTerm, TaskOptions, paper_reward
 
 EXAMPLES = [name for name in nb.__all__ if "Example:" in (getattr(nb, name).__doc__ or "")]
 WITHOUT_EXAMPLE = {"Conditions", "Progress", "Recording", "UserError", "Vehicle", "WorkFailed", "envelope", "load_run"}
@@ -44,6 +47,14 @@ class TestImport:
     @pytest.mark.parametrize("order", ["nnql_bullet, gymnasium", "gymnasium, nnql_bullet"])
     def test_makes_the_environment_known_in_either_order(self, order: str) -> None:
         assert fresh(f"import {order}; print('nnql_bullet/Tricycle-v0' in gymnasium.registry)") == "True"
+
+    def test_takes_paths_as_text(self) -> None:
+        """Whatever takes a path takes its text too."""
+        for name in nb.__all__:
+            hints = typing.get_type_hints(getattr(nb, name)) if inspect.isfunction(getattr(nb, name)) else {}
+            taken = [typing.get_args(hint) for key, hint in hints.items() if key != "return"]
+            assert all(str in kinds for kinds in taken if Path in kinds), name
+            assert Path not in hints.values(), name
 
     def test_every_name_is_there_typed_and_listed(self) -> None:
         (checked,) = [node for node in ast.parse(Path(nb.__file__).read_text()).body if isinstance(node, ast.If)]
@@ -209,6 +220,43 @@ class TestOwnReward:
         assert not all(np.array_equal(weights[0][key], weights[2][key]) for key in weights[0])
         first = plain.episodes[0].summary, other.episodes[0].summary
         assert all(summary.episode_return == sum(summary.terms.values()) for summary in first)
+
+    def test_names_its_terms_wherever_a_step_is_told(self, here: Path) -> None:
+        terms = [*paper_reward(TaskOptions()), RewardTerm(turning, -0.1)]
+        names = [*REWARD_TERMS, "turning"]
+        env = nb.make_env(simulator="kinematic", reward=terms)
+        env.reset(seed=0)
+        _, reward, _, _, info = env.step(np.int64(1))
+        env.close()
+        assert [key for key in info if key.startswith("reward/")] == [f"reward/{name}" for name in names]
+        assert info["reward/turning"] < 0
+        assert reward == pytest.approx(sum(info[f"reward/{name}"] for name in names))
+
+        few: dict[str, Any] = {"simulator": "kinematic", "vehicles": 4, "episodes": 8, "reward": terms}
+        run = nb.train("paper", out="run", **few)
+        assert Path("run/episodes.csv").read_text().splitlines()[0].split(",")[12:19] == [
+            *REWARD_TERMS,
+            "reward/turning",
+        ]
+        assert nb.load_run("run").episodes == run.episodes
+        assert all(list(e.summary.terms) == names and e.summary.terms["turning"] < 0 for e in run.episodes)
+        with pytest.raises(nb.UserError, match="give the same terms"):
+            nb.resume("run", 12)
+        assert len(nb.resume("run", 12, reward=terms).episodes) == 12
+
+        nb.drive("straight", simulator="kinematic", reward=terms).save("drive.npz")
+        recording = nb.Recording.load("drive.npz")
+        assert recording.term_names == tuple(names)
+        assert recording.reward_terms.shape == (len(recording.action), len(names))
+
+    def test_has_names_of_its_own(self) -> None:
+        with pytest.raises(nb.UserError, match="a name of its own, not turning, turning"):
+            nb.make_env(simulator="kinematic", reward=[RewardTerm(turning, -0.1), RewardTerm(turning, 1.0)])
+
+
+def turning(s_tm1: Any, s_t: Any, task: TaskOptions) -> Any:
+    """How fast vehicles turn (n,) [rad/s]."""
+    return np.abs(s_t.yaw_rate)
 
 
 def test_an_agent_of_ones_own_learns(here: Path) -> None:

@@ -47,9 +47,7 @@ class VtkRenderer:
         self._height = world.obstacle_height
         self._boxes = standing_boxes(world)
         os.environ.setdefault("LP_NUM_THREADS", "1")  # for Mesa's software renderer; several processes draw at a time
-        vtkLogger.SetStderrVerbosity(
-            vtkLogger.VERBOSITY_ERROR
-        )  # VTK reports each display that it tries
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # VTK reports each display that it tries
         self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
         self._plotter.disable_anti_aliasing()  # a pixel has one depth
         for boxes, colour in ((world.obstacles, BOX), (world.walls, WALL)):

@@ -195,7 +195,6 @@ def gap_records(gap: Gap) -> list[dict[str, Any]]:
 
 
 def gap_table(gap: Gap) -> str:
-def gap_table(gap: Gap) -> str:
     """Writes a table of endings on both sides, then success by fault, as text."""
     title = f"; {gap.title}" if gap.title else ""
     lines = [f"rows {gap.first.name}, columns {gap.second.name}; {len(gap.pairs)} pairs of drives{title}"]

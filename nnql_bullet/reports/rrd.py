@@ -238,7 +238,8 @@ def _log_curves(stream: rr.RecordingStream, recording: Recording) -> None:
     _log_curve(stream, "heading_command", begins, recording.heading_command[:, None], ["heading change asked for"])
     _log_curve(stream, "heading_error", ends, recording.heading_error[:, None], ["heading error"])
     _log_curve(stream, "clearance", ends, recording.clearance[:, None], ["clearance"])
-    _log_curve(stream, "reward", ends, recording.reward_terms, [name.replace("_", " ") for name in recording.term_names])
+    terms = [name.replace("_", " ") for name in recording.term_names]
+    _log_curve(stream, "reward", ends, recording.reward_terms, terms)
     _log_curve(stream, "wheel_speeds", at_samples, recording.wheel_speeds, ["left wheel", "right wheel"])
 
 
