@@ -5,8 +5,8 @@ The only module that imports DEAP.
 Each genome drives greedily by itself, so the result does not depend on the number of vehicles; only the order in which
 episodes finish does.
 
-A genome scores 1 in a world in which it reaches the target; otherwise half of the share of the distance by which it came
-nearer. The paper's return is not the fitness, because it pays for driving around obstacles.
+A genome scores 1 in a world in which it reaches the target; otherwise half of the share of the distance by which it
+came nearer. The paper's return is not the fitness, because it pays for driving around obstacles.
 
 A checkpoint holds the number of episodes of the generation that have finished. Resuming drives the generation again
 from its beginning, with the same results bit for bit.
@@ -158,14 +158,14 @@ class _Parent:
 
 
 def episode_fitness(ending: str, nearer: float) -> float:
-    """1 at the target, else half of the share of the way that it was nearer in the end."""
+    """Scores an episode: 1 at the target, else half of the share of the distance by which the vehicle came nearer."""
     return 1.0 if ending == "goal" else 0.5 * nearer
 
 
 def genome_fitness(sums: Array, tries: Array, average: float, prior: float) -> Array:
-    """Fitness of genomes (m,) whose episodes, so many (m,), came to such a sum (m,).
+    """Computes the fitness of genomes (m,) from the sums (m,) of the scores of their `tries` (m,).
 
-    As many tries as `prior` says are added to each, with the fitness of the average one: three of three may be luck.
+    `prior` tries with the average score are added to each genome, because three successes of three may be luck.
     """
     return np.asarray((sums + prior * average) / (tries + prior))
 

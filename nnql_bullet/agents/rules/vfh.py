@@ -31,7 +31,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 Blocked = NDArray[np.bool_]
 
 BINS = 72
-"""Number of bins of a histogram, 5 degrees each as in the article. Bin k is centred on the direction k times 5 degrees."""
+"""Number of bins of a histogram, 5 degrees each as in the article. Bin k is centred on the direction 5 k degrees."""
 BIN = 2 * pi / BINS
 
 
