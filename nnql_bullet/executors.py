@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.machine import allowed_cores
 
 ExecutorKind = Literal["inline", "processes", "ray"]
 
@@ -75,7 +76,7 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
     Raises:
         UserError: If there is no worker, Ray is not installed or does not answer, or another kind gets an address.
     """
-    workers = os.cpu_count() or 1 if workers is None else workers
+    workers = allowed_cores() if workers is None else workers
     if workers < 1:
         raise UserError(f"workers must be at least 1, not {workers}")
     if kind == "ray":

@@ -2,12 +2,12 @@
 
 from contextlib import closing
 from functools import cached_property, partial
-from os import cpu_count
 
 from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
+from nnql_bullet.machine import allowed_cores
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
@@ -122,7 +122,7 @@ class Experiment:
         Raises:
             UserError: If the number of workers is not positive.
         """
-        workers = cpu_count() or 1 if workers is None else workers
+        workers = allowed_cores() if workers is None else workers
         if workers < 1:
             raise UserError(f"workers must be at least 1, not {workers}")
         return self._simulator(self.config.vehicles, workers)

@@ -1,11 +1,21 @@
-"""Numba's compiler behind a typed decorator. Compiled code is cached on disk."""
+"""Numba's compiler behind a typed decorator. Compiled code is cached on disk where a folder can be written to."""
 
-from collections.abc import Callable
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
 import numba
+from numba.core import event
+
+from nnql_bullet.machine import private_folder
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_log = logging.getLogger(__name__)
+_lock = threading.Lock()
 
 
 class Compiler(Protocol):
@@ -18,8 +28,62 @@ class Compiler(Protocol):
 def njit(**settings: Any) -> Compiler:
     """Returns a decorator that compiles a function in nopython mode.
 
+    The code is cached where Numba finds a folder that can be written to: NUMBA_CACHE_DIR, beside the module, or in the
+    user's cache. Where it finds none, the cache is `machine.private_folder`; without that, every process compiles.
+
     Args:
         **settings: Options of `numba.njit`, beside `cache=True`.
     """
-    compiler: Compiler = numba.njit(cache=True, **settings)
-    return compiler
+
+    def compiled(function: F) -> F:
+        homeless = os.path.expanduser("~") == "~"  # Numba would make a folder of that name in the working folder
+        for instead in (homeless, True):
+            try:
+                with _cache_instead(instead):
+                    its: F = numba.njit(cache=True, **settings)(function)
+                    return its
+            except (RuntimeError, OSError):  # no folder can be written to
+                continue
+        uncached: F = numba.njit(**settings)(function)
+        return uncached
+
+    return compiled
+
+
+@contextmanager
+def _cache_instead(instead: bool) -> Iterator[None]:
+    """Lets Numba cache in the user's private folder, if asked to and if there is one, and then as before."""
+    folder = private_folder() if instead else None
+    with _lock:
+        before = numba.config.CACHE_DIR
+        if folder and not (before and os.access(before, os.W_OK)):
+            numba.config.CACHE_DIR = str(folder)
+        try:
+            yield
+        finally:
+            numba.config.CACHE_DIR = before
+
+
+class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
+    """Logs the first compilation of this process; code that is loaded from the cache is not compiled."""
+
+    made = False
+
+    def on_start(self, event: Any) -> None:
+        dispatcher = event.data["dispatcher"]
+        if _Announcement.made or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
+            return
+        _Announcement.made = True
+        folder = dispatcher.stats.cache_path
+        kept = f"it is kept in {folder}, so this happens once" if folder else "to keep it, set NUMBA_CACHE_DIR"
+        _log.warning("compiling the package's inner loops; %s", kept)
+
+    def on_end(self, event: Any) -> None:
+        """Nothing is left to say."""
+
+
+@contextmanager
+def announced() -> Iterator[None]:
+    """Logs a warning as soon as the body compiles something, once in a process."""
+    with event.install_listener("numba:compile", _Announcement()):
+        yield

@@ -7,7 +7,6 @@ python scripts/benchmark.py --json     # one object, key to number
 
 import argparse
 import json
-import os
 import platform
 from collections.abc import Callable
 from functools import partial
@@ -17,7 +16,9 @@ from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
-CORES = os.cpu_count() or 1
+from nnql_bullet.machine import allowed_cores
+
+CORES = allowed_cores()
 WIDTH = 140
 """Of the table, wherever it is printed."""
 

@@ -1,8 +1,5 @@
 """The contract of a simulator: one vehicle, and several of which each does, bit for bit, what it does alone."""
 
-import logging
-import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
@@ -25,7 +22,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
-from nnql_bullet.sim.kinematic import KinematicSimulator, _announced
+from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.profiles import plan_turn, sample_turn
@@ -614,30 +611,3 @@ class TestAgainstBruteForce:
         rear = VEHICLE.footprint.x - VEHICLE.footprint.half_length
         behind, ahead = OrientedBox(rear - 0.6, 0.0, 0.5, 0.5), OrientedBox(front + gap + 0.1, 0.0, 0.1, 3.0)
         assert check(Scene((behind, ahead), FAR, 1.0, 2.0, (0.0, 0.0, 0.0))) == ["contact"]
-
-
-class TestAnnouncement:
-    def test_a_long_wait_is_announced_while_it_lasts(self, caplog: pytest.LogCaptureFixture) -> None:
-        deadline = time.monotonic() + LIMIT
-        with caplog.at_level(logging.WARNING), _announced("grinding coffee", after=0.01):
-            while not caplog.messages and time.monotonic() < deadline:
-                time.sleep(0.01)
-        assert caplog.messages == ["grinding coffee"]
-        assert caplog.records[0].name == "nnql_bullet.sim.kinematic"
-
-    def test_nothing_is_said_when_it_is_quick(self, caplog: pytest.LogCaptureFixture) -> None:
-        before = set(threading.enumerate())
-        with caplog.at_level(logging.WARNING), _announced("grinding coffee", after=LIMIT):
-            (timer,) = set(threading.enumerate()) - before
-        timer.join(LIMIT / 2)
-        assert not timer.is_alive()
-        assert caplog.messages == []
-
-    def test_nor_when_it_fails(self, caplog: pytest.LogCaptureFixture) -> None:
-        before = set(threading.enumerate())
-        with pytest.raises(ValueError, match="no beans"), _announced("grinding coffee", after=LIMIT):
-            (timer,) = set(threading.enumerate()) - before
-            raise ValueError("no beans")
-        timer.join(LIMIT / 2)
-        assert not timer.is_alive()
-        assert caplog.messages == []

@@ -1,7 +1,6 @@
 """Writes an HTML page about some runs; it contains its pictures and needs no network."""
 
 import json
-import os
 import platform
 import shlex
 from base64 import b64encode
@@ -25,6 +24,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.machine import allowed_cores
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.document import Report
@@ -298,7 +298,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
 
 def _versions() -> list[tuple[str, str]]:
     """Returns the versions of the program and its libraries, and the kind of machine without its name or paths."""
-    machine = f"{platform.system()}, {platform.machine()}, {os.cpu_count()} cores"
+    machine = f"{platform.system()}, {platform.machine()}, {allowed_cores()} cores"
     return [
         ("nnql-bullet", __version__),
         ("Python", f"{platform.python_implementation()} {platform.python_version()}"),

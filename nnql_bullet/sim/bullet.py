@@ -5,14 +5,16 @@ ground; the chassis, a box over the whole footprint, touches only obstacles and 
 """
 
 import ctypes
+import locale
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, sin
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Lock
 
 import numpy as np
 
@@ -29,7 +31,7 @@ from nnql_bullet.sim.bullet_state import (
     contact_force,
     hit_fractions,
 )
-from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
 from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -37,23 +39,50 @@ from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities
 
+_C = ctypes.CDLL(None)
+_C.newlocale.restype = _C.uselocale.restype = ctypes.c_void_p
+_C.newlocale.argtypes = ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p
+_C.uselocale.argtypes = (ctypes.c_void_p,)
+_C_LOCALE = _C.newlocale(1 << locale.LC_NUMERIC, b"C", None)
+
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Discards the output of C code, including the part that C still buffers."""
-    c = ctypes.CDLL(None)
+    """Discards what C code prints in the meantime, in any thread; standard streams may be closed."""
+    opened = []
+    while (nowhere := os.open(os.devnull, os.O_WRONLY)) <= 2:  # in place of a closed stream
+        opened.append(nowhere)
     kept = os.dup(1), os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
+        _C.fflush(None)  # what was printed before
         for stream in (1, 2):
             os.dup2(nowhere, stream)
         yield
     finally:
-        c.fflush(None)
+        _C.fflush(None)  # what is still buffered
         for stream, its in zip((1, 2), kept, strict=True):
             os.dup2(its, stream)
+        for its in (*kept, nowhere, *opened):
             os.close(its)
-        os.close(nowhere)
+
+
+@contextmanager
+def decimal_points(every_thread: bool = False) -> Iterator[None]:
+    """Lets the engine read numbers with decimal points, whatever the locale; it reads them by C's `atof`.
+
+    Args:
+        every_thread: Also in the threads of the engine's own that a window has. Locales have to be set in the whole
+            process for that; otherwise only this thread is concerned.
+    """
+    before, in_process = _C.uselocale(_C_LOCALE), locale.setlocale(locale.LC_NUMERIC)
+    if every_thread:
+        locale.setlocale(locale.LC_NUMERIC, "C")
+    try:
+        yield
+    finally:
+        if every_thread:
+            locale.setlocale(locale.LC_NUMERIC, in_process)
+        _C.uselocale(before)
 
 
 with silenced():  # it prints its build time
@@ -67,6 +96,9 @@ SHAPES_PER_COMPOUND = 16
 
 FASTEST_JOINT = 1e4
 """Limit on the speed of joints [rad/s]."""
+
+BREAKING_THRESHOLD = 0.02
+"""PyBullet's default of the distance at which a contact breaks [m]."""
 
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
@@ -93,8 +125,34 @@ PHYSICS = {
 }
 
 
+class _Stepping:
+    """Counts the engines that step now, in any thread, and keeps PyBullet's threshold for them."""
+
+    def __init__(self) -> None:
+        self._engines = 0
+        self._lock = Lock()
+
+    def enter(self, client: int) -> None:
+        with self._lock:
+            self._engines += 1
+            bullet.setPhysicsEngineParameter(contactBreakingThreshold=CONTACT_MARGIN, physicsClientId=client)
+
+    def leave(self, client: int) -> None:
+        with self._lock:
+            self._engines -= 1
+            if not self._engines:
+                bullet.setPhysicsEngineParameter(contactBreakingThreshold=BREAKING_THRESHOLD, physicsClientId=client)
+
+
+_STEPPING = _Stepping()
+
+
 class BulletEngine(ContactEngine):
     """One vehicle in one world, in a DIRECT client of its own.
+
+    PyBullet has one distance at which contacts break for the whole process, and does not tell it. It is set while the
+    engine steps, and is PyBullet's default at other times: bodies of other code in the process keep their contacts as
+    by default. Code that sets another distance sets it again after the engine has stepped.
 
     Attributes:
         client: PyBullet's number of the client.
@@ -106,6 +164,7 @@ class BulletEngine(ContactEngine):
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
         super().__init__(vehicle, drive, physics.time_step)
         self.physics = physics
+        self._stepping = False
         self.client = bullet.connect(bullet.DIRECT)
         if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
@@ -119,6 +178,44 @@ class BulletEngine(ContactEngine):
     def close(self) -> None:
         """Disconnects the client."""
         self._finalizer()
+
+    def advance(
+        self,
+        heading_change: float,
+        trace: list[Sample] | None = None,
+        speed_scale: float = 1.0,
+        look: Callable[[], None] | None = None,
+    ) -> VehicleMotion:
+        """See `ContactEngine.advance`."""
+        with self.own_threshold():
+            return super().advance(heading_change, trace, speed_scale, look)
+
+    def run(self, seconds: float) -> None:
+        """See `VehiclePhysics.run`."""
+        with self.own_threshold():
+            super().run(seconds)
+
+    def step(self) -> None:
+        """See `VehiclePhysics.step`."""
+        with self.own_threshold():
+            super().step()
+
+    @contextmanager
+    def own_threshold(self) -> Iterator[None]:
+        """Sets the distance at which contacts break, for one contact of each wheel, while this or another engine steps.
+
+        With the default a rolling wheel keeps old contacts, which cost the solver time.
+        """
+        if self._stepping:
+            yield
+            return
+        self._stepping = True
+        _STEPPING.enter(self.client)
+        try:
+            yield
+        finally:
+            _STEPPING.leave(self.client)
+            self._stepping = False
 
     # Quantities for probes
 
@@ -207,9 +304,6 @@ class BulletEngine(ContactEngine):
             numSubSteps=0,
             numSolverIterations=self.physics.iterations,
             solverResidualThreshold=self.physics.residual,
-            # One contact for each wheel: with the default of 0.02 m a rolling wheel keeps old contacts, which cost the
-            # solver time. The engine has one such value for the whole process; every simulator sets the same.
-            contactBreakingThreshold=CONTACT_MARGIN,
             deterministicOverlappingPairs=1,
             physicsClientId=self.client,
         )
@@ -248,15 +342,16 @@ class BulletEngine(ContactEngine):
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         vehicle = self.vehicle
-        self.body = bullet.loadURDF(
-            str(self._urdf),
-            [pose.x, pose.y, vehicle.wheel_radius + height],
-            [0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
-            flags=bullet.URDF_USE_INERTIA_FROM_FILE
-            | bullet.URDF_USE_IMPLICIT_CYLINDER
-            | bullet.URDF_IGNORE_VISUAL_SHAPES,
-            physicsClientId=self.client,
-        )
+        with decimal_points():
+            self.body = bullet.loadURDF(
+                str(self._urdf),
+                [pose.x, pose.y, vehicle.wheel_radius + height],
+                [0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
+                flags=bullet.URDF_USE_INERTIA_FROM_FILE
+                | bullet.URDF_USE_IMPLICIT_CYLINDER
+                | bullet.URDF_IGNORE_VISUAL_SHAPES,
+                physicsClientId=self.client,
+            )
         infos = self._joint_infos()
         joints = {joint.name: joint.number for joint in infos if joint.joint_type != bullet.JOINT_FIXED}
         for joint in joints.values():
@@ -374,4 +469,4 @@ def has_numpy() -> bool:
     return bool(bullet.isNumpyEnabled())
 
 
-__all__ = ["PHYSICS", "BulletEngine", "Physics", "bullet", "has_numpy", "silenced"]
+__all__ = ["PHYSICS", "BulletEngine", "Physics", "bullet", "decimal_points", "has_numpy", "silenced"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.bullet import bullet, silenced
+from nnql_bullet.sim.bullet import bullet, decimal_points, silenced
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.types import Vector
 
@@ -85,7 +85,8 @@ class BulletScene:
         with TemporaryDirectory(prefix="nnql-bullet-") as folder:
             file = Path(folder) / "robot.urdf"
             file.write_text(_one_visual_per_link(urdf) if self._kind == "window" else urdf, encoding="utf-8")
-            with silenced():  # PyBullet warns of links without a mass
+            # PyBullet warns of links without a mass.
+            with silenced(), decimal_points(every_thread=self._kind == "window"):
                 body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
         joints = range(bullet.getNumJoints(body, self.client))
         infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]

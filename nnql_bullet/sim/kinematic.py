@@ -5,14 +5,10 @@ A vehicle follows the profiles of yaw rate and speed exactly, as a unicycle (Sie
 The kernels simulate many vehicles in as many worlds on all cores, without allocating memory.
 """
 
-import logging
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import cache
 from math import hypot
-from threading import Timer
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +16,8 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
-from nnql_bullet.jit import njit
+from nnql_bullet.jit import announced, njit
+from nnql_bullet.machine import allowed_cores
 from nnql_bullet.sensing import RAYS, ray_angles
 from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, command_times
@@ -141,7 +138,7 @@ class KinematicSimulator:
         self._period = _empty_period(size, len(times) - 1)
         self._time, self._joint_angles = np.zeros(size), np.zeros((size, 4))
         self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
-        self._threads = threads or os.cpu_count() or 1
+        self._threads = threads or allowed_cores()
         self._pool = ThreadPoolExecutor(self._threads)
         _compile()
 
@@ -267,21 +264,9 @@ def _compile() -> None:
     """Compiles the kernels, or loads them from disk, by a call without vehicles."""
     none, some = np.zeros(0, np.int64), np.zeros(1)
     constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
-    with _announced("compiling the kinematic model; it is kept on disk, so this happens once"):
+    with announced():
         _advance(none, some[:0], some[:0], constants, _empty_state(0), _empty_period(0, 0))
         _scan(none, constants, _empty_state(0), _empty_period(0, 0))
-
-
-@contextmanager
-def _announced(what: str, after: float = 1.0) -> Iterator[None]:
-    """Logs a warning if the body takes longer than `after` [s]."""
-    timer = Timer(after, logging.getLogger(__name__).warning, [what])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 @njit(nogil=True)

@@ -101,14 +101,15 @@ def _replay(engine: BulletEngine, drive: Drive) -> float:
     per_command = range(round(1 / COMMAND_RATE / engine.physics.time_step))
     per_period = round(PERIOD * COMMAND_RATE)
     begins, ends = _rays(drive.world.start)
-    begin = time.perf_counter()
-    for number, speeds in enumerate(drive.commands, 1):
-        motors(body, wheels, mode, targetVelocities=speeds, forces=torques, physicsClientId=client)
-        for _ in per_command:
-            step(client)
-        if number % per_period == 0:
-            rays(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=client)
-    return time.perf_counter() - begin
+    with engine.own_threshold():
+        begin = time.perf_counter()
+        for number, speeds in enumerate(drive.commands, 1):
+            motors(body, wheels, mode, targetVelocities=speeds, forces=torques, physicsClientId=client)
+            for _ in per_command:
+                step(client)
+            if number % per_period == 0:
+                rays(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=client)
+        return time.perf_counter() - begin
 
 
 def _rays(pose: Pose) -> tuple[list[list[float]], list[list[float]]]:

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from nnql_bullet.executors import ProcessExecutor
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.machine import allowed_cores
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.render.camera import chase
 from nnql_bullet.render.film import frame_times
@@ -72,7 +73,7 @@ def _bare(path: Path, renderer: RendererName) -> float:
 
 
 def _draw_bare(task: BareTask) -> float:
-    os.environ["LP_NUM_THREADS"] = str(os.cpu_count())  # Mesa's renderer may have all cores here, if it can use them
+    os.environ["LP_NUM_THREADS"] = str(allowed_cores())  # Mesa's renderer may have all cores here, if it can use them
     recording = load_recording(task.recording)
     scene, timeline = BulletRenderer(recording, task.renderer), Timeline(recording)
     client, world = scene.scene.client, recording.world

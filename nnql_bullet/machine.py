@@ -1,0 +1,75 @@
+"""What this machine allows this process: processor cores, and a folder for what may be lost."""
+
+import os
+import stat
+import tempfile
+from functools import cache
+from math import ceil
+from pathlib import Path
+
+
+def allowed_cores(root: Path = Path("/")) -> int:
+    """The number of processor cores that this process may use, at least 1.
+
+    It is limited by the machine's cores, the process's affinity (`taskset`, Slurm) and the quotas of its control
+    groups (containers), of version 1 or 2, rounded up.
+
+    Args:
+        root: Root of the file system; another one for tests.
+    """
+    try:
+        cores = float(len(os.sched_getaffinity(0)))
+    except AttributeError:  # systems without affinities
+        cores = float(os.cpu_count() or 1)  # noqa: TID251
+    return max(ceil(min([cores, *_quotas(root)])), 1)
+
+
+def _quotas(root: Path) -> list[float]:
+    """The quotas of processor time of this process's control groups and of their parents [cores]."""
+    found = []
+    for line in _text(root / "proc/self/cgroup").splitlines():
+        _, controllers, group = line.split(":", 2)
+        folders = ["", controllers] if not controllers else [controllers] if "cpu" in controllers.split(",") else []
+        for folder in folders:
+            place = root / "sys/fs/cgroup" / folder
+            parts = Path(group.lstrip("/")).parts
+            for depth in range(len(parts) + 1):  # in a container the group itself may be out of sight
+                found.append(_quota(place.joinpath(*parts[:depth])))
+    return [quota for quota in found if quota]
+
+
+def _quota(folder: Path) -> float | None:
+    """The quota of one control group [cores]; None if it has none."""
+    limit = _text(folder / "cpu.max").split() or [
+        _text(folder / f"cpu.cfs_{name}_us").strip() for name in ("quota", "period")
+    ]
+    try:
+        quota, period = map(int, limit)
+    except ValueError:  # "max", or no such files
+        return None
+    return quota / period if quota > 0 and period > 0 else None
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+@cache
+def private_folder() -> Path | None:
+    """The folder in the system's temporary folder that belongs to this user alone; None if there can be none.
+
+    It serves as a cache where the home cannot be written to. Its name is known, so it is used only if it is a folder
+    of this user's own to which no other user can write.
+    """
+    try:
+        user = os.getuid()
+        folder = Path(tempfile.gettempdir()) / f"nnql-bullet-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        its = folder.lstat()
+    except (AttributeError, OSError):  # systems without numbers of users; no folder that can be written to
+        return None
+    own = stat.S_ISDIR(its.st_mode) and its.st_uid == user and not its.st_mode & 0o022
+    return folder if own and os.access(folder, os.W_OK | os.X_OK) else None
