@@ -22,6 +22,6 @@ def test_compiling_is_announced_once_and_loading_is_not(tmp_path: Path) -> None:
         return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=True).stderr
 
     first = told()
-    assert first.count("compiling") == first.count("\n") == 1
+    assert first.count("compiling the") == first.count("\n") == 1
     assert str(tmp_path) in first
     assert told() == ""

@@ -49,8 +49,6 @@ NEEDS_MUJOCO = pytest.mark.skipif(
 )
 NAMES = [pytest.param(name, marks=NEEDS_MUJOCO) if "mujoco" in name else name for name in MAKERS if name != "workers"]
 KINDS = ("kinematic", "bullet, fast", pytest.param("mujoco, fast", marks=NEEDS_MUJOCO), "workers")
-LIMIT = 60.0
-"""Seconds after which a wait is given up."""
 
 WorldOf = Callable[..., WorldSpec]
 

@@ -79,7 +79,7 @@ if len(sys.argv) > 2:
 before = {fd: os.path.exists(f"/proc/self/fd/{fd}") for fd in range(3)}
 from nnql_bullet.sim.bullet import silenced, bullet
 with silenced():
-    bullet.setAdditionalSearchPath("/tmp")
+    bullet.disconnect(bullet.connect(bullet.DIRECT))
     os.system("echo lost")
 after = {fd: os.path.exists(f"/proc/self/fd/{fd}") for fd in range(3)}
 open(sys.argv[1], "w").write(f"{before == after}")
@@ -103,6 +103,11 @@ def test_silence_keeps_what_c_printed_before(capfd: pytest.CaptureFixture[str]) 
     C.printf(b"after")
     C.fflush(None)
     assert capfd.readouterr().out == "before after"
+
+
+@pytest.fixture
+def engine(engine_of: Callable[..., BulletEngine]) -> BulletEngine:
+    return engine_of("fast")
 
 
 @pytest.fixture
