@@ -3,6 +3,8 @@
 import os
 import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from math import ceil
 from pathlib import Path
@@ -73,3 +75,21 @@ def private_folder() -> Path | None:
         return None
     own = stat.S_ISDIR(its.st_mode) and its.st_uid == user and not its.st_mode & 0o022
     return folder if own and os.access(folder, os.W_OK | os.X_OK) else None
+
+
+@contextmanager
+def open_streams() -> Iterator[None]:
+    """Opens the null device in place of closed standard streams (`>&-`), for this process and its children.
+
+    Otherwise the next file that is opened takes a stream's number and gets what is printed.
+    """
+    opened = []
+    while (one := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(one, True)
+        opened.append(one)
+    os.close(one)
+    try:
+        yield
+    finally:
+        for one in opened:
+            os.close(one)

@@ -33,8 +33,7 @@ from nnql_bullet.reports.drawing import (
     draw_world,
     legend_below,
     legend_entries,
-    new_figure,
-    save_figure,
+    picture,
     without_ticks,
 )
 from nnql_bullet.rollout import EpisodeSummary, run_episode
@@ -134,31 +133,30 @@ def record(
 
 def draw(training: list[Recording], new: list[Recording], path: Path) -> None:
     """The page."""
-    figure = new_figure(12.0, 13.6)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.06))
-    left, right = lower.subfigures(1, 2, width_ratios=(1.0, 2.0))
-    upper.suptitle("Fig. 5: some training episodes, one vehicle learning online", fontsize=13, color=INK)
-    left.suptitle("Fig. 6: a new world", fontsize=13, color=INK)
-    right.suptitle("Fig. 7: two other worlds, same weights", fontsize=13, color=INK)
-    captions = [f"episode {number}" for number in TRAINING]
-    for axes, recording, caption in zip(upper.subplots(2, 3).flat, training, captions, strict=True):
-        draw_panel(axes, recording, caption)
-    (whole,) = left.subplots(1, 1, squeeze=False).flat
-    for axes, recording in zip((whole, *right.subplots(1, 2)), new, strict=True):
-        draw_panel(axes, recording, f"{cover(recording):.1f} % cover, seed {recording.about['world']['seed']}")
-    draw_moment(whole, new[0])
-    handles = legend_entries(
-        safe="safe: toward the target",
-        non_safe="non-safe: the network decides",
-        obstacle="obstacle",
-        start="start",
-        target="target",
-        collision="collision",
-    )
-    handles.append(Patch(facecolor=NON_SAFE, alpha=0.3, label="sensor that sees something"))
-    handles.append(Patch(facecolor=SAFE, alpha=0.3, label="sensor that sees nothing"))
-    legend_below(figure, 4, handles)
-    save_figure(figure, path)
+    with picture(path, 12.0, 13.6) as figure:
+        upper, lower = figure.subfigures(2, 1, height_ratios=(2.0, 1.06))
+        left, right = lower.subfigures(1, 2, width_ratios=(1.0, 2.0))
+        upper.suptitle("Fig. 5: some training episodes, one vehicle learning online", fontsize=13, color=INK)
+        left.suptitle("Fig. 6: a new world", fontsize=13, color=INK)
+        right.suptitle("Fig. 7: two other worlds, same weights", fontsize=13, color=INK)
+        captions = [f"episode {number}" for number in TRAINING]
+        for axes, recording, caption in zip(upper.subplots(2, 3).flat, training, captions, strict=True):
+            draw_panel(axes, recording, caption)
+        (whole,) = left.subplots(1, 1, squeeze=False).flat
+        for axes, recording in zip((whole, *right.subplots(1, 2)), new, strict=True):
+            draw_panel(axes, recording, f"{cover(recording):.1f} % cover, seed {recording.about['world']['seed']}")
+        draw_moment(whole, new[0])
+        handles = legend_entries(
+            safe="safe: toward the target",
+            non_safe="non-safe: the network decides",
+            obstacle="obstacle",
+            start="start",
+            target="target",
+            collision="collision",
+        )
+        handles.append(Patch(facecolor=NON_SAFE, alpha=0.3, label="sensor that sees something"))
+        handles.append(Patch(facecolor=SAFE, alpha=0.3, label="sensor that sees nothing"))
+        legend_below(figure, 4, handles)
 
 
 def draw_panel(axes: Axes, recording: Recording, caption: str) -> None:

@@ -284,24 +284,23 @@ def difference(paired: Sequence[int]) -> str:
 def draw_stages(rows: Sequence[dict[str, Any]], seeds: int, path: Path) -> None:
     """Success on validation worlds along a training, a line with its interval for each kind of world."""
     from nnql_bullet.colours import LINES
-    from nnql_bullet.reports.drawing import OPEN, finish_axes, new_figure, save_figure
+    from nnql_bullet.reports.drawing import OPEN, finish_axes, picture
 
-    figure = new_figure(9.0, 4.4)
-    axes = figure.add_subplot()
-    kinds = list(dict.fromkeys(row["title"] for row in rows if row["title"]))
-    for kind, colour in zip(kinds, LINES, strict=False):
-        its = [row for row in rows if row["title"] == kind]
-        episodes = [row["episodes"] for row in its]
-        shown = ["goal" if row["over_seeds"] is None else "over_seeds" for row in its]
-        parts = [[row[name + part] for part in ("", "_low", "_high")] for name, row in zip(shown, its, strict=True)]
-        value, low, high = 100 * np.array(parts).T
-        axes.fill_between(episodes, low, high, color=colour, alpha=0.2, lw=0)
-        axes.plot(episodes, value, color=colour, lw=2, marker="o", ms=4, mew=0, label=kind)
-    axes.set(xlabel="training episodes", ylabel="success [%]", ylim=(-2, 102), xlim=(0, None))
-    title = f"double_dqn, greedy, on validation worlds: {seeds} trainings, inter-quartile mean and 95 % interval"
-    finish_axes(axes, title, 11, hidden=OPEN)
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    save_figure(figure, path)
+    with picture(path, 9.0, 4.4) as figure:
+        axes = figure.add_subplot()
+        kinds = list(dict.fromkeys(row["title"] for row in rows if row["title"]))
+        for kind, colour in zip(kinds, LINES, strict=False):
+            its = [row for row in rows if row["title"] == kind]
+            episodes = [row["episodes"] for row in its]
+            shown = ["goal" if row["over_seeds"] is None else "over_seeds" for row in its]
+            parts = [[row[name + part] for part in ("", "_low", "_high")] for name, row in zip(shown, its, strict=True)]
+            value, low, high = 100 * np.array(parts).T
+            axes.fill_between(episodes, low, high, color=colour, alpha=0.2, lw=0)
+            axes.plot(episodes, value, color=colour, lw=2, marker="o", ms=4, mew=0, label=kind)
+        axes.set(xlabel="training episodes", ylabel="success [%]", ylim=(-2, 102), xlim=(0, None))
+        title = f"double_dqn, greedy, on validation worlds: {seeds} trainings, inter-quartile mean and 95 % interval"
+        finish_axes(axes, title, 11, hidden=OPEN)
+        figure.legend(loc="outside right center", frameon=False, fontsize=9)
 
 
 def main() -> None:

@@ -375,13 +375,15 @@ def episodes(goals: list[bool]) -> list[TrainingEpisode]:
     return [TrainingEpisode(number, summary, {}) for number, summary in enumerate(summaries)]
 
 
-def test_the_mean_over_seeds_is_that_of_the_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_mean_over_seeds_is_that_of_the_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    monkeypatch.setattr(plots, "save_figure", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: drawn.append(figure))
     generator = np.random.default_rng(0)
     goals = {name: (generator.random(length) < 0.5).tolist() for name, length in (("a", 40), ("b", 60), ("c", 50))}
     runs = {name: episodes(its) for name, its in goals.items()}
-    plots.draw_success({"two": {"a": runs["a"], "b": runs["b"]}, "c": {"c": runs["c"]}}, Path("unused"), window=10)
+    plots.draw_success(
+        {"two": {"a": runs["a"], "b": runs["b"]}, "c": {"c": runs["c"]}}, tmp_path / "success.png", window=10
+    )
     (axes,) = drawn[0].axes
     a, b, mean, c = ([float(value) for value in line.get_ydata()] for line in axes.lines)
     for curve, its in ((a, "a"), (b, "b"), (c, "c")):

@@ -6,17 +6,21 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
 
+import matplotlib
 import pytest
 
+from nnql_bullet.reports.drawing import picture
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet, silenced
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -175,3 +179,32 @@ def drive_another(vehicle: VehicleSpec, world: WorldSpec) -> None:
     with closing(BulletEngine(vehicle, DriveOptions(), PHYSICS["fast"])) as another:
         another.reset(world)
         another.advance(0.1)
+
+
+class TestPictures:
+    """They have the package's own settings, and leave the program's as they are."""
+
+    @pytest.fixture
+    def world(self) -> World:
+        return World.load("cover_10")
+
+    def test_the_users_settings_change_nothing(self, world: World, tmp_path: Path) -> None:
+        world.plot(tmp_path / "plain.png")
+        theirs = {"text.usetex": True, "font.size": 30.0, "savefig.transparent": True, "lines.linewidth": 9.0}
+        with matplotlib.rc_context(theirs):
+            before = dict(matplotlib.rcParams)
+            world.plot(tmp_path / "theirs.png")
+            assert dict(matplotlib.rcParams) == before
+        assert (tmp_path / "theirs.png").read_bytes() == (tmp_path / "plain.png").read_bytes()
+
+    def test_threads_draw_one_after_another_and_put_the_settings_back(self, world: World, tmp_path: Path) -> None:
+        before = dict(matplotlib.rcParams)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda number: world.plot(tmp_path / f"{number}.png"), range(8)))
+        assert dict(matplotlib.rcParams) == before
+        assert len({path.read_bytes() for path in tmp_path.glob("*.png")}) == 1
+
+    def test_a_dollar_in_a_name_is_no_formula(self, tmp_path: Path) -> None:
+        with picture(tmp_path / "dollars.png", 2.0, 2.0) as figure:
+            figure.suptitle("runs/$x_{$")
+        assert (tmp_path / "dollars.png").exists()

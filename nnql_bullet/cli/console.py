@@ -1,39 +1,85 @@
 """Printing: lines, complaints, and the progress of long work."""
 
 import logging
+import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from datetime import timedelta
+from pathlib import Path
 from time import monotonic
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
+from nnql_bullet.machine import open_streams
 from nnql_bullet.work import OnProgress, Progress
 
-UNSUPPORTED_PYTHON = (
-    ""
-    if (3, 10) <= sys.version_info < (3, 12)
-    else f"CPython 3.10 or 3.11 is needed, not {sys.version.split()[0]}: PyBullet has no wheels for it"
+UNSUPPORTED = (
+    f"CPython 3.10 or 3.11 is needed, not {sys.version.split()[0]}: PyBullet has no wheels for it"
+    if not (3, 10) <= sys.version_info < (3, 12)
+    else "Windows is not supported; run it in the Windows Subsystem for Linux (WSL 2)"
+    if os.name == "nt"
+    else ""
 )
+"""Why this Python or system cannot run the program; where it can, empty."""
 
 LINE_EVERY = 10.0
 """Seconds between plain progress lines where there is no terminal."""
+PIECES = 10
+"""Number of pieces of work after the first one before the time left is estimated."""
+ESTIMATE_AFTER = 5.0
+"""Time after the first piece of work before the time left is estimated [s]."""
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+class _Stream(Console):
+    def on_broken_pipe(self) -> None:
+        """Leaves the exit code to the parser."""
+        raise BrokenPipeError
+
+
+out = _Stream()
+err = _Stream(stderr=True)
 
 
 def say(text: str) -> None:
     """A line on standard output."""
-    out.print(text, markup=False)
+    out.out(printable(text, out.encoding), highlight=False)
+
+
+def tell(text: str) -> None:
+    """A line on standard error."""
+    err.out(printable(text, err.encoding), highlight=False)
+
+
+@contextmanager
+def streams() -> Iterator[None]:
+    """Sends to nowhere what is printed to closed standard streams."""
+    with open_streams(), ExitStack() as opened:
+        for stream, redirect in ((sys.stdout, redirect_stdout), (sys.stderr, redirect_stderr)):  # noqa: TID251
+            if stream is None:
+                opened.enter_context(redirect(opened.enter_context(Path(os.devnull).open("w", encoding="utf-8"))))
+        yield
+
+
+def give_up_output() -> int:
+    """Sends to nowhere what is still to be printed, because its reader has gone; the exit code of that."""
+    with Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    return 128 + 13  # as if ended by SIGPIPE
 
 
 def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
-    err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
+    tell(f"nnql-bullet: {' '.join(text.split())}")
     return 2
+
+
+def printable(text: str, encoding: str) -> str:
+    """The text with control characters, and characters that the encoding lacks, as backslash escapes."""
+    shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+    return shown.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def items(text: str | None) -> list[str]:
@@ -41,20 +87,23 @@ def items(text: str | None) -> list[str]:
     return [item.strip() for item in (text or "").split(",") if item.strip()]
 
 
-class _Saying(logging.Handler):
+class _Telling(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        say(self.format(record))
+        tell(self.format(record))
 
 
 @contextmanager
 def messages() -> Iterator[None]:
-    """Prints what the library logs for information, on standard output."""
-    logger, handler = logging.getLogger("nnql_bullet"), _Saying()
+    """Prints what the library logs for information, on standard error; standard output is for results."""
+    from nnql_bullet.jit import announced  # not at the top: see UNSUPPORTED
+
+    logger, handler = logging.getLogger("nnql_bullet"), _Telling()
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
-        yield
+        with announced():
+            yield
     finally:
         logger.setLevel(before)
         logger.removeHandler(handler)
@@ -67,22 +116,42 @@ def progress() -> Iterator[OnProgress]:
         yield _Lines()
         return
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(),
-        TextColumn("left"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     with RichProgress(*columns, console=err, expand=True) as bars:
-        tasks: dict[str, TaskID] = {}
+        tasks: dict[str, tuple[TaskID, _TimeLeft]] = {}
 
         def show(now: Progress) -> None:
             if now.what not in tasks:
-                tasks[now.what] = bars.add_task(now.what, total=now.total, completed=now.done, note=now.note)
-            bars.update(tasks[now.what], completed=now.done, total=now.total, note=now.note)
+                what = printable(now.what, err.encoding)
+                tasks[now.what] = bars.add_task(what, total=now.total, completed=now.done, note=""), _TimeLeft()
+            task, left = tasks[now.what]
+            note = printable("  ".join(filter(None, (now.note, left(now)))), err.encoding)
+            bars.update(task, completed=now.done, total=now.total, note=note)
 
         yield show
+
+
+class _TimeLeft:
+    """Estimates the time left of a work. It counts from the first piece, before which processes start and compile."""
+
+    def __init__(self) -> None:
+        self._done, self._pieces = -1, -1
+
+    def __call__(self, now: Progress) -> str:
+        """The time left; empty as long as an estimate means nothing."""
+        time = monotonic()
+        if now.done > self._done:
+            self._done, self._pieces = now.done, self._pieces + 1
+            if self._pieces == 1:
+                self._first, self._begin = now.done, time
+        if self._pieces <= PIECES or time - self._begin < ESTIMATE_AFTER:
+            return ""
+        left = (time - self._begin) / (now.done - self._first) * (now.total - now.done)
+        return f"{timedelta(seconds=round(left))} left"
 
 
 class _Lines:
@@ -94,9 +163,9 @@ class _Lines:
     def __call__(self, now: Progress) -> None:
         time = monotonic()
         if now.what != self._what:
-            self._what, self._first, self._begin, self._last = now.what, now.done, time, time
+            self._what, self._first, self._last, self._left = now.what, now.done, time, _TimeLeft()
+        left = self._left(now)
         if (time - self._last < LINE_EVERY and now.done < now.total) or now.done == self._first:
             return
         self._last = time
-        left = (time - self._begin) / (now.done - self._first) * (now.total - now.done)
-        err.print(f"{now.what} {now.done}/{now.total}  {now.note}  {left:.0f} s left", markup=False)
+        tell("  ".join(filter(None, (f"{now.what} {now.done}/{now.total}", now.note, left))))

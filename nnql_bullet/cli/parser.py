@@ -6,7 +6,7 @@ from importlib import import_module
 from inspect import getdoc
 
 from nnql_bullet import __version__
-from nnql_bullet.cli.console import complain, messages, say
+from nnql_bullet.cli.console import complain, give_up_output, messages, say
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.sim.base import WorkerDied
 
@@ -45,6 +45,20 @@ nnql-bullet VERB --help tells more. To begin:
 
 def run(arguments: list[str]) -> int:
     """Parses and runs one verb; the exit code."""
+    try:
+        return _run(arguments)
+    except BrokenPipeError:
+        return give_up_output()
+    except UserError as error:
+        return complain(str(error))
+    except (WorkerDied, WorkFailed) as error:
+        complain(str(error))
+        return 1
+    except OSError as error:
+        return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
+
+
+def _run(arguments: list[str]) -> int:
     verb, *rest = arguments or ["--help"]
     if verb == "--version":
         say(f"nnql-bullet {__version__}")
@@ -64,13 +78,6 @@ def run(arguments: list[str]) -> int:
             return call()
     except SystemExit:  # help was asked for
         return 0
-    except UserError as error:
-        return complain(str(error))
-    except (WorkerDied, WorkFailed) as error:
-        complain(str(error))
-        return 1
-    except OSError as error:
-        return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
 
 
 def verb_of(name: str) -> Callable[..., int]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import training as api
-from nnql_bullet.cli.console import complain, err, progress, say
+from nnql_bullet.cli.console import complain, progress, say, tell
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
@@ -107,7 +107,7 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
         if asked:
             raise KeyboardInterrupt
         asked = True
-        err.print("ending after this episode (once more: at once, from the last checkpoint)", markup=False)
+        tell("ending after this episode (once more: at once, from the last checkpoint)")
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

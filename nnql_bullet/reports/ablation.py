@@ -14,7 +14,7 @@ from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
 from nnql_bullet.evaluation.ablation import Budget, Entry
 from nnql_bullet.evaluation.studies import Factor, Study
 from nnql_bullet.reports.document import Picture, Report, Section, table
-from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, new_figure, save_figure
+from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, picture
 from nnql_bullet.reports.tables import csv_text
 
 COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}
@@ -142,32 +142,33 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
     gaps = np.cumsum([0.0] + [1.6 * (a.factor is not b.factor) for a, b in pairwise(entries)])
     places = -(np.arange(len(entries)) + gaps)
     size = 3.0 + max(2.0 * len(study.tiers), 8.0), 0.23 * float(-places[-1]) + 1.9
-    figure = new_figure(*size)
-    panels = figure.subplots(1, len(study.tiers), sharey=True, squeeze=False)[0]
-    for axes, (world, title) in zip(panels, study.tiers.items(), strict=True):
-        for place, entry in zip(places.tolist(), entries, strict=True):
-            colour = COLOURS[entry.verdict]
-            seeds = 100 * np.array(entry.by_seed[world])
-            axes.plot(seeds, np.full(len(seeds), place), "o", color=BOX, ms=3.0, mew=0, zorder=2)
-            interval = entry.success[world]
-            if interval:
-                axes.plot([100 * interval.low, 100 * interval.high], [place] * 2, color=colour, lw=1.8, zorder=3)
-                axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
-            if entry.verdict == "default":
-                axes.axhspan(place - 0.42, place + 0.42, color=SHADE, lw=0, zorder=0)
-        axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 1.6), xlabel="success [%]")
-        finish_axes(axes, title, grid="x", hidden=(*OPEN, "left"))
-        axes.tick_params(axis="y", length=0)
-    panels[0].set_yticks(places, [entry.variant.label for entry in entries], fontsize=8)
-    for factor in study.factors:
-        first = next(k for k, entry in enumerate(entries) if entry.factor is factor)
-        title, x = f"{factor.question}{' *' if factor.stated else ''}", panels[0].get_yaxis_transform()
-        panels[0].text(-0.02, places[first] + 1.0, title, transform=x, fontsize=9, va="center", ha="right", color=SAFE)
-    handles = [
-        Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
-    ]
-    handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
-    legend_below(figure, 5, handles)
-    title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it"
-    figure.suptitle(title, fontsize=10, color=INK)
-    save_figure(figure, path)
+    with picture(path, *size) as figure:
+        panels = figure.subplots(1, len(study.tiers), sharey=True, squeeze=False)[0]
+        for axes, (world, title) in zip(panels, study.tiers.items(), strict=True):
+            for place, entry in zip(places.tolist(), entries, strict=True):
+                colour = COLOURS[entry.verdict]
+                seeds = 100 * np.array(entry.by_seed[world])
+                axes.plot(seeds, np.full(len(seeds), place), "o", color=BOX, ms=3.0, mew=0, zorder=2)
+                interval = entry.success[world]
+                if interval:
+                    axes.plot([100 * interval.low, 100 * interval.high], [place] * 2, color=colour, lw=1.8, zorder=3)
+                    axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
+                if entry.verdict == "default":
+                    axes.axhspan(place - 0.42, place + 0.42, color=SHADE, lw=0, zorder=0)
+            axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 1.6), xlabel="success [%]")
+            finish_axes(axes, title, grid="x", hidden=(*OPEN, "left"))
+            axes.tick_params(axis="y", length=0)
+        panels[0].set_yticks(places, [entry.variant.label for entry in entries], fontsize=8)
+        for factor in study.factors:
+            first = next(k for k, entry in enumerate(entries) if entry.factor is factor)
+            title, x = f"{factor.question}{' *' if factor.stated else ''}", panels[0].get_yaxis_transform()
+            panels[0].text(
+                -0.02, places[first] + 1.0, title, transform=x, fontsize=9, va="center", ha="right", color=SAFE
+            )
+        handles = [
+            Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
+        ]
+        handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
+        legend_below(figure, 5, handles)
+        title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it"
+        figure.suptitle(title, fontsize=10, color=INK)

@@ -1,11 +1,15 @@
 """Draws parts of pictures with Matplotlib's object interface: no display, no global figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import RLock
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -41,6 +45,10 @@ OUTLINE_EVERY = 4.0
 OPEN = ("top", "right")
 """Spines to hide in axes with only a left and a lower one."""
 MARKS = "osD^vPX"
+POWERS = {"text.parse_math": True}
+"""Settings of a picture with a logarithmic axis, whose numbers are powers of ten."""
+
+_one_at_a_time = RLock()
 
 _ENTRIES: dict[str, dict[str, Any]] = {
     "safe": {"color": SAFE, "lw": 2.4},
@@ -55,9 +63,27 @@ _ENTRIES: dict[str, dict[str, Any]] = {
 }
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Returns an empty figure of a size in inches."""
-    return Figure(figsize=(width, height), layout="constrained")
+@contextmanager
+def picture(
+    path: Path, width: float, height: float, settings: Mapping[str, Any] = MappingProxyType({})
+) -> Iterator[Figure]:
+    """Yields an empty figure, and writes it atomically; the same figure gives the same bytes.
+
+    It is drawn with Matplotlib's default settings, whatever the user's matplotlibrc or program has set. They are those
+    of the whole process for that time, so one picture is drawn at a time.
+
+    Args:
+        path: File of the picture.
+        width: Width [inches].
+        height: Height [inches].
+        settings: Settings of Matplotlib (rcParams) beside its defaults.
+    """
+    its: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
+    its |= {"text.parse_math": False, **settings}  # a dollar in a name is a dollar
+    with _one_at_a_time, rc_context(its):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))
 
 
 def finish_axes(
@@ -212,8 +238,3 @@ def _outlines(recording: Recording, every: float) -> list[OrientedBox]:
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     chosen = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], every)))
     return [moved(recording.footprint, Pose(*poses[i])) for i in chosen]
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Writes a picture atomically; the same figure gives the same bytes."""
-    write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))

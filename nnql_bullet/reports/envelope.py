@@ -6,7 +6,6 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
@@ -33,7 +32,7 @@ from nnql_bullet.fidelity.envelope import (
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.document import Report, Section, Table, table
-from nnql_bullet.reports.drawing import legend_below, new_figure, save_figure
+from nnql_bullet.reports.drawing import legend_below, picture
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
 from nnql_bullet.vehicle.limits import (
     braking,
@@ -115,8 +114,9 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
         path: Path of the PNG file.
     """
     vehicle, found, measures = bench.vehicle, {result.case: result for result in results}, _measures()
-    with matplotlib.rc_context({"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
-        figure = new_figure(8.6, 2.15 * len(slices) + 1.5)
+    with picture(
+        path, 8.6, 2.15 * len(slices) + 1.5, {"font.size": 8.5, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}
+    ) as figure:
         panels = figure.subplots(len(slices), len(measures), squeeze=False, sharex="col")
         for row, part in zip(panels, slices, strict=True):
             limits = _paper_limits(vehicle, part)
@@ -133,7 +133,6 @@ def draw_envelope(bench: Bench, slices: Sequence[Slice], results: Sequence[Resul
             axes.set_xlabel("control period [s]")
         legend_below(figure, 2, _envelope_legend())
         figure.suptitle(_described(bench, slices[0].base), fontsize=9, color=INK)
-        save_figure(figure, path)
 
 
 def _add_colour_bar(figure: Figure, axes: Axes, mesh: QuadMesh, measure: _Measure) -> None:

@@ -26,8 +26,7 @@ from nnql_bullet.reports.drawing import (
     finish_axes,
     legend_below,
     legend_entries,
-    new_figure,
-    save_figure,
+    picture,
     without_ticks,
 )
 from nnql_bullet.reports.tables import csv_text, finite
@@ -309,17 +308,16 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
     """Draws how drives ended: a panel for each tier, a bar for each method, with the interval of success."""
     e = evaluation
-    figure = new_figure(1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7)
-    panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
-    for axes, tier in zip(panels, e.tiers, strict=True):
-        its = [row for row in rows if row.world == tier.name]
-        draw_endings(axes, e.methods, [row.outcomes for row in its], [success(row) for row in its])
-        axes.set(xlim=(0, 118), xlabel="drives [%]")
-        axes.xaxis.set_major_locator(FixedLocator([0, 50, 100]))
-        finish_axes(axes, tier.title, grid="none", hidden=OPEN)
-    legend_below(figure, 3)
-    figure.suptitle(f"{e.setting.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
-    save_figure(figure, path)
+    with picture(path, 1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7) as figure:
+        panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
+        for axes, tier in zip(panels, e.tiers, strict=True):
+            its = [row for row in rows if row.world == tier.name]
+            draw_endings(axes, e.methods, [row.outcomes for row in its], [success(row) for row in its])
+            axes.set(xlim=(0, 118), xlabel="drives [%]")
+            axes.xaxis.set_major_locator(FixedLocator([0, 50, 100]))
+            finish_axes(axes, tier.title, grid="none", hidden=OPEN)
+        legend_below(figure, 3)
+        figure.suptitle(f"{e.setting.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
 
 
 def _covers(e: Evaluation) -> list[tuple[float, str]]:
@@ -332,24 +330,25 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
     e, covers = evaluation, _covers(evaluation)
     if len(covers) < 2:
         return
-    figure = new_figure(8.4, 5.2)
-    axes = figure.add_subplot()
-    by_place = {(row.method, row.world): success(row) for row in rows}
-    last = covers[-1][1]
-    ranked = sorted(e.methods, key=lambda method: -by_place[method, last].value)
-    apart = 0.06 * min(b - a for (a, _), (b, _) in pairwise(covers))
-    for number, method in enumerate(ranked):
-        shares = [by_place[method, name] for _, name in covers]
-        x = np.array([100 * (cover + apart * (number - (len(ranked) - 1) / 2) / len(ranked)) for cover, _ in covers])
-        value, low, high = 100 * np.array(shares).T
-        colour, mark = LINES[number % len(LINES)], MARKS[number % len(MARKS)]
-        axes.plot(x, value, color=colour, lw=1.8, marker=mark, ms=5.5, mew=0, label=method)
-        axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
-    axes.set(xlabel="arena under boxes [%]", ylabel="success [%]", ylim=(-2, 102))
-    axes.set_xticks([100 * cover for cover, _ in covers])
-    finish_axes(axes, f"{e.setting.title}; lines: 95 % intervals", hidden=OPEN)
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    save_figure(figure, path)
+    with picture(path, 8.4, 5.2) as figure:
+        axes = figure.add_subplot()
+        by_place = {(row.method, row.world): success(row) for row in rows}
+        last = covers[-1][1]
+        ranked = sorted(e.methods, key=lambda method: -by_place[method, last].value)
+        apart = 0.06 * min(b - a for (a, _), (b, _) in pairwise(covers))
+        for number, method in enumerate(ranked):
+            shares = [by_place[method, name] for _, name in covers]
+            x = np.array(
+                [100 * (cover + apart * (number - (len(ranked) - 1) / 2) / len(ranked)) for cover, _ in covers]
+            )
+            value, low, high = 100 * np.array(shares).T
+            colour, mark = LINES[number % len(LINES)], MARKS[number % len(MARKS)]
+            axes.plot(x, value, color=colour, lw=1.8, marker=mark, ms=5.5, mew=0, label=method)
+            axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
+        axes.set(xlabel="arena under boxes [%]", ylabel="success [%]", ylim=(-2, 102))
+        axes.set_xticks([100 * cover for cover, _ in covers])
+        finish_axes(axes, f"{e.setting.title}; lines: 95 % intervals", hidden=OPEN)
+        figure.legend(loc="outside right center", frameon=False, fontsize=9)
 
 
 def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> None:
@@ -363,15 +362,14 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
         return
     methods = list(dict.fromkeys(task.policy.method for task, _ in films))
     tiers = list(dict.fromkeys(task.tier.name for task, _ in films))
-    figure = new_figure(2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6)
-    grid = figure.subplots(len(methods), len(tiers), squeeze=False)
-    for axes in grid.flat:
-        axes.set_visible(False)
-    for task, recording in films:
-        axes = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)]
-        axes.set_visible(True)
-        without_ticks(axes)
-        axes.spines[:].set_visible(False)
-        draw_drive(axes, recording, 0.6, 1.0, f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", 7.5)
-    legend_below(figure, 3, legend_entries(safe="safe", non_safe="non-safe", collision="collision"))
-    save_figure(figure, path)
+    with picture(path, 2.6 * len(tiers) + 0.4, 2.7 * len(methods) + 0.6) as figure:
+        grid = figure.subplots(len(methods), len(tiers), squeeze=False)
+        for axes in grid.flat:
+            axes.set_visible(False)
+        for task, recording in films:
+            axes = grid[methods.index(task.policy.method)][tiers.index(task.tier.name)]
+            axes.set_visible(True)
+            without_ticks(axes)
+            axes.spines[:].set_visible(False)
+            draw_drive(axes, recording, 0.6, 1.0, f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", 7.5)
+        legend_below(figure, 3, legend_entries(safe="safe", non_safe="non-safe", collision="collision"))

@@ -41,8 +41,7 @@ from nnql_bullet.reports.drawing import (
     draw_world,
     legend_below,
     legend_entries,
-    new_figure,
-    save_figure,
+    picture,
     without_ticks,
 )
 
@@ -249,27 +248,33 @@ def draw_sheet(drives: Sequence[tuple[str, Recording, Features]], path: Path) ->
     """
     columns = min(COLUMNS, len(drives))
     rows = -(-len(drives) // columns)
-    figure = new_figure(max(2.25 * columns, 5.0), 4.85 * rows + 0.6)
-    grid = figure.subplots(2 * rows, columns, squeeze=False)
-    for axes in grid.flat:
-        axes.set_axis_off()
-    for number, (title, recording, features) in enumerate(drives):
-        row, column = divmod(number, columns)
-        whole, end = grid[2 * row][column], grid[2 * row + 1][column]
-        middle, half = _frame(recording, features)
-        draw_drive(whole, recording, 0.6, ARENA_MARGIN, title, 7.5)
-        left, low = middle - half
-        whole.add_patch(Rectangle((left, low), 2 * half, 2 * half, fc="none", ec=INK, lw=0.8, alpha=0.8, zorder=8))
-        _draw_end(end, recording, features)
-        end.set(xlim=middle[0] + (-half, half), ylim=middle[1] + (-half, half), aspect="equal")
-        end.set_title(_what(features), fontsize=7, color=INK, pad=3)
-        about_size = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
-        end.text(
-            0.03, 0.03, f"{2 * half:.0f} m", transform=end.transAxes, fontsize=7, color=INK, zorder=9, bbox=about_size
-        )
-    handles = _legend([recording for _, recording, _ in drives])
-    legend_below(figure, min(len(handles), columns + 1), handles)
-    save_figure(figure, path)
+    with picture(path, max(2.25 * columns, 5.0), 4.85 * rows + 0.6) as figure:
+        grid = figure.subplots(2 * rows, columns, squeeze=False)
+        for axes in grid.flat:
+            axes.set_axis_off()
+        for number, (title, recording, features) in enumerate(drives):
+            row, column = divmod(number, columns)
+            whole, end = grid[2 * row][column], grid[2 * row + 1][column]
+            middle, half = _frame(recording, features)
+            draw_drive(whole, recording, 0.6, ARENA_MARGIN, title, 7.5)
+            left, low = middle - half
+            whole.add_patch(Rectangle((left, low), 2 * half, 2 * half, fc="none", ec=INK, lw=0.8, alpha=0.8, zorder=8))
+            _draw_end(end, recording, features)
+            end.set(xlim=middle[0] + (-half, half), ylim=middle[1] + (-half, half), aspect="equal")
+            end.set_title(_what(features), fontsize=7, color=INK, pad=3)
+            about_size = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
+            end.text(
+                0.03,
+                0.03,
+                f"{2 * half:.0f} m",
+                transform=end.transAxes,
+                fontsize=7,
+                color=INK,
+                zorder=9,
+                bbox=about_size,
+            )
+        handles = _legend([recording for _, recording, _ in drives])
+        legend_below(figure, min(len(handles), columns + 1), handles)
 
 
 def _frame(recording: Recording, features: Features) -> tuple[Array, float]:

@@ -14,7 +14,7 @@ from nnql_bullet.fidelity.actions import WatchedTurn, tightest
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
 from nnql_bullet.reports.document import Picture, Report, Section, table
-from nnql_bullet.reports.drawing import OPEN, finish_axes, new_figure, save_figure
+from nnql_bullet.reports.drawing import OPEN, POWERS, finish_axes, picture
 from nnql_bullet.reports.tables import finite
 from nnql_bullet.vehicle.controller import COMMAND_RATE
 from nnql_bullet.vehicle.limits import Demand, quasi_steady
@@ -198,69 +198,66 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
 def draw_tolerances(fidelity: Fidelity, path: Path) -> None:
     """Draws the share of tolerance that the worst quantity of each probe uses, at the time step and at half of it."""
     rows = fidelity.probes
-    figure = new_figure(9.0, 0.3 * len(rows) + 1.3)
-    axes = figure.add_subplot()
-    floor, labels = 1e-4, []
-    for place, (probe, measured, halved) in enumerate(rows):
-        worst = max(measured, key=share_used)
-        half = {m.quantity: m for m in halved}.get(worst.quantity)
-        used = max(share_used(worst), floor)
-        axes.plot([floor, used], [place, place], color=REFERENCE, lw=1.4, zorder=1)
-        axes.plot(used, place, "o", color=GOAL if worst.ok else COLLISION, ms=6, zorder=3, clip_on=False)
-        if half:
-            axes.plot(max(share_used(half), floor), place, "o", mfc="white", mec=INK, ms=5, zorder=4, clip_on=False)
-        labels.append(f"{probe.name}: {worst.quantity}")
-    axes.axvline(1.0, color=COLLISION, lw=1.2)
-    axes.set_yticks(range(len(rows)), labels, fontsize=9)
-    axes.set(xscale="log", xlim=(floor, None), ylim=(len(rows) - 0.4, -0.6))
-    axes.set_xlabel("share of the tolerance used (full: at the time step; open: at half of it)")
-    finish_axes(axes, f"{fidelity.title}: the worst quantity of each probe", 11, grid="x", hidden=OPEN)
-    save_figure(figure, path)
+    with picture(path, 9.0, 0.3 * len(rows) + 1.3, POWERS) as figure:
+        axes = figure.add_subplot()
+        floor, labels = 1e-4, []
+        for place, (probe, measured, halved) in enumerate(rows):
+            worst = max(measured, key=share_used)
+            half = {m.quantity: m for m in halved}.get(worst.quantity)
+            used = max(share_used(worst), floor)
+            axes.plot([floor, used], [place, place], color=REFERENCE, lw=1.4, zorder=1)
+            axes.plot(used, place, "o", color=GOAL if worst.ok else COLLISION, ms=6, zorder=3, clip_on=False)
+            if half:
+                axes.plot(max(share_used(half), floor), place, "o", mfc="white", mec=INK, ms=5, zorder=4, clip_on=False)
+            labels.append(f"{probe.name}: {worst.quantity}")
+        axes.axvline(1.0, color=COLLISION, lw=1.2)
+        axes.set_yticks(range(len(rows)), labels, fontsize=9)
+        axes.set(xscale="log", xlim=(floor, None), ylim=(len(rows) - 0.4, -0.6))
+        axes.set_xlabel("share of the tolerance used (full: at the time step; open: at half of it)")
+        finish_axes(axes, f"{fidelity.title}: the worst quantity of each probe", 11, grid="x", hidden=OPEN)
 
 
 def draw_actions(fidelity: Fidelity, path: Path) -> None:
     """Draws ideal and measured paths of the five actions, their distance, and the effect of the time step on it."""
-    figure = new_figure(11.0, 4.2)
-    paths, gaps, steps = figure.subplots(1, 3, width_ratios=(1.0, 1.15, 0.9))
-    step, turns = fidelity.actions[0]
-    for turn, colour in zip(turns, ACTIONS, strict=True):
-        label = _name(turn)
-        paths.plot(*turn.ideal.T, color=REFERENCE, lw=5.0, solid_capstyle="round", zorder=1)
-        paths.plot(*turn.path.T, color=colour, lw=1.4, label=label, zorder=2)
-        gaps.plot(turn.times, 1e3 * np.hypot(*(turn.path - turn.ideal).T), color=colour, lw=1.4, label=label)
-    paths.set(xlabel="ahead [m]", ylabel="to the left [m]", aspect="equal")
-    finish_axes(paths, "paths; grey: ideal")
-    paths.legend(frameon=False, fontsize=8, loc="upper left")
-    gaps.set(xlabel="time [s]", ylabel="distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
-    finish_axes(gaps, f"distance from the ideal, step 1/{1 / step:.0f} s")
-    sizes = np.array([s for s, _ in fidelity.actions])
-    for i, colour in enumerate(ACTIONS):
-        distances = [1e3 * watched[i].gap for _, watched in fidelity.actions]
-        steps.plot(1e3 * sizes, distances, "o-", color=colour, lw=1.2, ms=4)
-    steps.set(xlabel="time step [ms]", ylabel="RMS distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
-    finish_axes(steps, "what the time step does to that")
-    save_figure(figure, path)
+    with picture(path, 11.0, 4.2) as figure:
+        paths, gaps, steps = figure.subplots(1, 3, width_ratios=(1.0, 1.15, 0.9))
+        step, turns = fidelity.actions[0]
+        for turn, colour in zip(turns, ACTIONS, strict=True):
+            label = _name(turn)
+            paths.plot(*turn.ideal.T, color=REFERENCE, lw=5.0, solid_capstyle="round", zorder=1)
+            paths.plot(*turn.path.T, color=colour, lw=1.4, label=label, zorder=2)
+            gaps.plot(turn.times, 1e3 * np.hypot(*(turn.path - turn.ideal).T), color=colour, lw=1.4, label=label)
+        paths.set(xlabel="ahead [m]", ylabel="to the left [m]", aspect="equal")
+        finish_axes(paths, "paths; grey: ideal")
+        paths.legend(frameon=False, fontsize=8, loc="upper left")
+        gaps.set(xlabel="time [s]", ylabel="distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
+        finish_axes(gaps, f"distance from the ideal, step 1/{1 / step:.0f} s")
+        sizes = np.array([s for s, _ in fidelity.actions])
+        for i, colour in enumerate(ACTIONS):
+            distances = [1e3 * watched[i].gap for _, watched in fidelity.actions]
+            steps.plot(1e3 * sizes, distances, "o-", color=colour, lw=1.2, ms=4)
+        steps.set(xlabel="time step [ms]", ylabel="RMS distance from the ideal [mm]", xlim=(0, None), ylim=(0, None))
+        finish_axes(steps, "what the time step does to that")
 
 
 def draw_grip(fidelity: Fidelity, path: Path) -> None:
     """Draws the share of the friction circle that the drive wheels use, and the wheel loads in the tightest turn."""
-    figure = new_figure(11.0, 4.2)
-    used, loads = figure.subplots(1, 2)
-    vehicle, turns = fidelity.bench.vehicle, fidelity.actions[0][1]
-    for turn, colour in zip(turns, ACTIONS, strict=True):
-        times, label = turn.forces.times, _name(turn)
-        used.plot(times, 100 * turn.forces.used_by_axle(vehicle), color=colour, lw=1.6, label=label)
-        used.plot(times, 100 * turn.forces.used(vehicle).max(axis=1), color=colour, lw=0.8, ls=":")
-    most = tightest(turns)
-    needed = 100 * _on_paper(most, vehicle).friction / vehicle.contact.wheel_friction
-    used.plot(most.forces.times, needed, color=TIMEOUT, lw=1.4, ls="--", label=f"{_name(most)}, on paper")
-    used.axhline(100, color=COLLISION, lw=1.2)
-    used.text(0.01, 101, "slides", color=COLLISION, fontsize=8, va="bottom")
-    used.set(xlabel="time [s]", ylabel="friction circle used [%]", xlim=(0, None), ylim=(0, 112))
-    finish_axes(used, "both drive wheels together; dotted: the one that uses more")
-    used.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.02, 0.03))
-    _draw_loads(loads, most, vehicle)
-    save_figure(figure, path)
+    with picture(path, 11.0, 4.2) as figure:
+        used, loads = figure.subplots(1, 2)
+        vehicle, turns = fidelity.bench.vehicle, fidelity.actions[0][1]
+        for turn, colour in zip(turns, ACTIONS, strict=True):
+            times, label = turn.forces.times, _name(turn)
+            used.plot(times, 100 * turn.forces.used_by_axle(vehicle), color=colour, lw=1.6, label=label)
+            used.plot(times, 100 * turn.forces.used(vehicle).max(axis=1), color=colour, lw=0.8, ls=":")
+        most = tightest(turns)
+        needed = 100 * _on_paper(most, vehicle).friction / vehicle.contact.wheel_friction
+        used.plot(most.forces.times, needed, color=TIMEOUT, lw=1.4, ls="--", label=f"{_name(most)}, on paper")
+        used.axhline(100, color=COLLISION, lw=1.2)
+        used.text(0.01, 101, "slides", color=COLLISION, fontsize=8, va="bottom")
+        used.set(xlabel="time [s]", ylabel="friction circle used [%]", xlim=(0, None), ylim=(0, 112))
+        finish_axes(used, "both drive wheels together; dotted: the one that uses more")
+        used.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.02, 0.03))
+        _draw_loads(loads, most, vehicle)
 
 
 def _draw_loads(axes: Axes, turn: WatchedTurn, vehicle: VehicleSpec) -> None:

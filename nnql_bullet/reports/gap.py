@@ -31,14 +31,14 @@ from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
     OPEN,
+    POWERS,
     draw_endings,
     draw_world,
     finish_axes,
     frame_world,
     legend_below,
     legend_entries,
-    new_figure,
-    save_figure,
+    picture,
 )
 from nnql_bullet.reports.tables import csv_text, finite
 from nnql_bullet.task import ENDINGS
@@ -214,14 +214,13 @@ def gap_table(gap: Gap) -> str:
 
 def draw_gap(gap: Gap, path: Path) -> None:
     """Draws outcomes on both sides, distances between both vehicles, and differences if both reach the target."""
-    figure = new_figure(11.0, 8.2)
-    (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
-    _draw_outcomes(outcomes, gap)
-    _draw_divergence(apart, gap)
-    both = [pair for pair in gap.pairs if pair.first.ending == pair.second.ending == "goal"]
-    _draw_against(times, both, gap, "duration", "time to the target [s]")
-    _draw_against(clearances, both, gap, "clearance", "smallest clearance [m]")
-    save_figure(figure, path)
+    with picture(path, 11.0, 8.2, POWERS) as figure:
+        (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
+        _draw_outcomes(outcomes, gap)
+        _draw_divergence(apart, gap)
+        both = [pair for pair in gap.pairs if pair.first.ending == pair.second.ending == "goal"]
+        _draw_against(times, both, gap, "duration", "time to the target [s]")
+        _draw_against(clearances, both, gap, "clearance", "smallest clearance [m]")
 
 
 def draw_faults(gap: Gap, path: Path) -> None:
@@ -229,18 +228,19 @@ def draw_faults(gap: Gap, path: Path) -> None:
     if not gap.trials:
         return
     rows = fault_rows(gap)
-    figure = new_figure(9.0, 0.42 * len(rows) + 1.6)
-    axes = figure.add_subplot()
-    shares = [row.shares for row in rows]
-    draw_endings(axes, [row.fault or "none" for row in rows], shares, [one["goal"] for one in shares], digits=1)
-    for place, row in enumerate(reversed(rows)):
-        if row.first_goal:
-            axes.plot(100 * row.first_goal.value, place, "D", mfc="white", mec=INK, ms=5.5, zorder=3)
-    axes.set(xlim=(0, 108), xlabel=f"drives [%]; bar: 95 % interval of success; diamond: success in {gap.first.name}")
-    title = f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each"
-    finish_axes(axes, title, 11, grid="none", hidden=OPEN)
-    legend_below(figure, 3)
-    save_figure(figure, path)
+    with picture(path, 9.0, 0.42 * len(rows) + 1.6) as figure:
+        axes = figure.add_subplot()
+        shares = [row.shares for row in rows]
+        draw_endings(axes, [row.fault or "none" for row in rows], shares, [one["goal"] for one in shares], digits=1)
+        for place, row in enumerate(reversed(rows)):
+            if row.first_goal:
+                axes.plot(100 * row.first_goal.value, place, "D", mfc="white", mec=INK, ms=5.5, zorder=3)
+        axes.set(
+            xlim=(0, 108), xlabel=f"drives [%]; bar: 95 % interval of success; diamond: success in {gap.first.name}"
+        )
+        title = f"Success by fault in {gap.second.name}, {len(gap.pairs)} drives each"
+        finish_axes(axes, title, 11, grid="none", hidden=OPEN)
+        legend_below(figure, 3)
 
 
 FLIPS_SHOWN = 6
@@ -264,33 +264,33 @@ def draw_flips(gap: Gap, folder: Path, path: Path) -> None:
         drives.append((pair, load_recording(files[0]), load_recording(files[1])))
     columns = min(3, len(drives))
     rows = -(-len(drives) // columns)
-    figure = new_figure(4.0 * columns, 4.3 * rows + 0.4)
-    for axes, (pair, first, second) in zip(figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False):
-        draw_world(axes, first.world, pair.explanation.time if pair.explanation else first.state_time[-1])
-        for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
-            axes.plot(*recording.sample_pose[:, :2].T, color=colour, lw=width, solid_capstyle="round", zorder=4)
-            if recording.contact[-1]:
-                axes.plot(*recording.state_pose[-1, :2], "X", color=COLLISION, mec="white", ms=10, zorder=7)
-        if pair.explanation:
-            step = int(np.searchsorted(first.state_time, pair.explanation.time - 1e-9))
-            axes.plot(*first.state_pose[step, :2], "o", mfc="none", mec=INK, ms=11, mew=1.6, zorder=8)
-            cause = pair.explanation.cause
-            title = (
-                f"{Path(pair.run).name}, seed {pair.world_seed}: {pair.first.ending} | {pair.second.ending} ({cause})"
-            )
-            finish_axes(axes, title, 9, grid="none")
-        frame_world(axes, first, 1.0)
-        axes.set(xlabel="x [m]", ylabel="y [m]")
-    for axes in figure.axes[len(drives) :]:
-        axes.set_visible(False)
-    handles = [
-        Line2D([], [], color=SAFE, lw=2.6, label=gap.first.name),
-        Line2D([], [], color=NON_SAFE, lw=1.6, label=gap.second.name),
-        Line2D([], [], marker="o", ls="", mfc="none", mec=INK, ms=10, label="first different decision"),
-        *legend_entries(collision="collision"),
-    ]
-    legend_below(figure, len(handles), handles)
-    save_figure(figure, path)
+    with picture(path, 4.0 * columns, 4.3 * rows + 0.4) as figure:
+        for axes, (pair, first, second) in zip(
+            figure.subplots(rows, columns, squeeze=False).flat, drives, strict=False
+        ):
+            draw_world(axes, first.world, pair.explanation.time if pair.explanation else first.state_time[-1])
+            for recording, colour, width in ((first, SAFE, 2.6), (second, NON_SAFE, 1.3)):
+                axes.plot(*recording.sample_pose[:, :2].T, color=colour, lw=width, solid_capstyle="round", zorder=4)
+                if recording.contact[-1]:
+                    axes.plot(*recording.state_pose[-1, :2], "X", color=COLLISION, mec="white", ms=10, zorder=7)
+            if pair.explanation:
+                step = int(np.searchsorted(first.state_time, pair.explanation.time - 1e-9))
+                axes.plot(*first.state_pose[step, :2], "o", mfc="none", mec=INK, ms=11, mew=1.6, zorder=8)
+                cause = pair.explanation.cause
+                ends = f"{pair.first.ending} | {pair.second.ending}"
+                title = f"{Path(pair.run).name}, seed {pair.world_seed}: {ends} ({cause})"
+                finish_axes(axes, title, 9, grid="none")
+            frame_world(axes, first, 1.0)
+            axes.set(xlabel="x [m]", ylabel="y [m]")
+        for axes in figure.axes[len(drives) :]:
+            axes.set_visible(False)
+        handles = [
+            Line2D([], [], color=SAFE, lw=2.6, label=gap.first.name),
+            Line2D([], [], color=NON_SAFE, lw=1.6, label=gap.second.name),
+            Line2D([], [], marker="o", ls="", mfc="none", mec=INK, ms=10, label="first different decision"),
+            *legend_entries(collision="collision"),
+        ]
+        legend_below(figure, len(handles), handles)
 
 
 def _draw_outcomes(axes: Axes, gap: Gap) -> None:

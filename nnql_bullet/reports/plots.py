@@ -21,8 +21,7 @@ from nnql_bullet.reports.drawing import (
     finish_axes,
     legend_below,
     legend_entries,
-    new_figure,
-    save_figure,
+    picture,
 )
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
@@ -34,28 +33,27 @@ BAND_PLACES = 400
 
 def draw_trajectory(recording: Recording, path: Path) -> None:
     """Draws the world at the end of a drive, the path coloured by safe and non-safe states, and the clearance."""
-    figure = new_figure(11.0, 7.4)
-    grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
-    whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    draw_drive(whole, recording, 1.0, 2.0)
-    whole.set(xlabel="x [m]", ylabel="y [m]")
-    _draw_tightest(closer, recording)
-    whole.indicate_inset(bounds=_bounds(closer), inset_ax=None, edgecolor=INK, alpha=0.7)
-    _draw_clearance(clear, recording)
-    figure.suptitle(_caption(recording), fontsize=11, color=INK)
-    moving = {"moving": "moving, as at the end"} if recording.patrols else {}
-    collision = {"collision": "collision"} if recording.about["ending"] == "collision" else {}
-    handles = legend_entries(
-        safe="in a safe state",
-        non_safe="in a non-safe state",
-        obstacle="obstacle",
-        **moving,
-        start="start",
-        target="target",
-        **collision,
-    )
-    legend_below(figure, len(handles), handles)
-    save_figure(figure, path)
+    with picture(path, 11.0, 7.4) as figure:
+        grid = figure.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.15, 1.0))
+        whole, closer, clear = (figure.add_subplot(part) for part in (grid[:, 0], grid[0, 1], grid[1, 1]))
+        draw_drive(whole, recording, 1.0, 2.0)
+        whole.set(xlabel="x [m]", ylabel="y [m]")
+        _draw_tightest(closer, recording)
+        whole.indicate_inset(bounds=_bounds(closer), inset_ax=None, edgecolor=INK, alpha=0.7)
+        _draw_clearance(clear, recording)
+        figure.suptitle(_caption(recording), fontsize=11, color=INK)
+        moving = {"moving": "moving, as at the end"} if recording.patrols else {}
+        collision = {"collision": "collision"} if recording.about["ending"] == "collision" else {}
+        handles = legend_entries(
+            safe="in a safe state",
+            non_safe="in a non-safe state",
+            obstacle="obstacle",
+            **moving,
+            start="start",
+            target="target",
+            **collision,
+        )
+        legend_below(figure, len(handles), handles)
 
 
 def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
@@ -63,34 +61,33 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
 
     With several vehicles, episodes are ordered by their end, and temperatures by their beginning.
     """
-    figure = new_figure(8.0, 7.2)
-    ends, returns, length = figure.subplots(3, 1, sharex=True, height_ratios=(2.2, 1.2, 1.2))
-    number = np.arange(1, len(episodes) + 1)
-    window = max(1, min(window, len(episodes) // 4))
-    for name, colour in colours.ENDINGS.items():
-        share = np.array([100.0 * (e.summary.ending == name) for e in episodes])
-        ends.plot(number, _trailing_mean(share, window), color=colour, lw=1.8, label=name)
-    ends.set(ylabel="episodes [%]", ylim=(-2, 102))
-    ends.legend(loc="center left", frameon=False)
-    temperature = np.array([e.diagnostics.get("temperature", np.nan) for e in episodes])
-    if np.isfinite(temperature).any():
-        right = ends.twinx()
-        began = np.argsort([e.episode for e in episodes])
-        right.plot(number, temperature[began], color=TEMPERATURE, lw=1.2, ls="--")
-        right.set_ylabel("temperature T", color=TEMPERATURE)
-        right.set_ylim(-0.02 * paper.TEMPERATURE_MAX, 1.02 * paper.TEMPERATURE_MAX)
-    total = np.array([e.summary.episode_return for e in episodes])
-    returns.plot(number, total, ".", color=BOX, ms=2.5)
-    returns.plot(number, _trailing_mean(total, window), color=SAFE, lw=1.8)
-    returns.set_ylabel("return")
-    travelled = np.array([e.summary.path_length for e in episodes])
-    length.plot(number, travelled, ".", color=BOX, ms=2.5)
-    length.plot(number, _trailing_mean(travelled, window), color=NON_SAFE, lw=1.8)
-    length.set(ylabel="path length [m]", xlabel="episode", xlim=(0, max(number[-1], 2)))
-    titles = (f"Training, mean over the last {window} episodes (exploring)", "", "")
-    for axes, title in zip((ends, returns, length), titles, strict=True):
-        finish_axes(axes, title, 11, hidden=("top",))
-    save_figure(figure, path)
+    with picture(path, 8.0, 7.2) as figure:
+        ends, returns, length = figure.subplots(3, 1, sharex=True, height_ratios=(2.2, 1.2, 1.2))
+        number = np.arange(1, len(episodes) + 1)
+        window = max(1, min(window, len(episodes) // 4))
+        for name, colour in colours.ENDINGS.items():
+            share = np.array([100.0 * (e.summary.ending == name) for e in episodes])
+            ends.plot(number, _trailing_mean(share, window), color=colour, lw=1.8, label=name)
+        ends.set(ylabel="episodes [%]", ylim=(-2, 102))
+        ends.legend(loc="center left", frameon=False)
+        temperature = np.array([e.diagnostics.get("temperature", np.nan) for e in episodes])
+        if np.isfinite(temperature).any():
+            right = ends.twinx()
+            began = np.argsort([e.episode for e in episodes])
+            right.plot(number, temperature[began], color=TEMPERATURE, lw=1.2, ls="--")
+            right.set_ylabel("temperature T", color=TEMPERATURE)
+            right.set_ylim(-0.02 * paper.TEMPERATURE_MAX, 1.02 * paper.TEMPERATURE_MAX)
+        total = np.array([e.summary.episode_return for e in episodes])
+        returns.plot(number, total, ".", color=BOX, ms=2.5)
+        returns.plot(number, _trailing_mean(total, window), color=SAFE, lw=1.8)
+        returns.set_ylabel("return")
+        travelled = np.array([e.summary.path_length for e in episodes])
+        length.plot(number, travelled, ".", color=BOX, ms=2.5)
+        length.plot(number, _trailing_mean(travelled, window), color=NON_SAFE, lw=1.8)
+        length.set(ylabel="path length [m]", xlabel="episode", xlim=(0, max(number[-1], 2)))
+        titles = (f"Training, mean over the last {window} episodes (exploring)", "", "")
+        for axes, title in zip((ends, returns, length), titles, strict=True):
+            finish_axes(axes, title, 11, hidden=("top",))
 
 
 def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]], path: Path, window: int = 50) -> None:
@@ -104,40 +101,42 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
         window: Episodes of the trailing mean; fewer if runs are short.
     """
     window = max(1, min(window, min(len(run) for runs in recipes.values() for run in runs.values()) // 4))
-    figure = new_figure(9.0, 4.4)
-    axes = figure.add_subplot()
-    for number, (recipe, runs) in enumerate(recipes.items()):
-        curves = {
-            name: _trailing_mean(np.array([100.0 * (e.summary.ending == "goal") for e in episodes]), window)
-            for name, episodes in runs.items()
-        }
-        colour = LINES[number % len(LINES)]
-        alone = len(curves) == 1
-        for name, curve in curves.items():
-            style = {"lw": 1.8, "label": name} if alone else {"lw": 0.9, "alpha": 0.35}
-            axes.plot(np.arange(1, len(curve) + 1), curve, color=colour, **style)
-        if not alone:
-            shortest = min(map(len, curves.values()))
-            mean = np.mean([curve[:shortest] for curve in curves.values()], axis=0)
-            axes.plot(np.arange(1, shortest + 1), mean, color=colour, lw=2.2, label=f"{recipe}: mean of {len(curves)}")
-        if len(curves) > 2:
-            places = np.arange(window // 4, shortest, max(1, shortest // BAND_PLACES))
-            low, high = mean_interval(np.array([curve[places] for curve in curves.values()]), rng(0, Stream.BOOTSTRAP))
-            axes.fill_between(places + 1, low, high, color=colour, alpha=0.25, lw=0)
-    axes.set(ylabel="success [%]", ylim=(-2, 102), xlabel="episode", xlim=(0, None))
-    finish_axes(axes, f"Training, mean over the last {window} episodes (exploring)", 11, hidden=OPEN)
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    save_figure(figure, path)
+    with picture(path, 9.0, 4.4) as figure:
+        axes = figure.add_subplot()
+        for number, (recipe, runs) in enumerate(recipes.items()):
+            curves = {
+                name: _trailing_mean(np.array([100.0 * (e.summary.ending == "goal") for e in episodes]), window)
+                for name, episodes in runs.items()
+            }
+            colour = LINES[number % len(LINES)]
+            alone = len(curves) == 1
+            for name, curve in curves.items():
+                style = {"lw": 1.8, "label": name} if alone else {"lw": 0.9, "alpha": 0.35}
+                axes.plot(np.arange(1, len(curve) + 1), curve, color=colour, **style)
+            if not alone:
+                shortest = min(map(len, curves.values()))
+                mean = np.mean([curve[:shortest] for curve in curves.values()], axis=0)
+                axes.plot(
+                    np.arange(1, shortest + 1), mean, color=colour, lw=2.2, label=f"{recipe}: mean of {len(curves)}"
+                )
+            if len(curves) > 2:
+                places = np.arange(window // 4, shortest, max(1, shortest // BAND_PLACES))
+                low, high = mean_interval(
+                    np.array([curve[places] for curve in curves.values()]), rng(0, Stream.BOOTSTRAP)
+                )
+                axes.fill_between(places + 1, low, high, color=colour, alpha=0.25, lw=0)
+        axes.set(ylabel="success [%]", ylim=(-2, 102), xlabel="episode", xlim=(0, None))
+        finish_axes(axes, f"Training, mean over the last {window} episodes (exploring)", 11, hidden=OPEN)
+        figure.legend(loc="outside right center", frameon=False, fontsize=9)
 
 
 def draw_map(world: WorldSpec, path: Path) -> None:
     """Draws a world from above, with moving boxes at time 0."""
-    figure = new_figure(6.0, 6.0)
-    axes = figure.add_subplot()
-    draw_world(axes, world, 0.0)
-    axes.set(xlim=(-2, world.width + 2), ylim=(-2, world.depth + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set_title(f"{world.name}, seed {world.seed}", fontsize=10, color=INK)
-    save_figure(figure, path)
+    with picture(path, 6.0, 6.0) as figure:
+        axes = figure.add_subplot()
+        draw_world(axes, world, 0.0)
+        axes.set(xlim=(-2, world.width + 2), ylim=(-2, world.depth + 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        axes.set_title(f"{world.name}, seed {world.seed}", fontsize=10, color=INK)
 
 
 def _draw_tightest(axes: Axes, recording: Recording, half: float = 6.0) -> None:

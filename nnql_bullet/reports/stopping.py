@@ -5,7 +5,6 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -15,7 +14,7 @@ from nnql_bullet.colours import DISTINCT, INK, TIMEOUT
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
 from nnql_bullet.reports.document import Report, Section, table
-from nnql_bullet.reports.drawing import MARKS, OPEN, finish_axes, legend_below, new_figure, save_figure
+from nnql_bullet.reports.drawing import MARKS, OPEN, finish_axes, legend_below, picture
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -32,8 +31,7 @@ def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
     frictions = sorted({stop.conditions.friction for stop in stops})
     payloads = sorted({stop.conditions.payload for stop in stops})
     fastest = max(stop.speed for stop in stops)
-    with matplotlib.rc_context({"font.size": 8.5, "axes.linewidth": 0.6}):
-        figure = new_figure(7.4, 3.5)
+    with picture(path, 7.4, 3.5, {"font.size": 8.5, "axes.linewidth": 0.6}) as figure:
         panels = figure.subplots(1, len(frictions), sharey=True, squeeze=False)[0]
         for axes, friction in zip(panels, frictions, strict=True):
             axes.axhline(way, color=INK, lw=1.0, ls="--", zorder=1)
@@ -58,7 +56,6 @@ def draw_stopping(bench: Bench, stops: Sequence[Stop], path: Path) -> None:
             Line2D([], [], color=TIMEOUT, lw=0.9, ls=":", label="largest safe speed: measured (paper) [m/s]"),
         ]
         legend_below(figure, 3, handles)
-        save_figure(figure, path)
 
 
 def _draw_stops(axes: Axes, stops: Sequence[Stop], colour: str, mark: str) -> None:

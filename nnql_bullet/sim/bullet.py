@@ -22,6 +22,7 @@ from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.machine import open_streams
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
     DynamicsInfo,
@@ -49,21 +50,19 @@ _C_LOCALE = _C.newlocale(1 << locale.LC_NUMERIC, b"C", None)
 @contextmanager
 def silenced() -> Iterator[None]:
     """Discards what C code prints in the meantime, in any thread; standard streams may be closed."""
-    opened = []
-    while (nowhere := os.open(os.devnull, os.O_WRONLY)) <= 2:  # in place of a closed stream
-        opened.append(nowhere)
-    kept = os.dup(1), os.dup(2)
-    try:
-        _C.fflush(None)  # what was printed before
-        for stream in (1, 2):
-            os.dup2(nowhere, stream)
-        yield
-    finally:
-        _C.fflush(None)  # what is still buffered
-        for stream, its in zip((1, 2), kept, strict=True):
-            os.dup2(its, stream)
-        for its in (*kept, nowhere, *opened):
-            os.close(its)
+    with open_streams():
+        kept, nowhere = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
+        try:
+            _C.fflush(None)  # what was printed before
+            for stream in (1, 2):
+                os.dup2(nowhere, stream)
+            yield
+        finally:
+            _C.fflush(None)  # what is still buffered
+            for stream, its in zip((1, 2), kept, strict=True):
+                os.dup2(its, stream)
+            for its in (*kept, nowhere):
+                os.close(its)
 
 
 @contextmanager
