@@ -80,6 +80,15 @@ def drive(
     )
 
 
+def keep(recording: Recording, folder: Path) -> dict[str, Path]:
+    """Writes a recording and its picture into a folder, which is made if it is not there; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {"recording": folder / RECORDING, "picture": (folder / RECORDING).with_suffix(".png")}
+    recording.save(files["recording"])
+    recording.plot(files["picture"])
+    return files
+
+
 def drive_folder(
     policy: Path,
     world: str,

@@ -4,6 +4,7 @@ A recording is a NumPy .npz without pickled objects: a JSON text `about` (format
 of `Recording`. With n decisions, arrays of states have n + 1 rows and arrays of steps have n.
 """
 
+import filecmp
 import json
 from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
@@ -27,6 +28,8 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 FORMAT = "nnql-bullet recording 1"
+DERIVED = (".mp4", ".gif", ".rrd")
+"""Suffixes of films and time lines beside a recording."""
 
 
 @dataclass(frozen=True)
@@ -153,12 +156,34 @@ class Recording:
     def save(self, path: Path | str) -> None:
         """Writes the file atomically.
 
+        If it takes the place of another recording, the films and time lines of that one, which have its name and end in
+        .mp4, .gif or .rrd, are removed.
+
         Raises:
             OSError: If it cannot be written; then nothing is left under its name.
         """
+        file = Path(path)
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "about"}
         about = np.array(json.dumps({"format": FORMAT, **self.about}))
-        write_atomically(Path(path), lambda temporary: np.savez_compressed(temporary, about=about, **arrays))
+
+        def write(temporary: Path) -> None:
+            np.savez_compressed(temporary, about=about, **arrays)
+            if file.exists() and not filecmp.cmp(temporary, file, shallow=False):
+                _remove_derived(file)
+
+        write_atomically(file, write)
+
+
+def remove_recordings(folder: Path) -> None:
+    """Removes the recordings in a folder, and their films and time lines."""
+    for file in folder.glob("*.npz"):
+        _remove_derived(file)
+        file.unlink()
+
+
+def _remove_derived(file: Path) -> None:
+    for suffix in DERIVED:
+        file.with_suffix(suffix).unlink(missing_ok=True)
 
 
 def load_recording(path: Path) -> Recording:

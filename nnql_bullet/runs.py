@@ -36,7 +36,7 @@ from nnql_bullet.training.selection import Candidates, most_goals
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
-SELECTION = "selection.csv"
+SELECTION, REPORT = "selection.csv", "report.html"
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
 _UNDER_WAY, _CANDIDATE = "under_way/", "candidate/"
@@ -95,7 +95,7 @@ class Run:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if not (folder / CONFIG).is_file():
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
-            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE):
+            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE, REPORT):
                 (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
@@ -103,12 +103,13 @@ class Run:
     def save(self, agent: Trainable, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
 
-        An earlier selection is void then.
+        An earlier selection and report are void then.
 
         Raises:
             OSError: If a file cannot be written; the checkpoint before this one is then whole.
         """
-        (self.folder / SELECTION).unlink(missing_ok=True)
+        for old in (SELECTION, REPORT):
+            (self.folder / old).unlink(missing_ok=True)
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
         config, done, learned = to_values(self.config), len(self.episodes), agent.state_dict()
         under_way = {_UNDER_WAY + name: values for name, values in training.state_dict().items()}

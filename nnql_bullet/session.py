@@ -3,10 +3,11 @@
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import torch
 
@@ -118,7 +119,7 @@ class _Session:
         agent = experiment.trainable
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
-        with _one_thread():
+        with _one_thread:
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
                 navigation = Navigation(simulator, config.task, self.reward)
                 _check_terms(run, navigation)
@@ -199,12 +200,27 @@ def _title(config: RunConfig) -> str:
     return f"{config.agent.kind} in {where}, world {worlds}{several}"
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Limits torch to one thread; the networks here are so small that several threads would only wait."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+class _OneThread:
+    """Limits torch to one thread while anything trains; the networks are so small that several would only wait.
+
+    The limit is that of the process, so the last of several trainings in threads puts back what the first one found.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._trainings, self._before = Lock(), 0, 1
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._trainings:
+                self._before = torch.get_num_threads()
+            self._trainings += 1
+            torch.set_num_threads(1)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._trainings -= 1
+            if not self._trainings:
+                torch.set_num_threads(self._before)
+
+
+_one_thread = _OneThread()

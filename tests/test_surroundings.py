@@ -10,16 +10,24 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 
 import matplotlib
+import numpy as np
 import pytest
+import torch
 
+import nnql_bullet
+from nnql_bullet.errors import UserError
+from nnql_bullet.recording import Recording
+from nnql_bullet.render.video import write_video
 from nnql_bullet.reports.drawing import picture
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet, silenced
 from nnql_bullet.sim.contact import VehicleMotion
+from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.work import Progress
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -208,3 +216,106 @@ class TestPictures:
         with picture(tmp_path / "dollars.png", 2.0, 2.0) as figure:
             figure.suptitle("runs/$x_{$")
         assert (tmp_path / "dollars.png").exists()
+
+
+def frames() -> list[Bytes]:
+    return [np.full((36, 64, 3), grey, np.uint8) for grey in range(0, 200, 20)]
+
+
+class TestFfmpeg:
+    @pytest.mark.parametrize("folder", ["a, b", 'it\'s "so"', "a:b", "-x", "100%d", "ü"])
+    def test_films_are_written_wherever_they_are_wanted(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        Path(folder).mkdir()
+        write_video(Path(folder) / "a.mp4", frames(), (64, 36), 24.0, "mp4")
+        assert [path.name for path in Path(folder).iterdir()] == ["a.mp4"]
+
+    @pytest.mark.parametrize(
+        ("program", "said"),
+        [
+            (None, "No such file"),
+            ("#!/bin/sh\nexit 3\n", "exit code 3"),
+            ("#!/bin/sh\necho ' V..... mpeg4 '\n", "libx264"),
+        ],
+    )
+    def test_one_that_does_not_work_is_named_before_the_drive(
+        self,
+        run_cli: Callable[..., tuple[int, str, str]],
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        program: str | None,
+        said: str,
+    ) -> None:
+        ffmpeg = tmp_path / "ffmpeg"
+        if program:
+            ffmpeg.write_text(program)
+            ffmpeg.chmod(0o755)
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(ffmpeg))
+        for words in (("drive", "straight"), ("render", "straight"), ("evaluate", "straight", "--clips", 1)):
+            film = ("--video",) if words[0] == "drive" else ()
+            out = tmp_path / "out.mp4" if words[0] == "render" else tmp_path / "out"
+            code, printed, err = run_cli(*words, *film, "--out", out)
+            assert (code, printed, err.count("\n")) == (2, "", 1)
+            assert str(ffmpeg) in err
+            assert said in err
+            assert not out.exists()
+
+    def test_one_that_fails_at_the_end_leaves_the_old_film(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Such as on a full disk, when the film's index is written."""
+        film, ffmpeg = tmp_path / "a.mp4", tmp_path / "ffmpeg"
+        film.write_bytes(b"old")
+        ffmpeg.write_text("#!/bin/sh\ncat > /dev/null\necho No space left on device >&2\nexit 1\n")
+        ffmpeg.chmod(0o755)
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(ffmpeg))
+        with pytest.raises(UserError, match=r"a.mp4: .*No space left on device"):
+            write_video(film, frames(), (64, 36), 24.0, "mp4")
+        assert film.read_bytes() == b"old"
+
+
+class TestFilmsOfAnotherDrive:
+    @pytest.fixture
+    def recordings(self) -> list[Recording]:
+        return [nnql_bullet.drive("straight", world="cover_10", seed=k, simulator="kinematic") for k in (3, 5)]
+
+    def test_they_go_when_another_recording_takes_the_place(self, recordings: list[Recording], tmp_path: Path) -> None:
+        old, new = recordings
+        film, mine = tmp_path / "trajectory.mp4", tmp_path / "mine.mp4"
+        for path in (film, mine):
+            path.write_bytes(b"a film")
+        old.save(tmp_path / "trajectory.npz")
+        assert film.exists()  # there was no recording that it could be a film of
+        old.save(tmp_path / "trajectory.npz")
+        assert film.exists()  # the same drive
+        new.save(tmp_path / "trajectory.npz")
+        assert not film.exists()
+        assert mine.exists()
+
+
+def test_trainings_in_threads_put_the_threads_of_torch_back(tmp_path: Path) -> None:
+    """Also when the first one to begin is the first to end."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        first, second = Event(), Event()
+
+        def train(name: str, seen: Event, awaited: Event) -> None:
+            def wait(_: Progress) -> None:
+                seen.set()
+                awaited.wait(60.0)
+
+            nnql_bullet.train(simulator="kinematic", episodes=2, out=tmp_path / name, on_progress=wait)
+
+        one = Thread(target=train, args=("one", first, second))
+        another = Thread(target=train, args=("another", second, first))
+        one.start()
+        first.wait(60.0)
+        another.start()
+        one.join()
+        another.join()
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)

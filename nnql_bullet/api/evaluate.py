@@ -28,6 +28,7 @@ from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
 from nnql_bullet.files import write_text
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.filming import render_ending
+from nnql_bullet.render.video import check_encoder
 from nnql_bullet.reports import evaluation as report
 from nnql_bullet.reports.failures import clear
 from nnql_bullet.reports.tables import text_table
@@ -104,8 +105,8 @@ class EvaluationResults:
         clear(failures)
         for task, recording in films:
             recording.save(failures / task.name)
-        for name in ("cover.png", "failures.png"):
-            (out / name).unlink(missing_ok=True)
+        for old in (out / "cover.png", out / "failures.png", *(out / "clips").glob("*.mp4")):
+            old.unlink(missing_ok=True)
         report.draw_outcomes(e, self.methods, out / "outcomes.png")
         report.draw_cover(e, self.methods, out / "cover.png")
         report.draw_failures(films, out / "failures.png")
@@ -114,8 +115,6 @@ class EvaluationResults:
         write_text(out / "evaluation.md", report.evaluation_markdown(e, self.methods, self.comparisons, tasks))
         values = report.evaluation_values(e, self.methods, self.comparisons, tasks)
         write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
-        for old in (out / "clips").glob("*.mp4"):
-            old.unlink()
         for task in tasks[:clips]:
             (out / "clips").mkdir(exist_ok=True)
             render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
@@ -173,6 +172,8 @@ def evaluate(
     """
     if clips < 0:
         raise UserError(f"clips must not be negative, not {clips}")
+    if out is not None and clips:
+        check_encoder()
     setting = Setting(split, simulator, physics, conditions)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)

@@ -13,6 +13,7 @@ from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.files import write_text
+from nnql_bullet.recording import remove_recordings
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import PolicyLike
@@ -42,8 +43,7 @@ class GapResults:
         out, g = Path(folder), self.gap
         flips = out / "flips"
         flips.mkdir(parents=True, exist_ok=True)
-        for old in flips.glob("*.npz"):
-            old.unlink()
+        remove_recordings(flips)
         for pair in g.pairs:
             for side, recording in zip((g.first, g.second), pair.recordings, strict=False):
                 recording.save(measure.flip_file(flips, pair.run, pair.world_seed, side))

@@ -11,8 +11,9 @@ import tyro
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags
-from nnql_bullet.driving import RECORDING, drive_folder
+from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
+from nnql_bullet.render.video import check_encoder
 from nnql_bullet.render.window import watch
 from nnql_bullet.run_config import Conditions, RunConfig, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
@@ -63,13 +64,16 @@ def drive(
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Take the best action that leaves room to stop; else brake, and turn on the spot.
-        out: Folder for trajectory.npz and .png; default RUN/drives/WORLD-SEED or runs/RULE/drives/WORLD-SEED.
+        out: Folder for trajectory.npz and .png; films of another drive in it are removed. Default
+            RUN/drives/WORLD-SEED or runs/RULE/drives/WORLD-SEED.
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
         gui: Show the drive in PyBullet's window, in real time. It needs a display.
         json: Print one JSON object instead of text.
         conditions: Conditions in place of the policy's own.
         keys: Other keys of the configuration.
     """
+    if video:
+        check_encoder()
     asked, in_shield = conditions_of(conditions), shield or "shield" in keys
     recording = driving.drive(
         policy,
@@ -81,13 +85,9 @@ def drive(
         conditions=asked,
         changes=keys,
     )
-    folder = out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = {"recording": folder / RECORDING, "picture": folder / "trajectory.png"}
-    recording.save(files["recording"])
-    recording.plot(files["picture"])
+    files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked))
     if video:
-        files["video"] = folder / "trajectory.mp4"
+        files["video"] = files["recording"].with_suffix(".mp4")
         with progress() as show:
             render(files["recording"], files["video"], workers=None, on_progress=show)
     if gui:

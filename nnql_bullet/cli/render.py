@@ -12,7 +12,7 @@ from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.filming import FPS, SIZE
 from nnql_bullet.render.renderers import RendererName
-from nnql_bullet.render.video import VideoFormat
+from nnql_bullet.render.video import VideoFormat, check_encoder
 
 
 def render(
@@ -65,6 +65,8 @@ def render(
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)
     kind = filming.video_format(out, format)
+    if out or not (frames or sheet):
+        check_encoder()
     if recording.suffix == ".npz":
         if world is not None or seed is not None:
             raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")
@@ -97,13 +99,10 @@ def render(
 
 def _driven(policy: Path, world: str | None, seed: int) -> Path:
     """Drives a policy as the verb `drive` does; returns the file of the recording."""
-    from nnql_bullet.driving import RECORDING, drive, drive_folder  # all that drives; to draw, none of it is needed
+    from nnql_bullet.driving import drive, drive_folder, keep  # all that drives; to draw, none of it is needed
 
     recording = drive(policy, world=world, seed=seed)
-    folder = drive_folder(policy, recording.world.name, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    recording.save(folder / RECORDING)
-    return folder / RECORDING
+    return keep(recording, drive_folder(policy, recording.world.name, seed))["recording"]
 
 
 def _size(text: str) -> tuple[int, int]:

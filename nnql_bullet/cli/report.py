@@ -12,7 +12,7 @@ from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import html
 from nnql_bullet.reports.html import Results, Verb, open_results
-from nnql_bullet.runs import load_run
+from nnql_bullet.runs import REPORT, load_run
 
 
 def report(
@@ -39,7 +39,7 @@ def report(
         gap: What `gap` left; default runs/gap, if one of the runs drives in it.
         out: The file; default report.html in the run's folder, or runs/report.html for several runs.
     """
-    path = out or (runs[0] if len(runs) == 1 else Path("runs")) / "report.html"
+    path = out or (runs[0] if len(runs) == 1 else Path("runs")) / REPORT
     if path.is_dir():
         raise UserError(f"{path}: is a folder; give --out the name of a file")
     opened = [load_run(folder) for folder in runs]

@@ -1,11 +1,15 @@
 """Writes frames as a video, an animation, or separate pictures."""
 
-from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing, contextmanager
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from tempfile import TemporaryFile
+from typing import IO, Literal, cast
 
 import imageio_ffmpeg
+import numpy as np
 from PIL import Image
 
 from nnql_bullet.errors import UserError
@@ -16,6 +20,8 @@ VideoFormat = Literal["mp4", "gif"]
 
 THREADS = 2
 """Number of the encoder's threads; it is fixed because the output depends on it."""
+TIMEOUT = 60.0
+"""Time limit for the answer of ffmpeg about itself [s]."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
     # `faststart` lets browsers play the file while they load it.
     "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
@@ -41,9 +47,9 @@ def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps:
     """
 
     def write(temporary: Path) -> None:
-        with _encoder(temporary, size, fps, kind) as encoder:
+        with _encoder(temporary, path.name, size, fps, kind) as encode:
             for frame in frames:
-                encoder.send(frame)
+                encode(frame)
 
     write_atomically(path, write)
 
@@ -68,28 +74,78 @@ def write_picture(path: Path, picture: Bytes) -> None:
     write_atomically(path, lambda temporary: Image.fromarray(picture).save(temporary))
 
 
+class _EncoderEnded(Exception):
+    """Raised when the encoder takes no more frames."""
+
+
+def check_encoder() -> str:
+    """Returns the version of ffmpeg.
+
+    Raises:
+        UserError: If it is missing, does not run, or cannot encode H.264.
+    """
+    program = _program()
+    try:
+        answer = subprocess.run([program, "-encoders"], capture_output=True, timeout=TIMEOUT, check=True)
+    except subprocess.CalledProcessError as error:
+        raise _broken(program, f"it ends with exit code {error.returncode}") from None
+    except (OSError, subprocess.SubprocessError) as error:
+        raise _broken(program, str(error)) from None
+    if b" libx264 " not in answer.stdout:
+        raise _broken(program, "it has no encoder of H.264, libx264")
+    return answer.stderr.decode(errors="replace").partition("\n")[0].partition(" Copyright")[0]
+
+
+def _program() -> str:
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError:
+        raise UserError("ffmpeg, which encodes videos, is missing: pip install 'imageio[ffmpeg]'") from None
+
+
+def _broken(program: str, reason: str) -> UserError:
+    return UserError(
+        f"ffmpeg at {program} does not work: {reason}; set IMAGEIO_FFMPEG_EXE to one that does, or unset it"
+    )
+
+
 @contextmanager
 def _encoder(
-    path: Path, size: tuple[int, int], fps: float, kind: VideoFormat
-) -> Iterator[Generator[None, Bytes | None, None]]:
-    mp4 = kind == "mp4"
-    try:
-        encoder = imageio_ffmpeg.write_frames(
-            str(path),
-            size,
-            fps=fps,
-            codec="libx264" if mp4 else "gif",
-            pix_fmt_out="yuv420p" if mp4 else "pal8",
-            quality=None,
-            macro_block_size=2,
-            ffmpeg_log_level="error",
-            output_params=[*_PARAMETERS[kind], *_BITEXACT],
-        )
-        with closing(encoder):
-            encoder.send(None)
-            yield encoder
-    except (RuntimeError, OSError) as error:
-        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+    path: Path, name: str, size: tuple[int, int], fps: float, kind: VideoFormat
+) -> Iterator[Callable[[Bytes], None]]:
+    """Yields the function that encodes a frame; `name` is that of the film in errors."""
+    mp4, program = kind == "mp4", _program()
+    rate, shape = str(Fraction(fps).limit_denominator()), f"{size[0]}x{size[1]}"
+    frames = ["-f", "rawvideo", "-vcodec", "rawvideo", "-s", shape, "-pix_fmt", "rgb24", "-r", rate, "-i", "-", "-an"]
+    codec = ["-vcodec", "libx264", "-pix_fmt", "yuv420p"] if mp4 else ["-vcodec", "gif", "-pix_fmt", "pal8"]
+    film = f"file:{path.absolute()}"  # else a colon in the path would end the name of a protocol
+    command = [program, "-y", *frames, *codec, "-v", "error", *_PARAMETERS[kind], *_BITEXACT, film]
+    with TemporaryFile() as said:
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+            )
+        except OSError as error:
+            raise _broken(program, str(error)) from None
+        pipe = cast(IO[bytes], process.stdin)
+
+        def encode(frame: Bytes) -> None:
+            try:
+                pipe.write(np.ascontiguousarray(frame).data)
+            except BrokenPipeError:
+                raise _EncoderEnded from None
+
+        try:
+            with suppress(_EncoderEnded):  # its exit code tells why
+                yield encode
+            with suppress(BrokenPipeError):
+                pipe.close()
+            process.wait()
+        except BaseException:
+            process.kill()
+            process.wait()
             raise
-        reason = " ".join(str(error).split())[:200]
-        raise UserError(f"{path.name}: cannot be encoded ({reason}); `nnql-bullet doctor` checks the encoder") from None
+        if process.returncode:
+            said.seek(0)
+            reason = " ".join(said.read().decode(errors="replace").split())[:200] or f"exit code {process.returncode}"
+            raise UserError(f"{name}: ffmpeg cannot encode it ({reason}); `nnql-bullet doctor` checks ffmpeg")

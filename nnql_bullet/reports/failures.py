@@ -33,7 +33,7 @@ from nnql_bullet.evaluation.failures import (
 )
 from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
-from nnql_bullet.recording import Recording
+from nnql_bullet.recording import Recording, remove_recordings
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, Table, table
 from nnql_bullet.reports.drawing import (
     draw_drive,
@@ -182,8 +182,9 @@ def _cells(features: Features) -> dict[str, str]:
 
 
 def clear(folder: Path) -> None:
-    """Removes the recordings, pictures and reports of failures from a folder."""
-    for pattern in ("*.npz", "*.png", "failures.*"):
+    """Removes the recordings, their films, pictures and reports of failures from a folder."""
+    remove_recordings(folder)
+    for pattern in ("*.png", "failures.*"):
         for old in folder.glob(pattern):
             old.unlink()
 
