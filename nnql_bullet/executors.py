@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.machine import allowed_cores
+from nnql_bullet.machine import allowed_cores, may_start_processes
 
 ExecutorKind = Literal["inline", "processes", "ray"]
 
@@ -69,8 +69,10 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
 
     Args:
         kind: "inline" runs tasks one after another in this process, "processes" in processes of this machine, "ray" on
-            Ray. The default is inline with one worker and processes with more.
-        workers: Number of tasks that run at a time; the default is the number of cores. Inline always runs one.
+            Ray. The default is inline with one worker and processes with more. In a daemonic process, which may have no
+            children, tasks run inline.
+        workers: Number of tasks that run at a time; the default is one per core that this process may use. Inline
+            always runs one.
         address: HOST:PORT of a running Ray cluster; without it, Ray is started on this machine.
 
     Raises:
@@ -83,7 +85,7 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
         return RayExecutor(workers, address)
     if address is not None:
         raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
-    inline = workers == 1 if kind is None else kind == "inline"
+    inline = not may_start_processes() or (workers == 1 if kind is None else kind == "inline")
     return InlineExecutor() if inline else ProcessExecutor(workers)
 
 

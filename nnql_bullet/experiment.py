@@ -7,7 +7,7 @@ from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
-from nnql_bullet.machine import allowed_cores
+from nnql_bullet.machine import allowed_cores, may_start_processes
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
@@ -117,7 +117,8 @@ class Experiment:
 
         Args:
             workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles, by
-                default one per core. The result does not depend on it.
+                default one per core that this process may use; a daemonic process, which may have no children,
+                simulates all vehicles itself. The result does not depend on it.
 
         Raises:
             UserError: If the number of workers is not positive.
@@ -138,7 +139,7 @@ class Experiment:
             simulator: Simulator = KinematicSimulator(self.vehicle, c.drive, size, workers)
         else:
             make = partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive)
-            workers = min(workers, size)
+            workers = min(workers, size) if may_start_processes() else 1
             simulator = make(size) if workers == 1 else WorkerSimulator(make, size, workers)
         return FaultySimulator(simulator, faults) if faults.any else simulator
 

@@ -1,5 +1,6 @@
 """What this machine allows this process: processor cores, and a folder for what may be lost."""
 
+import multiprocessing
 import os
 import stat
 import tempfile
@@ -24,6 +25,11 @@ def allowed_cores(root: Path = Path("/")) -> int:
     except AttributeError:  # systems without affinities
         cores = float(os.cpu_count() or 1)  # noqa: TID251
     return max(ceil(min([cores, *_quotas(root)])), 1)
+
+
+def may_start_processes() -> bool:
+    """Whether this process may have children: daemonic ones, such as workers of `multiprocessing.Pool`, may not."""
+    return not multiprocessing.current_process().daemon
 
 
 def _quotas(root: Path) -> list[float]:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
 from threading import Event, Thread
 
@@ -23,6 +24,7 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.video import write_video
 from nnql_bullet.reports.drawing import picture
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet, silenced
+from nnql_bullet.sim.bullet_scene import works
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -319,3 +321,21 @@ def test_trainings_in_threads_put_the_threads_of_torch_back(tmp_path: Path) -> N
         assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(before)
+
+
+def in_a_daemon(folder: Path) -> tuple[list[str], bool]:
+    run = nnql_bullet.train(vehicles=2, episodes=2, workers=2, out=folder)
+    results = nnql_bullet.evaluate(
+        run.policy, worlds=["cover_20"], n_worlds=2, simulator="kinematic", executor="processes", workers=2
+    )
+    return [episode["ending"] for episode in results.episodes], works("egl")
+
+
+@pytest.mark.slow
+def test_a_daemonic_process_which_may_have_no_children_does_all_itself(tmp_path: Path) -> None:
+    with get_context("spawn").Pool(1) as pool:  # its workers are daemonic
+        endings, egl = pool.apply(in_a_daemon, (tmp_path / "daemon",))
+    assert endings == in_a_daemon(tmp_path / "here")[0]
+    assert not egl
+    first, second = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("daemon", "here"))
+    assert first == second

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
+from nnql_bullet.machine import may_start_processes
 from nnql_bullet.sim.bullet import bullet, decimal_points, silenced
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.types import Vector
@@ -161,10 +162,14 @@ class BulletScene:
 def works(kind: SceneKind, timeout: float = 60.0) -> bool:
     """Whether a renderer works on this machine. Another process tries it, because a bad driver may end the process.
 
+    A process that may have no children takes TinyRenderer, which needs no driver.
+
     Args:
         kind: See `BulletScene`.
         timeout: Longest time for the trial [s].
     """
+    if not may_start_processes():
+        return kind == "tiny"
     process = multiprocessing.get_context("spawn").Process(target=_draw_something, args=(kind,))
     process.start()
     process.join(timeout)
