@@ -1,25 +1,36 @@
-"""Checks of the installation for `doctor`: whether the engines, the encoder and the renderers work here."""
+"""Checks for `doctor`: this machine, and whether the engines, the encoder and the renderers work here."""
 
+import locale
+import os
+import platform
 import shutil
 import subprocess
-from collections.abc import Callable
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib import import_module
+from importlib.metadata import packages_distributions, version
 from math import cos, hypot, sin
+from pathlib import Path
 
+import matplotlib
 import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import placed, ray_distances
+from nnql_bullet.geometry import placed, ray_distances, wrap_angle
+from nnql_bullet.machine import allowed_cores
 from nnql_bullet.render.video import check_encoder
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
+GIGABYTE = 1e9
+"""[bytes]"""
 PROGRAM_TIMEOUT = 60.0
 """Time limit for the answer of a program or renderer [s]."""
 
@@ -34,9 +45,21 @@ class Finding:
     """Whether the package cannot work without it."""
 
 
+def check_platform() -> Finding:
+    """Checks that this is a platform on which the package is tested."""
+    here = f"{platform.system()} {platform.machine()}"
+    text = f"{platform.python_implementation()} {platform.python_version()}, {here}"
+    well = here == "Linux x86_64"
+    return Finding(well, text if well else f"{text}; tested on Linux x86_64 alone", needed=False)
+
+
 def check_pybullet() -> Finding:
-    """Checks that PyBullet supports NumPy, which fast images need."""
-    found = f"pybullet {version('pybullet')}, numpy {version('numpy')}"
+    """Checks that one package alone brings PyBullet, and that it supports NumPy, which fast images need."""
+    packages = _packages("pybullet")
+    found = f"{_listed(packages)}, numpy {version('numpy')}"
+    if len(packages) > 1:
+        names = " ".join(packages)
+        return Finding(False, f"{found}: they overwrite each other; pip uninstall {names}, then pip install pybullet")
     if not bullet.has_numpy():
         return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
     return Finding(True, found)
@@ -72,11 +95,51 @@ def check_rays() -> Finding:
 
 
 def check_mujoco() -> Finding:
-    """Checks that MuJoCo, the second engine of contact physics, is installed."""
-    try:
-        return Finding(True, f"mujoco {version('mujoco')}")
-    except PackageNotFoundError:
+    """Checks that MuJoCo, the second engine of contact physics, loads, and that its packages are of one version."""
+    advice = "pip install --force-reinstall 'nnql-bullet[mujoco]'"
+    packages = _packages("mujoco")
+    if not packages:
         return Finding(False, "the second engine is not installed: pip install 'nnql-bullet[mujoco]'", needed=False)
+    if len(set(packages.values())) > 1:
+        return Finding(False, f"{_listed(packages)}: packages of several versions; {advice}", needed=False)
+    try:
+        import_module("nnql_bullet.sim.mujoco")
+    except (ImportError, OSError, AttributeError) as error:
+        return Finding(False, f"{_listed(packages)}: does not load ({_line(error)}); {advice}", needed=False)
+    return Finding(True, _listed(packages))
+
+
+def check_caches() -> Finding:
+    """Checks that compiled code and fonts can be kept on disk."""
+    compiled = wrap_angle.stats.cache_path  # type: ignore[attr-defined]  # a function that Numba has compiled
+    if compiled is None:
+        return Finding(False, "none can be written to, so each start compiles; set NUMBA_CACHE_DIR", needed=False)
+    fonts = Path(matplotlib.get_cachedir())
+    if not os.access(fonts, os.W_OK):
+        return Finding(False, f"{fonts} cannot be written to; set MPLCONFIGDIR", needed=False)
+    return Finding(True, f"{compiled}, {fonts}")
+
+
+def check_locale() -> Finding:
+    """Checks that paths with any characters can be named."""
+    numbers, encoding = locale.setlocale(locale.LC_NUMERIC), sys.getfilesystemencoding()
+    text = f"numbers {numbers}, file names {encoding}"
+    well = encoding == "utf-8"
+    return Finding(well, text if well else f"{text}; set PYTHONUTF8=1 for names beyond it", needed=False)
+
+
+def check_cores() -> Finding:
+    """Checks how many of the cores this process may use."""
+    allowed, present = allowed_cores(), os.cpu_count() or 1  # noqa: TID251
+    return Finding(True, f"{allowed} of {present} may be used; that many workers are the default")
+
+
+def check_disk() -> Finding:
+    """Checks the room in the working folder and in the folder for temporary files."""
+    free = {place: shutil.disk_usage(place).free / GIGABYTE for place in (Path.cwd(), Path(tempfile.gettempdir()))}
+    text = ", ".join(f"{room:.1f} GB free in {place}" for place, room in free.items())
+    well = min(free.values()) > 1.0
+    return Finding(well, text if well else f"{text}; a long training and its films want more than 1 GB", needed=False)
 
 
 def check_ffmpeg() -> Finding:
@@ -110,7 +173,33 @@ def check_renderer() -> Finding:
     return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
 
 
+def _packages(module: str) -> dict[str, str]:
+    """The installed packages that bring a module, with their versions."""
+    return {name: version(name) for name in sorted(set(packages_distributions().get(module, ())))}
+
+
+def _listed(packages: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {its}" for name, its in packages.items()) or "a build without a package"
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def examined(check: Callable[[], Finding]) -> Finding:
+    """Runs a check; one that raises has failed."""
+    try:
+        return check()
+    except Exception as error:
+        return Finding(False, f"the check itself failed: {_line(error)}")
+
+
 CHECKS: dict[str, Callable[[], Finding]] = {
+    "Python": check_platform,
+    "cores": check_cores,
+    "disk": check_disk,
+    "caches": check_caches,
+    "locale": check_locale,
     "PyBullet": check_pybullet,
     "MuJoCo": check_mujoco,
     "drive": check_drive,

@@ -1,9 +1,7 @@
 """`nnql-bullet doctor`."""
 
-import platform
-
-from nnql_bullet.cli.console import say
-from nnql_bullet.diagnosis import CHECKS
+from nnql_bullet.cli.console import err, out, say
+from nnql_bullet.diagnosis import CHECKS, Finding, examined
 
 
 def doctor() -> int:
@@ -11,11 +9,17 @@ def doctor() -> int:
 
     Exits 1 if something that is needed fails.
     """
-    say(f"ok    {'Python':<11} {platform.python_implementation()} {platform.python_version()}")
     failed = False
-    for name, check in CHECKS.items():
-        finding = check()
+    for name, check in {"terminal": _check_terminal, **CHECKS}.items():
+        finding = examined(check)
         failed |= finding.needed and not finding.ok
         mark = "ok   " if finding.ok else "FAIL " if finding.needed else "note "
         say(f"{mark} {name:<11} {finding.text}")
     return 1 if failed else 0
+
+
+def _check_terminal() -> Finding:
+    """Checks that what is printed can have any characters."""
+    text = f"output in {out.encoding}, errors in {err.encoding}"
+    well = {out.encoding, err.encoding} == {"utf-8"}
+    return Finding(well, text if well else f"{text}; other characters are shown as \\x...", needed=False)

@@ -85,7 +85,13 @@ def decimal_points(every_thread: bool = False) -> Iterator[None]:
 
 
 with silenced():  # it prints its build time
-    import pybullet as bullet
+    try:
+        import pybullet as bullet
+    except ImportError as error:
+        raise UserError(
+            f"PyBullet is not installed, or does not load ({error}): pip install pybullet; where there is no wheel of "
+            "it, conda install -c conda-forge pybullet"
+        ) from None
 
 CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
 """Collision groups, one bit each."""

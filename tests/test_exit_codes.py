@@ -1,0 +1,84 @@
+"""The contract of every verb: its exit codes, and what goes to which stream."""
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from nnql_bullet.cli import main
+from nnql_bullet.cli.parser import VERBS
+from nnql_bullet.errors import UserError, WorkFailed
+from nnql_bullet.sim.base import WorkerDied
+
+Cli = Callable[..., tuple[int, str, str]]
+
+NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report"), ("what",))
+"""Arguments without which a verb is not called."""
+RAISED = {
+    "bad input": (UserError("no such thing"), 2),
+    "a piece that fails": (WorkFailed("driving, piece 1 of 2"), 1),
+    "a dead worker": (WorkerDied("worker 1 of 2 died"), 1),
+    "a full disk": (OSError(28, "No space left on device", "file"), 2),
+    "Ctrl-C": (KeyboardInterrupt(), 130),
+    "no reader": (BrokenPipeError(), 141),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+class TestEveryVerb:
+    def test_help_is_printed(self, run_cli: Cli, verb: str) -> None:
+        code, out, err = run_cli(verb, "--help")
+        assert (code, err) == (0, "")
+        assert out
+
+    def test_a_wrong_flag_is_refused_in_one_line(self, run_cli: Cli, verb: str) -> None:
+        code, out, err = run_cli(verb, *NEEDED.get(verb, ()), "--no-such-flag")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "--no-such-flag" in err
+
+    @pytest.mark.parametrize("what", RAISED)
+    def test_what_goes_wrong_has_its_code_and_nothing_on_standard_output(
+        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, verb: str, what: str
+    ) -> None:
+        error, code = RAISED[what]
+        module = import_module(f"nnql_bullet.cli.{verb}")
+
+        @functools.wraps(getattr(module, verb))
+        def fails(*_: Any, **__: Any) -> NoReturn:
+            raise error
+
+        monkeypatch.setattr(module, verb, fails)
+        monkeypatch.setattr("nnql_bullet.cli.parser.give_up_output", lambda: 141)  # it would close pytest's own
+        assert main([verb, *NEEDED.get(verb, ())]) == code
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.count("\n") == (0 if what == "no reader" else 1)
+
+
+@pytest.mark.parametrize("verb", ["drive", "evaluate"])
+class TestJson:
+    def test_it_is_all_that_standard_output_holds(self, run_cli: Cli, tmp_path: Path, verb: str) -> None:
+        some = ("--worlds", 2, "--cover", 20, "--workers", 1) if verb == "evaluate" else ()
+        code, out, _ = run_cli(verb, "straight", "--sim", "kinematic", *some, "--out", tmp_path / "out", "--json")
+        assert code == 0
+        assert isinstance(json.loads(out), dict)
+
+    def test_there_is_none_of_what_is_refused(self, run_cli: Cli, tmp_path: Path, verb: str) -> None:
+        code, out, err = run_cli(verb, "nobody", "--out", tmp_path / "out", "--json")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+
+
+def test_a_reader_that_goes_away_ends_a_verb_quietly() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        command = [sys.executable, "-m", "nnql_bullet", "keys"]
+        done = subprocess.run(command, stdout=pipe, stderr=subprocess.PIPE, timeout=120)
+    assert (done.returncode, done.stderr) == (141, b"")
