@@ -46,6 +46,8 @@ class _Episode(NamedTuple):
 
     ahead: float
     """Position of the engine's frame ahead of the rear axle [m]."""
+    left: float
+    """Its position to the left of the rear-axle centre [m]."""
     up: float
     """Its position above the rear axle [m]."""
     reach: float
@@ -111,6 +113,7 @@ class ContactEngine(VehiclePhysics):
         fastest_patrol = max((patrol.speed for patrol in world.patrols), default=0.0)
         episode = _Episode(
             ahead=self._com[0],
+            left=self._com[1],
             up=self._com[2],
             reach=self._reach + fastest_patrol * SAMPLE_EVERY / COMMAND_RATE,
             heading_gain=self.drive.heading_gain,
@@ -141,7 +144,7 @@ class ContactEngine(VehiclePhysics):
             look: Called after every physics step; it may read the engine, not change it.
         """
         first_step, (position, orientation) = self._steps, self._frame()
-        begin = Pose(*rear_axle(position, orientation, self._com[0], self._com[2]))
+        begin = Pose(*rear_axle(position, orientation, *self._com))
         plan = plan_period(
             self._planned_yaw_rate,
             self._planned_speed,
@@ -257,7 +260,7 @@ def _look_and_command(
         until the next look, which is 1 where they might reach the target.
     """
     e = episode[0]
-    x, y, yaw = rear_axle(position, orientation, e.ahead, e.up)
+    x, y, yaw = rear_axle(position, orientation, e.ahead, e.left, e.up)
     progress[PATH_LENGTH] += np.hypot(x - progress[X], y - progress[Y])
     progress[X], progress[Y], progress[YAW] = x, y, yaw
     progress[BOUND] -= e.reach

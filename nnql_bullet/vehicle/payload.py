@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.vehicle.description import for_physics, read, root_of, text_of
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 LINK = "payload"
@@ -41,18 +43,29 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF, with an additional link for its load.
+    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load.
 
     Raises:
-        OSError: If the URDF cannot be read.
+        UserError: If the URDF cannot be read.
     """
-    text = vehicle.urdf.read_text(encoding="utf-8")
+    return text_of(_with_load(vehicle))
+
+
+def physics_text(vehicle: VehicleSpec) -> str:
+    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load.
+
+    Raises:
+        UserError: If the URDF cannot be read.
+    """
+    return for_physics(_with_load(vehicle))
+
+
+def _with_load(vehicle: VehicleSpec) -> Element:
+    robot = read(vehicle.urdf)
     if vehicle.payload is None:
-        return text
-    robot = ElementTree.fromstring(text)
-    children = {joint.find("child").attrib["link"] for joint in robot.iter("joint")}  # type: ignore[union-attr]
-    base = next(link.attrib["name"] for link in robot.iter("link") if link.attrib["name"] not in children)
+        return robot
     payload, inertia = vehicle.payload, repr(vehicle.payload.inertia)
+    base = root_of(robot)
     link = ElementTree.SubElement(robot, "link", name=LINK)
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "mass", value=repr(payload.mass))
@@ -67,4 +80,4 @@ def urdf_text(vehicle: VehicleSpec) -> str:
     ElementTree.SubElement(joint, "child", link=LINK)
     above_axle = payload.height - vehicle.wheel_radius
     ElementTree.SubElement(joint, "origin", xyz=f"{payload.ahead!r} 0 {above_axle!r}", rpy="0 0 0")
-    return ElementTree.tostring(robot, encoding="unicode")
+    return robot
