@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, sin
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
@@ -377,11 +376,11 @@ def load_text(urdf: str, client: int, **options: Any) -> int:
     Raises:
         UserError: If the engine cannot load it.
     """
-    with TemporaryDirectory(prefix="nnql-bullet-") as folder:
-        file = Path(folder) / "robot.urdf"
-        file.write_text(urdf, encoding="utf-8")
+    with NamedTemporaryFile("w", encoding="utf-8", prefix="nnql-bullet-", suffix=".urdf") as file:
+        file.write(urdf)
+        file.flush()
         try:
-            return int(bullet.loadURDF(str(file), physicsClientId=client, **options))
+            return int(bullet.loadURDF(file.name, physicsClientId=client, **options))
         except bullet.error as error:
             raise UserError(f"PyBullet cannot load the vehicle: {error}") from None
 

@@ -66,6 +66,9 @@ class _Episode(NamedTuple):
     """[m]"""
 
 
+UPRIGHT = 0.5
+"""Cosine of the tilt beyond which the vehicle has tipped over: it lies on its side, roof or nose."""
+
 _RECORD = np.dtype([(name, np.float64) for name in _Episode._fields], align=True)
 
 X, Y, YAW, PATH_LENGTH, SMALLEST, BOUND = range(6)
@@ -135,7 +138,8 @@ class ContactEngine(VehiclePhysics):
         """Drives one control period, or up to the first contact or the target.
 
         The controller sets the wheel speeds 120 times a second, and feeds the heading back 30 times a second. Contact
-        is checked at every physics step where it is possible, the target after every wheel command.
+        is checked at every physics step where it is possible, the target after every wheel command. A vehicle that has
+        tipped over by the end of the period touches the ground, which counts as contact.
 
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
@@ -173,6 +177,8 @@ class ContactEngine(VehiclePhysics):
                 self._move_patrols()
             position, orientation = self._frame()
         x, y, yaw, path_length, smallest, _ = progress.tolist()
+        qx, qy, _, _ = orientation
+        touching = touching or 1 - 2 * (qx * qx + qy * qy) < UPRIGHT
         self._clearance = clearance_at(x, y, yaw, footprint, solids)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])
         return VehicleMotion(
