@@ -155,6 +155,25 @@ def for_physics(robot: Element) -> str:
     return text_of(bare)
 
 
+def for_drawing(robot: Element) -> str:
+    """Returns the text that renderers load, which names no other file.
+
+    A link that looks like meshes alone gets the looks of its collision shapes; of other links, meshes are left out.
+    """
+    for material in robot.iter("material"):
+        for texture in material.findall("texture"):
+            material.remove(texture)
+    for link in robot.findall("link"):
+        looks = link.findall("visual")
+        drawn = [visual for visual in looks if _is_drawable(visual)]
+        if not drawn:
+            drawn = [_look_of(solid, looks) for solid in link.findall("collision") if looks and _is_drawable(solid)]
+        for old in [*looks, *link.findall("collision")]:
+            link.remove(old)
+        link.extend(drawn)
+    return text_of(robot)
+
+
 def text_of(robot: Element) -> str:
     """Writes a URDF as text."""
     return ElementTree.tostring(robot, encoding="unicode")
@@ -267,6 +286,18 @@ def _end(joint: Element, end: str) -> str:
     """Returns the name of a joint's parent or child."""
     found = joint.find(end)
     return "" if found is None else found.get("link", "")
+
+
+def _is_drawable(element: Element) -> bool:
+    return any(element.find(f"geometry/{kind}") is not None for kind in ("box", "cylinder", "sphere"))
+
+
+def _look_of(solid: Element, looks: Iterable[Element]) -> Element:
+    """Makes a visual of a collision shape, in the first colour that the link has."""
+    look = Element("visual")
+    look.extend(solid)
+    look.extend([material for visual in looks for material in visual.findall("material")][:1])
+    return look
 
 
 def _floats(text: str) -> list[float]:
