@@ -40,6 +40,13 @@ class Solid:
     """Edges of a box, or the radius of a sphere [m]; empty for the others."""
     origin: Array
     """Transform from its own frame to its link's frame (4, 4)."""
+    file: str = ""
+    """Name of the file of a mesh, which is not read."""
+
+    @property
+    def title(self) -> str:
+        """The kind, and the file of a mesh."""
+        return f"{self.kind} '{self.file}'" if self.file else self.kind or "a shape without geometry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +368,7 @@ def _solid(collision: Element) -> Solid:
     kind = "" if shape is None else shape.tag
     sizes = {} if shape is None else shape.attrib
     key = {"box": "size", "sphere": "radius"}.get(kind, "")
-    return Solid(kind, tuple(_floats(sizes.get(key, ""))), _transform(collision))
+    return Solid(kind, tuple(_floats(sizes.get(key, ""))), _transform(collision), sizes.get("filename", ""))
 
 
 def _joint(joint: Element) -> Joint:

@@ -15,6 +15,8 @@ from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, Se
 
 NEAR = 1e-3
 """Tolerance of positions [m] and directions [rad]: URDFs round them, for example a quarter turn to 1.57."""
+CENTRED = 0.02
+"""Share of the track by which the centre of mass may be off the centre line, where `limits` takes it to be."""
 WHEELS = ("left_drive", "right_drive", "caster_roll")
 """Fields of `JointNames` whose joints carry a wheel."""
 KIND = "a vehicle has two driven wheels and one caster in front that swivels"
@@ -191,7 +193,7 @@ def _check_other_links(urdf: Description, known: set[str]) -> None:
 
 def _check_balance(vehicle: VehicleSpec, com_left: float) -> None:
     """Checks that the vehicle stands on its three wheels."""
-    if abs(com_left) > NEAR:
+    if abs(com_left) > CENTRED * vehicle.track:
         raise Unfit(
             f"the centre of mass is off the centre line, at y = {com_left:.4g} m; balance the masses about y = 0"
         )
@@ -280,7 +282,7 @@ def _effort(urdf: Description, joint: str) -> float:
 def _box(base: Link) -> Solid:
     """Returns the one collision shape of the base link, a box that is parallel to the axes of its frame."""
     if [solid.kind for solid in base.solids] != ["box"] or len(base.solids[0].sizes) != 3:
-        there = ", ".join(solid.kind for solid in base.solids) or "none"
+        there = ", ".join(solid.title for solid in base.solids) or "none"
         raise Unfit(
             f"base link '{base.name}' must have exactly one collision shape, a <box> over the footprint, not: {there}"
         )
