@@ -206,6 +206,10 @@ WRONG: dict[str, tuple[Edits, str]] = {
     "decimal comma": ([("1.1 0.65 0.28", "1,1 0,65 0,28")], "must be 3 numbers"),
     "number only for Python": ([("1.1 0.65 0.28", "1_1 0.65 0.28")], "must be 3 numbers"),
     "nan inertia": ([('ixx="2.76577"', 'ixx="nan"')], "must be finite"),
+    "inertia that no body has": (
+        [('ixx="2.76577"', 'ixx="0.1"')],
+        r"link 'chassis' has an inertia that no body has: its largest moment, 10\.89 kg m2, is more than both others",
+    ),
     "infinite mass": (
         [('mass value="104.5"', 'mass value="inf"')],
         "link 'chassis' has a mass or inertia that is not positive",
@@ -287,6 +291,13 @@ RIGHT_ONES: dict[str, Edits] = {
         ),
         (END, link("mount", mass=None) + joint("m", "chassis", "mount", "0 0.3 0.1") + END),
     ],
+    "textures, other colours and repeated elements": [
+        (
+            '<color rgba="0.96 0.62 0.07 1" />',
+            '<texture filename="/etc/passwd" /><color rgba="300 0.62 -7 1" /><color rgba="0 0 0 0" />',
+        ),
+        ('<axis xyz="0 0 1" />', '<axis xyz="0 0 1" /><axis xyz="1 0 0" /><mimic joint="left_drive" />'),
+    ],
     "transmissions and plugins": [
         (
             END,
@@ -318,6 +329,7 @@ def test_another_writing_of_the_vehicle_is_driven_like_it(
     robot: Write, vehicle: VehicleSpec, empty_world: WorldSpec, edits: Edits, engine: EngineName
 ) -> None:
     other = load_vehicle(robot(edits))
+    assert Visuals({"urdf": urdf_text(other), "joints": vars(other.joints), "wheel_radius": 0.125}).shapes
     for field in ("mass", "com_ahead", "com_height", "yaw_inertia", "track", "wheelbase", "caster_trail"):
         assert getattr(other, field) == pytest.approx(getattr(vehicle, field), abs=1e-6), field
     assert other.wheel_spin_inertia == pytest.approx(vehicle.wheel_spin_inertia, rel=1e-4)

@@ -16,6 +16,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text, silenced
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.types import Vector
+from nnql_bullet.vehicle.description import parse, text_of
 
 SceneKind = Literal["tiny", "egl", "window"]
 
@@ -191,7 +192,7 @@ def _load_egl(client: int) -> bool:
 
 def _one_visual_per_link(urdf: str) -> str:
     """Gives every visual shape its own link, because the window shows all shapes of a link in one colour."""
-    robot = ElementTree.fromstring(urdf)
+    robot = parse(urdf)
     for link in robot.findall("link"):
         for number, visual in enumerate(link.findall("visual")[1:]):
             name = f"{link.attrib['name']}_{number}"
@@ -200,4 +201,4 @@ def _one_visual_per_link(urdf: str) -> str:
             joint = ElementTree.SubElement(robot, "joint", name=name, type="fixed")
             ElementTree.SubElement(joint, "parent", link=link.attrib["name"])
             ElementTree.SubElement(joint, "child", link=name)
-    return ElementTree.tostring(robot, encoding="unicode")
+    return text_of(robot)

@@ -21,6 +21,10 @@ from nnql_bullet.geometry import Array
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
 NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
 """Attributes that hold numbers, and how many."""
+DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}
+"""Shapes that are drawn, and the attributes that they need."""
+MOST_BYTES, MOST_LINKS = 10_000_000, 500
+"""Size of the largest URDF that is read [bytes, links]."""
 DEEPEST = 50
 """Largest depth of elements in elements."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
@@ -108,6 +112,9 @@ def read(path: Path) -> Element:
         UserError: If the file cannot be read, is not XML, or its links and joints are not a tree with proper numbers.
     """
     try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise Unfit(f"has {size} bytes; a URDF is read up to {MOST_BYTES} bytes")
         return parse(path.read_bytes())
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
@@ -154,11 +161,12 @@ def root_of(robot: Element) -> str:
 
 def for_physics(robot: Element) -> str:
     """Returns the text that engines load: what moves and collides, without looks and extensions of other programs."""
-    bare = Element("robot", robot.attrib)
-    for part in [*robot.findall("link"), *robot.findall("joint")]:
-        kept = ElementTree.SubElement(bare, part.tag, part.attrib)
-        unseen = ("inertial", "collision") if part.tag == "link" else ("parent", "child", "origin", "axis", "limit")
-        kept.extend(element for element in part if element.tag in unseen)
+    bare = Element("robot", name=robot.get("name", ""))
+    for link in robot.findall("link"):
+        kept = ElementTree.SubElement(bare, "link", name=link.attrib["name"])
+        kept.extend(_inertial(link))
+        kept.extend(_shape("collision", solid) for solid in link.findall("collision"))
+    bare.extend(_bare_joint(joint, "limit", "dynamics") for joint in robot.findall("joint"))
     return text_of(bare)
 
 
@@ -167,18 +175,16 @@ def for_drawing(robot: Element) -> str:
 
     A link that looks like meshes alone gets the looks of its collision shapes; of other links, meshes are left out.
     """
-    for material in robot.iter("material"):
-        for texture in material.findall("texture"):
-            material.remove(texture)
+    bare = Element("robot", name=robot.get("name", ""))
+    bare.extend(map(_paint, robot.findall("material")))
     for link in robot.findall("link"):
-        looks = link.findall("visual")
-        drawn = [visual for visual in looks if _is_drawable(visual)]
-        if not drawn:
-            drawn = [_look_of(solid, looks) for solid in link.findall("collision") if looks and _is_drawable(solid)]
-        for old in [*looks, *link.findall("collision")]:
-            link.remove(old)
-        link.extend(drawn)
-    return text_of(robot)
+        kept = ElementTree.SubElement(bare, "link", name=link.attrib["name"])
+        kept.extend(_inertial(link))
+        looks, solids = link.findall("visual"), link.findall("collision")
+        drawn = [_look(look, look) for look in looks if _is_drawable(look)]
+        kept.extend(drawn or [_look(solid, looks[0]) for solid in solids if looks and _is_drawable(solid)])
+    bare.extend(map(_bare_joint, robot.findall("joint")))
+    return text_of(bare)
 
 
 def text_of(robot: Element) -> str:
@@ -212,9 +218,11 @@ class _Elements(ElementTree.TreeBuilder):
 
 def _check_numbers(robot: Element) -> None:
     """Checks the form of all numbers of links and joints, and writes one space between them, as PyBullet needs it."""
-    for part in [*robot.findall("link"), *robot.findall("joint")]:
+    for part in [*robot.findall("link"), *robot.findall("joint"), *robot.findall("material")]:
         for element in part.iter():
-            for key in element.attrib.keys() & NUMBERS.keys():
+            for key in sorted(element.attrib.keys() & NUMBERS.keys()):
+                if key == "value" and element.tag != "mass":
+                    continue
                 words, count = element.attrib[key].split(), NUMBERS[key]
                 given = f'<{element.tag} {key}="{element.attrib[key]}"> of {part.tag} {part.get("name")!r}'
                 if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
@@ -230,6 +238,8 @@ def _check_numbers(robot: Element) -> None:
 def _check_tree(robot: Element) -> None:
     for tag in ("link", "joint"):
         names = [part.get("name", "") for part in robot.findall(tag)]
+        if len(names) > MOST_LINKS:
+            raise Unfit(f"it has {len(names)} {tag}s; up to {MOST_LINKS} are taken")
         for number, name in enumerate(names):
             if not name or name in names[:number]:
                 raise Unfit(f"two {tag}s are named {name!r}" if name else f"a <{tag}> has no name")
@@ -296,15 +306,52 @@ def _end(joint: Element, end: str) -> str:
 
 
 def _is_drawable(element: Element) -> bool:
-    return any(element.find(f"geometry/{kind}") is not None for kind in ("box", "cylinder", "sphere"))
+    shape = element.find("geometry/*")
+    return shape is not None and shape.attrib.keys() >= DRAWABLE.get(shape.tag, {"no such attribute"})
 
 
-def _look_of(solid: Element, looks: Iterable[Element]) -> Element:
-    """Makes a visual of a collision shape, in the first colour that the link has."""
-    look = Element("visual")
-    look.extend(solid)
-    look.extend([material for visual in looks for material in visual.findall("material")][:1])
+def _firsts(part: Element, *tags: str) -> list[Element]:
+    """Finds the first element of each tag; engines differ in which of several they take."""
+    return [found for tag in tags if (found := part.find(tag)) is not None]
+
+
+def _bare_joint(joint: Element, *more: str) -> Element:
+    bare = Element("joint", name=joint.attrib["name"], type=joint.get("type", ""))
+    bare.extend(_firsts(joint, "parent", "child", "origin", "axis", *more))
+    return bare
+
+
+def _inertial(link: Element) -> list[Element]:
+    found = link.find("inertial")
+    if found is None:
+        return []
+    bare = Element("inertial")
+    bare.extend(_firsts(found, "origin", "mass", "inertia"))
+    return [bare]
+
+
+def _shape(tag: str, element: Element) -> Element:
+    """Makes a visual or collision of the shape of another element."""
+    shape = Element(tag)
+    shape.extend(_firsts(element, "origin"))
+    ElementTree.SubElement(shape, "geometry").extend(_firsts(element, "geometry/*"))
+    return shape
+
+
+def _look(element: Element, painted: Element) -> Element:
+    look = _shape("visual", element)
+    look.extend(map(_paint, _firsts(painted, "material")))
     return look
+
+
+def _paint(material: Element) -> Element:
+    """Copies a material, without its texture and with its colour between 0 and 1."""
+    paint = Element("material", name=material.get("name", ""))
+    colour = material.find("color")
+    if colour is not None and "rgba" in colour.attrib:
+        rgba = _words(min(max(value, 0.0), 1.0) for value in _floats(colour.attrib["rgba"]))
+        ElementTree.SubElement(paint, "color", rgba=rgba)
+    return paint
 
 
 def _floats(text: str) -> list[float]:

@@ -23,7 +23,7 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     """Adds a load to a vehicle: to its mass, centre of mass and inertia (parallel-axis theorem).
 
     Raises:
-        UserError: If the vehicle already carries a load.
+        UserError: If the vehicle already carries a load, or tips over under this one.
     """
     if vehicle.payload:
         raise UserError(f"vehicle '{vehicle.name}' carries a payload already")
@@ -32,11 +32,17 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     m, p = vehicle.mass, payload.mass
     together = m + p
     apart = payload.ahead - vehicle.com_ahead
+    com_ahead = (m * vehicle.com_ahead + p * payload.ahead) / together
+    if not 0 < com_ahead < vehicle.wheelbase:
+        raise UserError(
+            f"vehicle '{vehicle.name}' would tip over under {p:g} kg at x = {payload.ahead:.4g} m: the centre of mass "
+            f"would be at x = {com_ahead:.4g} m, and the wheels stand at 0 and {vehicle.wheelbase:.4g} m"
+        )
     return replace(
         vehicle,
         payload=payload,
         mass=together,
-        com_ahead=(m * vehicle.com_ahead + p * payload.ahead) / together,
+        com_ahead=com_ahead,
         com_height=(m * vehicle.com_height + p * payload.height) / together,
         yaw_inertia=vehicle.yaw_inertia + payload.inertia + m * p / together * apart * apart,
     )
@@ -65,6 +71,8 @@ def _with_load(vehicle: VehicleSpec) -> Element:
     if vehicle.payload is None:
         return robot
     payload, inertia = vehicle.payload, repr(vehicle.payload.inertia)
+    if any(part.get("name") == LINK for part in robot):
+        raise UserError(f"{vehicle.urdf}: has a part named '{LINK}'; give it another name, which a load has")
     base = root_of(robot)
     link = ElementTree.SubElement(robot, "link", name=LINK)
     inertial = ElementTree.SubElement(link, "inertial")

@@ -241,6 +241,12 @@ def _composite(urdf: Description) -> tuple[float, Array, Array]:
             raise Unfit(f"link '{link.name}' has no mass and inertia; give it an <inertial>")
         if not 0 < link.mass < inf or np.any(np.linalg.eigvalsh(link.inertia) <= 0):
             raise Unfit(f"link '{link.name}' has a mass or inertia that is not positive (mass {link.mass:g} kg)")
+        least, middle, largest = np.linalg.eigvalsh(link.inertia)
+        if largest > (least + middle) * (1 + 1e-12):  # PyBullet sets such an inertia to zero
+            raise Unfit(
+                f"link '{link.name}' has an inertia that no body has: its largest moment, {largest:.4g} kg m2, is more "
+                f"than both others together, {least:.4g} and {middle:.4g}"
+            )
         frame = urdf.frames[link.name] @ link.centre
         rotation = frame[:3, :3]
         parts.append((link.mass, frame[:3, 3], rotation @ link.inertia @ rotation.T))

@@ -46,7 +46,11 @@ class Visuals:
         import yourdfpy  # here because few programs need its memory
 
         text = BytesIO(recorded_urdf(vehicle).encode())
-        self._urdf: Any = yourdfpy.URDF.load(text, load_meshes=False, load_collision_meshes=False)
+        try:
+            self._urdf: Any = yourdfpy.URDF.load(text, load_meshes=False, load_collision_meshes=False)
+        except Exception as error:  # yourdfpy passes on all errors of its parsers
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise UserError(f"the vehicle in this recording cannot be drawn ({reason}); record it again") from None
         paints = {material.name: material.color for material in self._urdf.robot.materials}
         links = self._urdf.link_map.values()
         self.shapes = [_shape(link.name, visual, paints) for link in links for visual in link.visuals]
