@@ -16,6 +16,9 @@ import yourdfpy
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose
+from nnql_bullet.sim.bullet import bullet
+from nnql_bullet.sim.bullet_scene import BulletScene
+from nnql_bullet.sim.bullet_state import LinkState
 from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
 from nnql_bullet.sim.engines import EngineName, contact_engine
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -370,6 +373,20 @@ def test_the_pose_is_that_of_the_axle_however_the_inertia_lies(
     held.close()
 
 
+def test_a_vehicle_is_drawn_at_its_pose_however_its_inertia_lies(robot: Write) -> None:
+    vehicle = load_vehicle(
+        robot([('ixx="2.76577" ixy="0"', 'ixx="2.76577" ixy="0.5"'), (COM, COM.replace("12 0", "12 0.01"))])
+    )
+    scene = BulletScene("tiny")
+    body, joints = scene.add_robot(urdf_text(vehicle))
+    scene.place(body, 3.0, 4.0, 0.125, 0.7)
+    left = LinkState(
+        *bullet.getLinkState(body, joints["left_drive"], computeForwardKinematics=1, physicsClientId=scene.client)
+    )
+    assert left.position == pytest.approx((3.0 - 0.3 * sin(0.7), 4.0 + 0.3 * cos(0.7), 0.125), abs=1e-6)
+    scene.close()
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_turned_box_touches_the_wall_where_it_is(
     robot: Write, world_of: Callable[..., WorldSpec], engine: EngineName
@@ -388,8 +405,6 @@ def test_a_vehicle_on_its_roof_has_touched(vehicle: VehicleSpec, empty_world: Wo
     held.reset(empty_world)
     assert not held.advance(0.0).touching
     if engine == "bullet":
-        from nnql_bullet.sim.bullet import bullet
-
         bullet.resetBasePositionAndOrientation(held.body, [100.0, 100.0, 0.5], [1.0, 0.0, 0.0, 0.0], held.client)
     else:
         held._position[3:7] = 0.0, 1.0, 0.0, 0.0
@@ -431,6 +446,19 @@ def test_folding_a_massless_root_moves_nothing_relative_to_the_chassis() -> None
     to_chassis = np.linalg.inv(theirs.get_transform("chassis"))
     for name in ("scan", "caster_wheel"):
         assert ours.frames[name] == pytest.approx(to_chassis @ theirs.get_transform(name), abs=1e-12)
+
+
+def test_a_load_that_tips_the_vehicle_over_is_refused(vehicle: VehicleSpec) -> None:
+    assert loaded(vehicle, Payload(5000.0, 0.69, 0.5)).com_ahead < vehicle.wheelbase
+    with pytest.raises(UserError, match=r"'tricycle' would tip over under 5000 kg at x = 0\.8 m: the centre of mass"):
+        loaded(vehicle, Payload(5000.0, 0.8, 0.5))
+
+
+def test_a_load_does_not_take_the_name_of_a_part(robot: Write) -> None:
+    vehicle = load_vehicle(robot([('"fork"', '"payload"')]))
+    assert "payload" in physics_text(vehicle)
+    with pytest.raises(UserError, match=r"tricycle\.urdf: has a part named 'payload'; give it another name"):
+        physics_text(loaded(vehicle, Payload(20.0, 0.3, 0.5)))
 
 
 def test_a_link_with_mass_is_no_frame(robot: Write) -> None:

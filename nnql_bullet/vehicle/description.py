@@ -8,7 +8,7 @@ carries them, because PyBullet would give each a mass of 1 kg.
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import atan2, cos, isfinite, sin
+from math import atan2, cos, sin
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -21,6 +21,8 @@ from nnql_bullet.geometry import Array
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
 NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
 """Attributes that hold numbers, and how many."""
+LARGEST = 1e6
+"""Largest number that a URDF may hold [m, kg, kg m2]."""
 DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}
 """Shapes that are drawn, and the attributes that they need."""
 MOST_BYTES, MOST_LINKS = 10_000_000, 500
@@ -228,8 +230,8 @@ def _check_numbers(robot: Element) -> None:
                 if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
                     raise Unfit(f"{given} must be {count} number{'s' * (count > 1)}")
                 numbers = [float(word) for word in words]
-                if key not in ("effort", "value") and not all(map(isfinite, numbers)):
-                    raise Unfit(f"{given} must be finite")
+                if key not in ("effort", "value") and not all(abs(number) <= LARGEST for number in numbers):
+                    raise Unfit(f"{given} must be finite, and at most {LARGEST:g} in size")
                 if key in ("size", "length") and min(numbers) <= 0:
                     raise Unfit(f"{given} must be positive")
                 element.set(key, " ".join(words))

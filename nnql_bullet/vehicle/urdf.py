@@ -10,7 +10,7 @@ from nnql_bullet import assets
 from nnql_bullet.config import options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox
-from nnql_bullet.vehicle.description import Description, Link, Solid, Unfit, describe, read
+from nnql_bullet.vehicle.description import LARGEST, Description, Link, Solid, Unfit, describe, read
 from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, SensorMount, VehicleSpec
 
 NEAR = 1e-3
@@ -239,7 +239,7 @@ def _composite(urdf: Description) -> tuple[float, Array, Array]:
     for link in urdf.links.values():
         if link.mass is None or link.inertia is None:
             raise Unfit(f"link '{link.name}' has no mass and inertia; give it an <inertial>")
-        if not 0 < link.mass < inf or np.any(np.linalg.eigvalsh(link.inertia) <= 0):
+        if not 0 < link.mass <= LARGEST or np.any(np.linalg.eigvalsh(link.inertia) <= 0):
             raise Unfit(f"link '{link.name}' has a mass or inertia that is not positive (mass {link.mass:g} kg)")
         least, middle, largest = np.linalg.eigvalsh(link.inertia)
         if largest > (least + middle) * (1 + 1e-12):  # PyBullet sets such an inertia to zero
@@ -265,7 +265,7 @@ def _spin_inertia(urdf: Description, joint: str) -> float:
 
 
 def _wheel_radius(wheel: Link) -> float:
-    spheres = [solid for solid in wheel.solids if solid.kind == "sphere" and solid.sizes and solid.sizes[0] > 0]
+    spheres = [solid for solid in wheel.solids if solid.kind == "sphere" and solid.sizes and solid.sizes[0] > NEAR]
     if not spheres:
         raise Unfit(
             f"wheel '{wheel.name}' has no <sphere> collision shape; contact with the ground is true only for spheres"
