@@ -14,7 +14,7 @@ from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
 from nnql_bullet.render.video import check_encoder
-from nnql_bullet.render.window import watch
+from nnql_bullet.render.window import check_window, watch
 from nnql_bullet.run_config import Conditions, RunConfig, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
 
@@ -72,9 +72,11 @@ def drive(
         conditions: Conditions in place of the policy's own.
         keys: Other keys of the configuration.
     """
+    asked, in_shield = conditions_of(conditions), shield or "shield" in keys
     if video:
         check_encoder()
-    asked, in_shield = conditions_of(conditions), shield or "shield" in keys
+    if gui:
+        check_window()
     recording = driving.drive(
         policy,
         world=world,

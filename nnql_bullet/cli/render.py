@@ -11,7 +11,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.filming import FPS, SIZE
-from nnql_bullet.render.renderers import RendererName
+from nnql_bullet.render.renderers import RendererName, check_renderer
 from nnql_bullet.render.video import VideoFormat, check_encoder
 
 
@@ -65,6 +65,7 @@ def render(
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)
     kind = filming.video_format(out, format)
+    check_renderer(renderer)
     if out or not (frames or sheet):
         check_encoder()
     if recording.suffix == ".npz":

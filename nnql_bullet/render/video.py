@@ -18,10 +18,10 @@ from nnql_bullet.types import Bytes
 
 VideoFormat = Literal["mp4", "gif"]
 
+TIMEOUT = 60.0
+"""Time limit for the answer of the encoder [s]."""
 THREADS = 2
 """Number of the encoder's threads; it is fixed because the output depends on it."""
-TIMEOUT = 60.0
-"""Time limit for the answer of ffmpeg about itself [s]."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
     # `faststart` lets browsers play the file while they load it.
     "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
@@ -144,6 +144,8 @@ def _encoder(
         except BaseException:
             process.kill()
             process.wait()
+            with suppress(BrokenPipeError):
+                pipe.close()
             raise
         if process.returncode:
             said.seek(0)
