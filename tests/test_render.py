@@ -636,7 +636,7 @@ def test_a_missing_encoder_is_told_before_the_drive(
     monkeypatch.chdir(tmp_path)
     code, out, err = run_cli(*verb, "--world", small_world, "--out", tmp_path / "a.mp4")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "ffmpeg, which encodes videos, does not start; install it: pip install" in err
+    assert f"ffmpeg at {tmp_path / 'nowhere'} does not work" in err
     assert not list(tmp_path.rglob("trajectory.*"))
 
 
