@@ -1,9 +1,52 @@
-"""Writes files atomically: a file is complete or does not exist."""
+"""Reads text, and writes files atomically: a file is complete or does not exist."""
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
+
+from nnql_bullet.errors import UserError
+
+MOST_TEXT = 256_000_000
+"""Size of the largest text file that is read [bytes]."""
+
+
+def is_file(path: Path | str) -> bool:
+    """Whether there is a plain file; False too for a name that no file can have."""
+    return os.path.isfile(path)
+
+
+def read_text(path: Path) -> str:
+    """Reads UTF-8 text, with or without a byte order mark.
+
+    Raises:
+        UserError: If there is no such plain file, it is too large, it cannot be read, or it is not UTF-8.
+    """
+    if not is_file(path):
+        raise UserError(f"{path}: is a folder, not a file" if os.path.isdir(path) else f"{path}: there is no such file")
+    try:
+        size = path.stat().st_size
+        if size > MOST_TEXT:
+            raise UserError(f"{path}: has {size} bytes; text is read up to {MOST_TEXT} bytes")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: is not UTF-8 (byte {error.start}); save it as UTF-8") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def read_json(path: Path) -> Any:
+    """Reads JSON.
+
+    Raises:
+        UserError: See `read_text`; or the text is not JSON.
+    """
+    try:
+        return json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path}: is not JSON: {error}") from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

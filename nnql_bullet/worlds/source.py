@@ -13,7 +13,7 @@ from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Positive
+from nnql_bullet.types import Extent, Number
 from nnql_bullet.worlds.grid import is_solvable
 from nnql_bullet.worlds.layouts import AnyLayout, Arena
 from nnql_bullet.worlds.patrols import Patrols
@@ -44,19 +44,19 @@ class World:
     """Name of the kind; by default the stem of its file's name."""
     patrols: Patrols | None = None
     """Moving boxes, in addition to those of the layout."""
-    width: Positive = paper.ARENA_SIDE
+    width: Extent = paper.ARENA_SIDE
     """[m]"""
-    depth: Positive = paper.ARENA_SIDE
+    depth: Extent = paper.ARENA_SIDE
     """[m]"""
-    start: tuple[float, float] = paper.START
+    start: tuple[Number, Number] = paper.START
     """Start of the rear-axle centre [m]."""
-    start_yaw_degrees: float | None = None
+    start_yaw_degrees: Number | None = None
     """Heading at the start [degrees]; by default towards the target."""
-    target: tuple[float, float] = paper.TARGET
+    target: tuple[Number, Number] = paper.TARGET
     """[m]"""
-    target_radius: Positive = 2.0
+    target_radius: Extent = 2.0
     """Distance from the rear-axle centre at which the target is reached [m]."""
-    obstacle_height: Positive = 1.5
+    obstacle_height: Extent = 1.5
     """Height of boxes and walls [m]."""
 
     @staticmethod
