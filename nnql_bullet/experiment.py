@@ -94,12 +94,17 @@ class Experiment:
 
     def training_world(self, episode: int) -> WorldSpec:
         """Draws the world of a training episode."""
-        sources, seed = self._training_sources, training_world_seed(self.config.seed, episode)
+        sources, seed = self.training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
-    def _training_sources(self) -> list[World]:
+    def training_sources(self) -> list[World]:
+        """The kinds of worlds of training episodes.
+
+        Raises:
+            UserError: If one cannot be read.
+        """
         return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property

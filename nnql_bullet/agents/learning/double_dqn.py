@@ -16,13 +16,14 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
+from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, frame_width
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
@@ -90,6 +91,14 @@ class DoubleDqnOptions:
     """Reward for reaching the target."""
     reward_failure: Number = -2.0
     """Reward for touching something."""
+
+    def training_memory(self, vehicles: int) -> int:
+        """Memory that a training with so many vehicles needs at least: buffer, maps, batch, weights [bytes]."""
+        width = frame_width(self.rays, self.grid_map)
+        seen, steps = self.frames * width, max(self.buffer_size, (self.n_step + self.frames) * vehicles)
+        weights = sum(one * other for one, other in pairwise((seen, *self.hidden, ACTIONS)))
+        maps = vehicles * (seen + (grid_map.SIZE**2 if self.grid_map else 0))
+        return steps * (width + 8) + maps + 2 * self.gradient_steps * self.batch_size * seen + 16 * weights
 
     def exploration(self, episodes: NDArray[np.int64]) -> Array:
         """Probability of a random action in training episodes (n,), counted from 0."""

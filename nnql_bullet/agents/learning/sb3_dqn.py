@@ -57,6 +57,12 @@ class Sb3DqnOptions:
     exploration_final: UnitInterval = 0.05
     """Probability of a random action after that."""
 
+    def training_memory(self, vehicles: int) -> int:
+        """Memory that a training needs at least: its buffer, which keeps what is seen twice, and weights [bytes]."""
+        del vehicles
+        weights = sum(one * other for one, other in pairwise((INPUTS, *self.hidden, ACTIONS)))
+        return self.buffer_size * (2 * 4 * INPUTS + 16) + 16 * weights
+
     def exploration(self, steps: int) -> float:
         """Probability of a random action after so many steps."""
         progress = min(steps / self.exploration_steps, 1.0)

@@ -65,9 +65,9 @@ class Aisles:
         Raises:
             UserError: If there would be too many racks, or none stands across the line in any of `MOST_TRIES` halls.
         """
-        rows, racks = arena.width / (self.rack_depth + self.min_aisle), arena.depth / (self.min_rack + self.min_aisle)
-        if rows * racks > MOST_RACKS:
-            raise UserError(f"layout: {rows * racks:.0f} racks are more than {MOST_RACKS}; make them wider")
+        most = arena.width / (self.rack_depth + self.min_aisle) * arena.depth / (self.min_rack + self.min_aisle)
+        if most > MOST_RACKS:
+            raise UserError(f"layout: {most:.0f} racks are more than {MOST_RACKS}; make them or the aisles wider")
         for _ in range(MOST_TRIES):
             boxes = tuple(_box(*spans) for spans in self._hall(arena, rng))
             rows = as_rows(boxes)
