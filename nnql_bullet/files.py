@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -11,6 +11,8 @@ from nnql_bullet.errors import UserError
 
 MOST_TEXT = 256_000_000
 """Size of the largest text file that is read [bytes]."""
+MOST_DEPTH = 100
+"""Deepest nesting of JSON that is read."""
 
 
 def is_file(path: Path | str) -> bool:
@@ -43,10 +45,35 @@ def read_json(path: Path) -> Any:
     Raises:
         UserError: See `read_text`; or the text is not JSON.
     """
+    return parse_json(read_text(path), str(path))
+
+
+def parse_json(text: str, where: str) -> Any:
+    """Parses JSON that is not nested deeper than `MOST_DEPTH`.
+
+    Args:
+        text: The text.
+        where: Names the source in errors.
+
+    Raises:
+        UserError: If it is not JSON, or nested deeper.
+    """
     try:
-        return json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: is not JSON: {error}") from None
+        values = json.loads(text)
+    except RecursionError:
+        raise UserError(f"{where}: its values are nested too deeply") from None
+    except ValueError as error:
+        raise UserError(f"{where}: is not JSON: {error}") from None
+    level = [values]
+    for _ in range(MOST_DEPTH):
+        level = [its for one in level if isinstance(one, dict | list) for its in _within(one)]
+        if not level:
+            return values
+    raise UserError(f"{where}: its values are nested too deeply")
+
+
+def _within(container: dict[str, Any] | list[Any]) -> Iterable[Any]:
+    return container.values() if isinstance(container, dict) else container
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from math import radians
+from math import dist, radians
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +11,7 @@ from pydantic import Discriminator, Tag
 from nnql_bullet import assets, paper
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import is_file
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import Extent, Number
@@ -21,6 +22,10 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_BASES = 20
+"""Longest chain of world files whose `base` is the next."""
+MOST_NAME = 100
+"""Longest name of a world."""
 ROOM = 0.7888466169590319
 """Default half width of the free path in every world [m]; it fits the shipped vehicle."""
 
@@ -58,6 +63,16 @@ class World:
     """Distance from the rear-axle centre at which the target is reached [m]."""
     obstacle_height: Extent = 1.5
     """Height of boxes and walls [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuses a name that no file could be named for, and a target that is reached at the start."""
+        if not (0 < len(self.name) <= MOST_NAME and self.name.isprintable()) or {"/", "\\"} & set(self.name):
+            raise ValueError(f"name must be one line of at most {MOST_NAME} characters without slashes")
+        if dist(self.start, self.target) <= self.target_radius:
+            raise ValueError(
+                f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
+                f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
+            )
 
     @staticmethod
     def load(name: "str | Path | World") -> "World":
@@ -172,6 +187,8 @@ def load_world(name: str) -> World:
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     if path.resolve() in below:
         raise UserError(f"{path}: its 'base' leads back to itself")
+    if len(below) == MOST_BASES:
+        raise UserError(f"{path}: more than {MOST_BASES} worlds are based on one another; write their keys in one file")
     values = read_toml(path)
     base = values.pop("base", None)
     if base is None:
@@ -179,5 +196,5 @@ def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     if not isinstance(base, str):
         raise UserError(f"{path}: 'base' must be the name of a world")
     beside = path.parent / f"{base}.toml"
-    found = beside if beside.is_file() else assets.find("worlds", base)
+    found = beside if is_file(beside) else assets.find("worlds", base)
     return merged(_with_base(found, (*below, path.resolve())), values)

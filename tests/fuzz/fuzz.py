@@ -13,11 +13,12 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from random import Random
 from types import FrameType
 
+from mutators import bytes_changed
 from targets import Target, targets
 
 from nnql_bullet.errors import UserError
@@ -90,11 +91,19 @@ def faults(target: Target, name: str, inputs: int, seed: int, scratch: Path) -> 
         random = Random(f"{name} {seed} {number}")
         file = random.choice(list(target.files))
         valid = (target.folder / file).read_bytes() if (target.folder / file).exists() else b""
-        (folder / file).write_bytes(target.files[file](valid, random))
+        (folder / file).write_bytes(_changed(target, file, valid, random))
         fault = fault_of(target, folder)
         if fault:
             yield number, f"{file}: {fault}"
         (folder / file).write_bytes(valid)
+
+
+def _changed(target: Target, file: str, valid: bytes, random: Random) -> bytes:
+    """The file, changed after its kind, or by its bytes where that makes nothing that can be written."""
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")
+        return target.files[file](valid, random)
+    return bytes_changed(valid, random)
 
 
 def main() -> int:
@@ -112,7 +121,7 @@ def main() -> int:
             begin, kinds = time.monotonic(), dict[str, int]()
             with limited():
                 for number, fault in faults(made[name], name, given.inputs, given.seed, Path(home) / "scratch"):
-                    kind = fault.strip().rpartition("\n")[2][:150]
+                    kind = fault.strip().rpartition("\n")[2][:100]
                     kinds[kind] = kinds.get(kind, 0) + 1
                     if kinds[kind] == 1 and len(kinds) <= given.show:
                         print(f"{name}, seed {given.seed}, input {number}: {fault}", file=sys.stderr)
