@@ -172,6 +172,9 @@ class RayExecutor:
                 self._address or "local",
                 num_cpus=None if self._address else self._workers,
                 include_dashboard=False,
+                **(
+                    {} if self._address else {"_node_ip_address": "127.0.0.1"}
+                ),  # a cluster of its own is not for others
                 log_to_driver=False,
                 logging_level="ERROR",
             )

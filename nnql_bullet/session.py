@@ -24,6 +24,7 @@ from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.sources import changed_sources, kept, note_sources
 from nnql_bullet.training.base import RECENT, Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
@@ -69,7 +70,12 @@ def train(
         WorkFailed: If the training diverges; the last checkpoint is then from before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-    return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(lambda run: run.create(overwrite))
+
+    def create(run: Run) -> None:
+        run.create(overwrite)
+        note_sources(config, out)
+
+    return _Session(Run(out, kept(config)), agent, reward, workers, on_progress, stop).go(create)
 
 
 def resume(
@@ -104,6 +110,8 @@ def resume(
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     run = load_run(folder, episodes)
+    for name in changed_sources(folder):
+        _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
     return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
 
 
@@ -263,7 +271,8 @@ def _check_terms(run: Run, navigation: Navigation) -> None:
 
 def _title(config: RunConfig) -> str:
     where = "the kinematic model" if config.simulator == "kinematic" else f"{config.physics} contact physics"
-    worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(config.training.worlds or (config.world,)))
+    named = (one if isinstance(one, str) else one.name for one in config.training.worlds or (config.world,))
+    worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(named))
     several = "" if config.vehicles == 1 else f", {config.vehicles} vehicles in lockstep"
     return f"{config.agent.kind} in {where}, world {worlds}{several}"
 

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 
+from nnql_bullet.files import is_file
+from nnql_bullet.text import one_line, printable
 from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED_PYTHON = (
@@ -27,18 +29,24 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 def say(text: str) -> None:
     """A line on standard output."""
-    out.print(text, markup=False)
+    out.print(printable(text), markup=False)
 
 
 def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
-    err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
+    err.print(f"nnql-bullet: {one_line(text)}", markup=False)
     return 2
 
 
 def items(text: str | None) -> list[str]:
-    """The parts of a list with commas."""
-    return [item.strip() for item in (text or "").split(",") if item.strip()]
+    """The parts of a list with commas; a comma in the name of a file that is there is part of it."""
+    parts, found = (text or "").split(","), list[str]()
+    while parts:
+        ends = range(len(parts), 1, -1)
+        end = next((end for end in ends if is_file(",".join(parts[:end]).strip())), 1)
+        found.append(",".join(parts[:end]).strip())
+        parts = parts[end:]
+    return [item for item in found if item]
 
 
 class _Saying(logging.Handler):
@@ -67,10 +75,10 @@ def progress() -> Iterator[OnProgress]:
         yield _Lines()
         return
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=None),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         TimeRemainingColumn(),
         TextColumn("left"),
     )
@@ -79,7 +87,7 @@ def progress() -> Iterator[OnProgress]:
 
         def show(now: Progress) -> None:
             if now.what not in tasks:
-                tasks[now.what] = bars.add_task(now.what, total=now.total, completed=now.done, note=now.note)
+                tasks[now.what] = bars.add_task(printable(now.what), total=now.total, completed=now.done, note=now.note)
             bars.update(tasks[now.what], completed=now.done, total=now.total, note=now.note)
 
         yield show
@@ -99,4 +107,4 @@ class _Lines:
             return
         self._last = time
         left = (time - self._begin) / (now.done - self._first) * (now.total - now.done)
-        err.print(f"{now.what} {now.done}/{now.total}  {now.note}  {left:.0f} s left", markup=False)
+        err.print(f"{printable(now.what)} {now.done}/{now.total}  {now.note}  {left:.0f} s left", markup=False)

@@ -1,6 +1,5 @@
 """Drives policies through worlds, in pieces of work."""
 
-import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
@@ -220,7 +220,7 @@ class FilmTask:
         """Command line that repeats the drive."""
         where = ["--world", self.tier.file, "--seed", str(self.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shlex.join(["nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags])
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
 
 
 def film(task: FilmTask) -> Recording:

@@ -14,6 +14,7 @@ from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions
+from nnql_bullet.text import shell_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,9 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         UserError: If there is none, or its files are damaged.
     """
     if not (folder / "results.json").is_file():
-        raise UserError(f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {folder}")
+        raise UserError(
+            f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {shell_line(str(folder))}"
+        )
     try:
         values = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         conditions = None if values["conditions"] is None else Conditions(**values["conditions"])

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import shlex
 from base64 import b64encode
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,8 +32,10 @@ from nnql_bullet.reports.evaluation import FAILURES
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
 from nnql_bullet.reports.plots import draw_success, draw_trajectory
-from nnql_bullet.runs import LEARNING_CURVE, Run
+from nnql_bullet.runs import CONFIG, LEARNING_CURVE, Run
+from nnql_bullet.text import shell_line
 from nnql_bullet.training.base import RECENT
+from nnql_bullet.worlds.source import World
 
 TEMPLATE = "report.html.j2"
 PLAYER = "player.js"
@@ -190,7 +191,7 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
 
 def failures_command(results: Path) -> str:
     """Returns the command that groups the failures of an evaluation."""
-    return shlex.join(["nnql-bullet", "failures", str(results)])
+    return shell_line("nnql-bullet", "failures", str(results))
 
 
 def page(
@@ -240,10 +241,10 @@ def page(
         player=Markup(player),
         player_hash=b64encode(sha256(player.encode()).digest()).decode(),
         gap=gap,
-        make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
+        make={verb: shell_line("nnql-bullet", verb, *paths) for verb in _FILES},
         commands=[
             *(_training_command(run) for run, _ in pairs),
-            *(f"{its.command} --out {shlex.quote(str(its.folder))}" for its in (evaluation, gap) if its),
+            *(f"{its.command} --out {shell_line(str(its.folder))}" for its in (evaluation, gap) if its),
             *([evaluation.grouped.command] if evaluation and evaluation.grouped else []),
             again,
         ],
@@ -260,7 +261,7 @@ def _run_row(run: Run, policy: Policy) -> dict[str, Any]:
         "config": run.config,
         "episodes": len(run.episodes),
         "success": f"{100 * sum(goals) / len(goals):.0f}" if goals else "-",
-        "resume": shlex.join(["nnql-bullet", "train", "--resume", str(run.folder)]),
+        "resume": shell_line("nnql-bullet", "train", "--resume", str(run.folder)),
     }
 
 
@@ -316,8 +317,12 @@ def _version(library: str) -> str:
 
 def _training_command(run: Run) -> str:
     """Returns the command that repeats a training."""
-    preset, flags = train_arguments(run.config)
-    return shlex.join(["nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder)])
+    worlds = run.config.world, *run.config.training.worlds
+    if any(isinstance(world, World) for world in worlds):  # no flag says what a world is like
+        preset, flags = str(run.folder / CONFIG), []
+    else:
+        preset, flags = train_arguments(run.config)
+    return shell_line("nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder))
 
 
 def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:

@@ -21,6 +21,7 @@ from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
 from nnql_bullet.training.base import Trainable
 from nnql_bullet.types import Count, Few
+from nnql_bullet.worlds.source import WorldLike
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
@@ -36,7 +37,7 @@ class SelectionOptions:
     every: Count = 50
     """Episodes from one candidate to the next. They do not follow the number of training episodes, so that a run can be
     stopped and resumed."""
-    worlds: tuple[str, ...] = ()
+    worlds: tuple[WorldLike, ...] = ()
     """Shipped worlds or TOML files to try them in, each once; by default those of the training."""
     count: Annotated[int, Field(ge=1, le=1000)] = 100
     """Validation worlds of each kind."""

@@ -14,6 +14,8 @@ from nnql_bullet.jit import njit
 from nnql_bullet.types import Extent, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
+MOST_RANDOM = 5_000
+"""Largest number of boxes."""
 MOST_TRIES = 20_000
 """Largest number of candidates."""
 FIRST_TRIES = 32
@@ -45,6 +47,9 @@ class RandomBoxes:
         Raises:
             UserError: If the arena has no room for this cover.
         """
+        most = self.cover * arena.width * arena.depth / ((self.min_side + self.max_side) / 2) ** 2
+        if most > MOST_RANDOM:
+            raise UserError(f"layout: {most:.0f} boxes are more than {MOST_RANDOM}; raise 'min_side' and 'max_side'")
         mean_area = ((self.min_side + self.max_side) / 2) ** 2
         wanted = self.cover * arena.width * arena.depth - mean_area / 2
         size, keep_free = arena.limits
