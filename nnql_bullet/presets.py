@@ -14,7 +14,7 @@ from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.config import merged, parse, read_toml, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
-from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, TrainingOptions, located, outdated_keys
+from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, TrainingOptions, outdated_keys
 from nnql_bullet.sim.domain_randomization import DomainRandomization
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.selection import SelectionOptions
@@ -99,5 +99,4 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
     old = values.get("simulator")
     if isinstance(old, str) and old in RENAMED_SIMULATORS:
         raise UserError(f"{name}: simulator '{old}' is now named '{RENAMED_SIMULATORS[old]}'")
-    config = located(parse(RunConfig, merged(to_values(PRESETS[preset]), values), name), Path(name).parent)
-    return parse(RunConfig, merged(to_values(config), changes), name)
+    return parse(RunConfig, merged(merged(to_values(PRESETS[preset]), values), changes), name)

@@ -2,8 +2,7 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -12,7 +11,6 @@ from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
 from nnql_bullet.agents.learning.nnql import NnqlOptions
 from nnql_bullet.config import merged, options, parse, to_values
-from nnql_bullet.files import is_file
 from nnql_bullet.shield.shield import ShieldOptions
 from nnql_bullet.sim.domain_randomization import DomainRandomization
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -39,8 +37,6 @@ RENAMED_KEYS = {
     "conditions.sensors.dead_sector": "conditions.dead_sector",
 }
 """Names of keys in version 0.1, and their present names."""
-ROBOT = "robot"
-"""Folder in a run folder with a copy of the robot's files."""
 REMOVED_KEYS = {"agent.paper_share": 0.0}
 """Keys of version 0.1 that no longer exist, and their values without effect."""
 RENAMED_SIMULATORS = {"twin": "kinematic"}
@@ -129,13 +125,6 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
         UserError: If a key or value is wrong.
     """
     return parse(RunConfig, merged(to_values(config), changes), "configuration")
-
-
-def located(config: RunConfig, folder: Path) -> RunConfig:
-    """The configuration of a file in a run folder, with the path from here to the copy of its robot."""
-    copy = folder / config.robot
-    own = Path(config.robot).parts[:1] == (ROBOT,) and is_file(copy)
-    return replace(config, robot=str(copy)) if own else config
 
 
 def conditions_of(values: Mapping[str, Any]) -> Conditions | None:

@@ -1,8 +1,7 @@
 """Run folders, which hold a training, and policies that are loaded from them.
 
-- config.toml: the configuration, every key resolved, and worlds that were files written out
-- robot/: a copy of the robot's files, unless it is a shipped one
-- sources.json: hashes of the files that the configuration named, by which a change is noticed
+- config.toml: the configuration, every key resolved
+- sources.json, robot/: what the world and robot files that the configuration names said (`sources.py`)
 - episodes.csv: a line for each finished episode
 - checkpoint.safetensors: the agent's weights after the last line of episodes.csv, and the state of the training then;
   with a selection (`training/selection.py`) the candidates too
@@ -24,14 +23,14 @@ from numpy.typing import NDArray
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom, Decider
-from nnql_bullet.config import parse, read_toml, write_toml
+from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
-from nnql_bullet.run_config import RunConfig, changed, located, migrated
-from nnql_bullet.sources import SOURCES, keep_robot, portable
+from nnql_bullet.run_config import RunConfig, changed, migrated
+from nnql_bullet.sources import SOURCES, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
@@ -101,8 +100,8 @@ class Run:
             for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE, SOURCES):
                 (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
-        keep_robot(self.config, folder)
         self.save_config()
+        keep_sources(self.config, folder)
 
     def save(self, agent: Trainable, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
@@ -114,7 +113,7 @@ class Run:
         """
         (self.folder / SELECTION).unlink(missing_ok=True)
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
-        config, done, learned = portable(self.config), len(self.episodes), agent.state_dict()
+        config, done, learned = to_values(self.config), len(self.episodes), agent.state_dict()
         under_way = {_UNDER_WAY + name: values for name, values in training.state_dict().items()}
         candidates = {
             f"{_CANDIDATE}{episodes}/{name}": values
@@ -139,7 +138,7 @@ class Run:
             OSError: If a file cannot be written; the selection is then not made.
         """
         best = most_goals(goals)
-        config = portable(self.config)
+        config = to_values(self.config)
         save_weights(Weights(config, best, candidates[best]), self.folder / POLICY)
         lines = [f"{episodes},{count},{worlds},{int(episodes == best)}" for episodes, count in goals.items()]
         write_text(self.folder / SELECTION, "\n".join(["episodes,goals,worlds,selected", *lines, ""]))
@@ -147,7 +146,7 @@ class Run:
 
     def save_config(self) -> None:
         """Writes the configuration, every key resolved."""
-        text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(portable(self.config))}"
+        text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(self.config))}"
         write_text(self.folder / CONFIG, text)
 
 
@@ -278,12 +277,12 @@ def load_run(folder: Path | str, episodes: int | None = None) -> Run:
     folder = Path(folder)
     if not (folder / CONFIG).is_file():
         raise UserError(f"{folder}: holds no run (no {CONFIG}); give the folder that a training wrote")
-    config = located(parse(RunConfig, migrated(read_toml(folder / CONFIG)), str(folder / CONFIG)), folder)
+    config = parse(RunConfig, migrated(read_toml(folder / CONFIG)), str(folder / CONFIG))
     run = Run(folder, config)
     if (folder / CHECKPOINT).exists():
         weights = load_weights(folder / CHECKPOINT)
         rows = _read_csv(folder / EPISODES)[: weights.episodes]
-        trained = located(parse(RunConfig, migrated(weights.config), str(folder / CHECKPOINT)), folder)
+        trained = parse(RunConfig, migrated(weights.config), str(folder / CHECKPOINT))
         if replace(trained, episodes=config.episodes) != config or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
         parts = weights.arrays.items()

@@ -24,7 +24,7 @@ from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
-from nnql_bullet.sources import changed_sources, kept, note_sources
+from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.training.base import RECENT, Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
@@ -70,12 +70,8 @@ def train(
         WorkFailed: If the training diverges; the last checkpoint is then from before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-
-    def create(run: Run) -> None:
-        run.create(overwrite)
-        note_sources(config, out)
-
-    return _Session(Run(out, kept(config)), agent, reward, workers, on_progress, stop).go(create)
+    session = _Session(Run(out, config), Experiment(config, agent), reward, workers, on_progress, stop)
+    return session.go(lambda run: run.create(overwrite))
 
 
 def resume(
@@ -112,7 +108,10 @@ def resume(
     run = load_run(folder, episodes)
     for name in changed_sources(folder):
         _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
-    return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
+    if run.is_over:
+        return run
+    experiment = Experiment(located(run.config, folder), agent)
+    return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.save_config)
 
 
 def check(config: RunConfig) -> None:
@@ -151,7 +150,7 @@ class _Session:
     """A training that runs until it is finished or stopped."""
 
     run: Run
-    agent: Policy | None
+    experiment: Experiment
     reward: Reward | None
     workers: int | None
     on_progress: OnProgress
@@ -159,9 +158,8 @@ class _Session:
 
     def go(self, prepare: Callable[[Run], None]) -> Run:
         """Trains and selects the policy; calls `prepare`, which writes the folder, after all checks."""
-        run, config = self.run, self.run.config
+        run, config, experiment = self.run, self.run.config, self.experiment
         check(config)
-        experiment = Experiment(config, self.agent)
         agent = experiment.trainable
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)

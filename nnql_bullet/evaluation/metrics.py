@@ -42,7 +42,7 @@ class Evaluation:
         """Command line that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
         worlds = ",".join(tier.file for tier in self.tiers)
-        count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
+        count = ["--worlds", str(max(len(tier.seeds) for tier in self.tiers)), "--split", self.setting.split]
         flags = [*(["--shield"] if self.shielded else []), *self.setting.flags]
         return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *flags)
 

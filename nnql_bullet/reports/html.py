@@ -32,10 +32,9 @@ from nnql_bullet.reports.evaluation import FAILURES
 from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
 from nnql_bullet.reports.plots import draw_success, draw_trajectory
-from nnql_bullet.runs import CONFIG, LEARNING_CURVE, Run
+from nnql_bullet.runs import LEARNING_CURVE, Run
 from nnql_bullet.text import shell_line
 from nnql_bullet.training.base import RECENT
-from nnql_bullet.worlds.source import World
 
 TEMPLATE = "report.html.j2"
 PLAYER = "player.js"
@@ -317,11 +316,7 @@ def _version(library: str) -> str:
 
 def _training_command(run: Run) -> str:
     """Returns the command that repeats a training."""
-    worlds = run.config.world, *run.config.training.worlds
-    if any(isinstance(world, World) for world in worlds):  # no flag says what a world is like
-        preset, flags = str(run.folder / CONFIG), []
-    else:
-        preset, flags = train_arguments(run.config)
+    preset, flags = train_arguments(run.config)
     return shell_line("nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder))
 
 
