@@ -12,6 +12,7 @@
 
 import csv
 import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -221,7 +222,9 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
         if config.agent.kind not in RULES:
             raise UserError(f"{name}: '{config.agent.kind}' has to learn first; train it with this configuration")
         return LoadedPolicy(name, Experiment(config), 0)
-    if not path.exists() and not _is_shipped(path):
+    if path.suffix == ".py":
+        raise UserError(f"{name}: a policy in Python is an object; give it to nnql_bullet.drive in a script")
+    if not os.path.exists(path) and not _is_shipped(path):
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
     file = path / POLICY if path.is_dir() else assets.policies()[name] if _is_shipped(path) else path

@@ -59,8 +59,6 @@ def located(config: RunConfig, folder: Path) -> RunConfig:
     """
     sources = _read(folder)
     robot = sources.robots.get(config.robot)
-    if robot not in (None, f"{ROBOT}/{Path(config.robot).name}"):
-        raise UserError(f"{folder / SOURCES}: damaged: a copy is in {ROBOT}/")
     changes: dict[str, Any] = {"robot": str(folder / robot) if robot else None, "training": {}}
     changes["world"] = _kept(config.world, sources)
     changes["training"]["worlds"] = [_kept(world, sources) for world in config.training.worlds]
@@ -92,9 +90,12 @@ def _read(folder: Path) -> Sources:
     if not is_file(folder / SOURCES):
         return Sources(worlds={}, robots={})
     try:
-        return TypeAdapter(Sources).validate_json(json.dumps(read_json(folder / SOURCES)))
+        sources = TypeAdapter(Sources).validate_json(json.dumps(read_json(folder / SOURCES)))
     except ValidationError:
         raise UserError(f"{folder / SOURCES}: damaged; train anew") from None
+    if any(copy != f"{ROBOT}/{Path(name).name}" for name, copy in sources.robots.items()):
+        raise UserError(f"{folder / SOURCES}: damaged: copies of robots are in {ROBOT}/; train anew")
+    return sources
 
 
 def _world_files(config: RunConfig) -> list[str]:

@@ -24,6 +24,8 @@ MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
+FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
+"""Suffixes of maps and worlds of other programs."""
 MOST_NAME = 100
 """Longest name of a world."""
 ROOM = 0.7888466169590319
@@ -181,6 +183,8 @@ def load_world(name: str) -> World:
         UserError: If a file is missing or malformed.
     """
     path = assets.find("worlds", name)
+    if path.suffix.lower() in FOREIGN:
+        raise UserError(f"{path}: maps and worlds of other programs are not read; write its boxes into a TOML file")
     return parse(World, {"name": path.stem, **_with_base(path, ())}, str(path))
 
 

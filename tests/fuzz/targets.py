@@ -23,6 +23,7 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import load_policy, load_run
 from nnql_bullet.session import check
+from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
 
 Changed = Callable[[bytes, Random], bytes]
@@ -45,7 +46,8 @@ def targets(home: Path) -> dict[str, Target]:
     home.mkdir(parents=True, exist_ok=True)
     run = home / "trained"
     kinematic = {"simulator": "kinematic", "task": {"max_steps": 30}}
-    nb.train("paper", out=run, vehicles=2, episodes=4, **kinematic)
+    few = {"vehicles": 2, "episodes": 4, **kinematic}
+    nb.train("paper", out=run, **few)
     nb.train(
         "double_dqn",
         out=home / "double",
@@ -80,6 +82,7 @@ def targets(home: Path) -> dict[str, Target]:
         mutators.csv_changed,
         mutators.safetensors_changed,
     )
+    nb.train("paper", out=home / "sourced", world=worlds / "based.toml", robot=robots / "tricycle.toml", **few)
     policies = open_policies([str(run)])
     return {
         "configuration": Target(configs, {f"{name}.toml": toml for name in PRESETS}, _configure),
@@ -97,6 +100,11 @@ def targets(home: Path) -> dict[str, Target]:
             lambda folder: (open_evaluation(folder), open_results("evaluate", folder, policies)),
         ),
         "splits": Target(splits, {"splits.json": json_}, lambda folder: load_frozen(folder / "splits.json")),
+        "sources": Target(
+            home / "sourced",
+            {"sources.json": json_},
+            lambda folder: (located(load_run(folder).config, folder), changed_sources(folder)),
+        ),
         "parts": Target(parts, {"a.json": json_}, lambda folder: Parts(folder).load("a", EpisodeSummary)),
     }
 
