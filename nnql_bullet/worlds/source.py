@@ -129,6 +129,8 @@ class World:
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
                 return self._with_patrols(world)
+            if attempt == 0:  # no draw of boxes mends ends that walls are too near to
+                self._check_ends(replace(world, obstacles=()), room)
         self._check_ends(world, room)
         random = self.layout.is_random
         again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
