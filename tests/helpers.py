@@ -1,10 +1,13 @@
 """What several tests use: one vehicle of a simulator, seen alone, and observations made by hand."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.env import Navigation, Observation, Transition
@@ -13,8 +16,10 @@ from nnql_bullet.rollout import Actions, Overriding, Policy
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.task import ENDINGS, NO_ENDING
-from nnql_bullet.training.base import LearningAgent
+from nnql_bullet.training.base import LearningAgent, TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
+
+Arrays = Mapping[str, NDArray[Any]]
 
 
 class Alone(AbstractContextManager["Alone"]):
@@ -111,3 +116,35 @@ class Driving:
 def learn(agent: LearningAgent, transitions: Transition) -> Array:
     """Lets an agent without memory learn in its first episode."""
     return agent.learn(transitions, None, np.zeros(len(transitions.a_tm1), np.int64))
+
+
+def same(one: Arrays, other: Arrays) -> bool:
+    """Whether the arrays have the same names and the same numbers."""
+    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A training just after it gave out an episode."""
+
+    done: list[TrainingEpisode]
+    learned: Arrays
+    under_way: Arrays
+
+
+def stops(made: Any, episodes: int) -> list[Stop]:
+    """What each of the first episodes of `made.training` of `made.agent` leaves."""
+    done: list[TrainingEpisode] = []
+    found = []
+    for episode in islice(made.training.episodes(), episodes):
+        done.append(episode)
+        found.append(Stop(list(done), made.agent.state_dict(), made.training.state_dict()))
+    return found
+
+
+def going_on(made: Any, stop: Stop, episodes: int) -> Stop:
+    """What a new training leaves that resumes from a stop until it has so many episodes."""
+    made.agent.load_state_dict(stop.learned)
+    made.training.load_state_dict(stop.under_way)
+    more = list(islice(made.training.episodes(), episodes - len(stop.done)))
+    return Stop(stop.done + more, made.agent.state_dict(), made.training.state_dict())

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from helpers import Driving, observed
+from helpers import Driving, observed, same
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from nnql_bullet.agents.learning.double_dqn import (
     DoubleDqn,
@@ -50,10 +49,6 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
 SMALL = DoubleDqnOptions(hidden=(12,), batch_size=16, buffer_size=300, learning_starts=60, exploration_episodes=8)
-
-
-def same(one: Arrays, other: Arrays) -> bool:
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
 def random_network(inputs: int = 6, seed: int = 0) -> DuelingNetwork:
@@ -584,26 +579,9 @@ class TestLearning:
         assert values[:, ::2] == pytest.approx(np.tile(left[:, None], 3), abs=0.06)
 
 
-class TestCommandLine:
-    def test_in_two_parts_is_as_in_one(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
-        config = tmp_path / "ddqn.toml"
-        agent = (
-            "\n[agent]\nkind = 'double_dqn'\nhidden = [8]\nbatch_size = 8\nlearning_starts = 40\nbuffer_size = 200\n"
-        )
-        mix = f"\n[training]\nworlds = ['{small_config.parent / 'none.toml'}']\n"
-        config.write_text(small_config.read_text() + agent)
-        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
-        assert run_cli("train", *more, "--episodes", 8, "--workers", 1, "--out", tmp_path / "one")[0] == 0
-        assert run_cli("train", *more, "--episodes", 4, "--out", tmp_path / "two")[0] == 0
-        assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 8)[0] == 0
-        for name in ("episodes.csv", "config.toml"):
-            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
-        for name in ("checkpoint.safetensors", "policy.safetensors"):
-            assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
-        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
-        assert code == 0
-        assert '"ending"' in out
-        config.write_text(small_config.read_text() + mix)
-        code, _, err = run_cli("train", "--config", config, "--sim", "kinematic", "--out", tmp_path / "three")
-        assert code == 2
-        assert "none" in err
+def test_a_world_of_the_mix_that_is_not_there_is_named(run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
+    config = tmp_path / "mix.toml"
+    config.write_text(f"{small_config.read_text()}\n[training]\nworlds = ['{tmp_path / 'none.toml'}']\n")
+    code, _, err = run_cli("train", "--config", config, "--sim", "kinematic", "--out", tmp_path / "run")
+    assert code == 2
+    assert "none.toml" in err

@@ -1,13 +1,15 @@
-"""The scripts in examples/: each runs by itself, with a tiny budget."""
+"""The scripts in examples/ and the Python of how-to pages: each runs by itself, with a tiny budget."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).resolve().parent.parent / "examples"
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "examples"
 ARGUMENTS = {
     "custom_agent": ["--worlds", "2"],
     "custom_reward": ["--episodes", "4"],
@@ -23,11 +25,27 @@ def test_each_is_run_here_and_short() -> None:
     assert all(len(lines) < 40 for lines in scripts.values())
 
 
+def run(cwd: Path, *arguments: str) -> str:
+    """What a new Python prints."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ARGUMENTS)
 def test_it_runs(name: str, tmp_path: Path) -> None:
-    command = [sys.executable, str(FOLDER / f"{name}.py"), *ARGUMENTS[name]]
-    environment = os.environ | {"PYTHONPATH": str(FOLDER.parent)}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip()
+    assert run(tmp_path, str(FOLDER / f"{name}.py"), *ARGUMENTS[name]).strip()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["agent", "gymnasium", "reward"])
+def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "how-to" / f"{page}.md").read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)).replace(
+        "vehicles=64", "vehicles=4, episodes=8"
+    )
+    assert code
+    run(tmp_path, "-W", "error::DeprecationWarning", "-c", code)

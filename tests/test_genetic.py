@@ -12,8 +12,8 @@ from typing import Any
 import helpers
 import numpy as np
 import pytest
+from helpers import Stop, going_on, same, stops
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from nnql_bullet.agents.base import Reflex
 from nnql_bullet.agents.learning.genetic import (
@@ -36,7 +36,7 @@ from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Simulator, WorkerDied
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
-from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
+from nnql_bullet.training.base import LearningAgent, Trainable
 
 evolution = pytest.importorskip("nnql_bullet.agents.learning.evolution", reason="needs the extra [baselines]")
 
@@ -46,10 +46,6 @@ Arrays = dict[str, NDArray[Any]]
 SMALL = GeneticOptions(population=5, worlds=3, elites=2)
 SIZE = 15
 """Episodes in a generation of these."""
-
-
-def same(one: Arrays, other: Arrays) -> bool:
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
 def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
@@ -306,31 +302,6 @@ class TestBreeding:
             parse(RunConfig, {"agent": {"kind": "genetic", **values}}, "x")
 
 
-@dataclass(frozen=True)
-class Stop:
-    """A search just after it gave out an episode."""
-
-    done: list[TrainingEpisode]
-    learned: Arrays
-    under_way: Arrays
-
-
-def stops(made: Parts, episodes: int) -> list[Stop]:
-    done: list[TrainingEpisode] = []
-    found = []
-    for episode in islice(made.training.episodes(), episodes):
-        done.append(episode)
-        found.append(Stop(list(done), made.agent.state_dict(), made.training.state_dict()))
-    return found
-
-
-def going_on(made: Parts, stop: Stop, episodes: int) -> Stop:
-    made.agent.load_state_dict(stop.learned)
-    made.training.load_state_dict(stop.under_way)
-    more = list(islice(made.training.episodes(), episodes - len(stop.done)))
-    return Stop(stop.done + more, made.agent.state_dict(), made.training.state_dict())
-
-
 class TestGoingOn:
     def test_it_is_as_if_it_had_never_stopped(self, parts: Callable[..., Parts]) -> None:
         whole = stops(parts(), 20)
@@ -390,21 +361,6 @@ def config(small_config: Path, tmp_path: Path) -> Path:
 
 
 class TestCommandLine:
-    def test_in_two_parts_and_with_other_workers_is_as_in_one(self, run_cli: Cli, config: Path, tmp_path: Path) -> None:
-        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
-        assert run_cli("train", *more, "--episodes", 19, "--workers", 1, "--out", tmp_path / "one")[0] == 0
-        assert run_cli("train", *more, "--episodes", 11, "--workers", 2, "--out", tmp_path / "two")[0] == 0
-        assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 19)[0] == 0
-        for name in ("episodes.csv", "config.toml"):
-            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
-        for name in ("checkpoint.safetensors", "policy.safetensors"):
-            assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
-        header = (tmp_path / "one" / "episodes.csv").read_text().splitlines()[0]
-        assert header.endswith("generation,genome")
-        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
-        assert code == 0
-        assert '"ending"' in out
-
     def test_without_deap_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -5,7 +5,7 @@ import helpers
 import numpy as np
 import pytest
 import torch
-from helpers import learn
+from helpers import learn, same
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import softmax
@@ -53,6 +53,8 @@ def together(*records):
     kind = type(records[0])
     if kind is np.ndarray:
         return np.concatenate(records)
+    if kind is tuple:  # names
+        return records[0]
     return kind(*(together(*(getattr(record, field.name) for record in records)) for field in fields(kind)))
 
 
@@ -114,10 +116,6 @@ def summed(weights, steps, step):
     """The weights after one step of gradient descent on the sum of several errors, each (x, action, target)."""
     moved = [stepped(weights, *one, step) for one in steps]
     return {name: weights[name] + sum(other[name] - weights[name] for other in moved) for name in NAMES}
-
-
-def same(one, other):
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
 def close(one, other):

@@ -14,7 +14,6 @@ from helpers import learn, observed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from nnql_bullet import paper
 from nnql_bullet.agents import QTableOptions
@@ -328,35 +327,3 @@ class TestOptions:
 
     def test_it_learns_step_by_step(self) -> None:
         assert isinstance(agent_of(), LearningAgent)
-
-
-def table_config(small_config: Path, folder: Path) -> Path:
-    path = folder / "table.toml"
-    path.write_text('preset = "q_table"\n' + small_config.read_text())
-    return path
-
-
-class TestCommandLine:
-    def test_in_two_parts_is_as_in_one(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
-        more = ("--config", table_config(small_config, tmp_path), "--sim", "kinematic", "--vehicles", 3)
-        assert run_cli("train", *more, "--episodes", 12, "--out", tmp_path / "one")[0] == 0
-        assert run_cli("train", *more, "--episodes", 5, "--out", tmp_path / "two")[0] == 0
-        assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 12)[0] == 0
-        for name in ("episodes.csv", "config.toml"):
-            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
-        for name in ("checkpoint.safetensors", "policy.safetensors"):
-            one, two = (load_file(tmp_path / run / name) for run in ("one", "two"))
-            assert one.keys() == two.keys()
-            assert all(np.array_equal(one[part], two[part]) for part in one), name
-        header = (tmp_path / "one" / "episodes.csv").read_text().splitlines()[0]
-        assert header.endswith("temperature,states,table_share,td_error")
-
-    def test_its_policy_drives(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
-        config = table_config(small_config, tmp_path)
-        assert (
-            run_cli("train", "--config", config, "--sim", "kinematic", "--episodes", 3, "--out", tmp_path / "run")[0]
-            == 0
-        )
-        code, out, _ = run_cli("drive", tmp_path / "run", "--sim", "kinematic", "--json")
-        assert code == 0
-        assert '"ending"' in out

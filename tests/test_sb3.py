@@ -13,8 +13,8 @@ import helpers
 import numpy as np
 import pytest
 import torch
+from helpers import same
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
 from nnql_bullet.config import parse
@@ -34,10 +34,6 @@ Cli = Callable[..., tuple[int, str, str]]
 Arrays = dict[str, NDArray[Any]]
 SMALL = Sb3DqnOptions(hidden=(16, 12), buffer_size=2000, learning_starts=50, exploration_steps=400)
 SCALE = [10.0] * 8 + [100.0, np.pi, 1.0]
-
-
-def same(one: Arrays, other: Arrays) -> bool:
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
 def observed(rows: NDArray[np.float64]) -> Observation:
@@ -271,23 +267,6 @@ class TestGoingOn:
 
 
 class TestCommandLine:
-    def test_in_two_parts_is_as_in_one(self, run_cli: Cli, small_config: Path, tmp_path: Path) -> None:
-        config = tmp_path / "dqn.toml"
-        agent = "\n[agent]\nkind = 'sb3_dqn'\nhidden = [8]\nbuffer_size = 1000\nlearning_starts = 20\n"
-        config.write_text(small_config.read_text() + agent)
-        more = ("--config", config, "--sim", "kinematic", "--vehicles", 3)
-        assert run_cli("train", *more, "--episodes", 8, "--workers", 1, "--out", tmp_path / "one")[0] == 0
-        assert run_cli("train", *more, "--episodes", 4, "--out", tmp_path / "two")[0] == 0
-        assert run_cli("train", "--resume", tmp_path / "two", "--episodes", 8)[0] == 0
-        for name in ("episodes.csv", "config.toml"):
-            assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
-        for name in ("checkpoint.safetensors", "policy.safetensors"):
-            assert same(*(load_file(tmp_path / run / name) for run in ("one", "two"))), name
-        assert (tmp_path / "one" / "episodes.csv").read_text().splitlines()[0].endswith("failure,exploration")
-        code, out, _ = run_cli("drive", tmp_path / "one", "--sim", "kinematic", "--json")
-        assert code == 0
-        assert '"ending"' in out
-
     def test_without_the_library_it_is_refused_and_nothing_written(
         self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

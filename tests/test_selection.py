@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from helpers import same
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
@@ -109,10 +109,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory, selecting_config: Path) -> P
 def rows(folder: Path) -> list[dict[str, int]]:
     with (folder / "selection.csv").open(newline="") as file:
         return [{name: int(value) for name, value in row.items()} for row in csv.DictReader(file)]
-
-
-def same(first: dict[str, NDArray[Any]], second: dict[str, NDArray[Any]]) -> bool:
-    return first.keys() == second.keys() and all(np.array_equal(first[name], second[name]) for name in first)
 
 
 def contents(folder: Path) -> dict[str, Any]:

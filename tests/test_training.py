@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import begun, ending, learn
+from helpers import Stop, begun, ending, going_on, learn, same, stops
 from helpers import row as of_vehicle
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
@@ -86,10 +86,6 @@ def parts(small_world: Path) -> Iterator[Callable[..., Parts]]:
     yield make
     for one in made:
         one.close()
-
-
-def same(one: Mapping[str, NDArray[Any]], other: Mapping[str, NDArray[Any]]) -> bool:
-    return one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one)
 
 
 class Spy:
@@ -273,31 +269,6 @@ class TestOrder:
             assert episode.diagnostics["td_error"] == pytest.approx(rms, rel=1e-12)
             partly += 0 < len(learned) < len(errors)
         assert partly > 3
-
-
-@dataclass(frozen=True)
-class Stop:
-    """A training just after it gave out an episode."""
-
-    done: list[TrainingEpisode]
-    learned: Arrays
-    under_way: Arrays
-
-
-def stops(made: Parts, episodes: int) -> list[Stop]:
-    done: list[TrainingEpisode] = []
-    found = []
-    for episode in islice(made.training.episodes(), episodes):
-        done.append(episode)
-        found.append(Stop(list(done), made.agent.state_dict(), made.training.state_dict()))
-    return found
-
-
-def going_on(made: Parts, stop: Stop, episodes: int) -> Stop:
-    made.agent.load_state_dict(stop.learned)
-    made.training.load_state_dict(stop.under_way)
-    more = list(islice(made.training.episodes(), episodes - len(stop.done)))
-    return Stop(stop.done + more, made.agent.state_dict(), made.training.state_dict())
 
 
 def assert_same(one: Stop, other: Stop) -> None:

@@ -1,12 +1,12 @@
-"""A genetic search: all genomes of a generation drive in the same worlds, and the fittest breed.
+"""Searches network weights genetically: all genomes of a generation drive in the same worlds, and the fittest breed.
 
 The only module that imports DEAP.
 
-Genomes drive greedily, each on its own, so the result depends on the configuration and the seed, and not even on the
-number of vehicles; only the order in which episodes finish does.
+Each genome drives greedily by itself, so the result does not depend on the number of vehicles; only the order in which
+episodes finish does.
 
-A genome is fit if it reaches its target, whatever it earns on the way; where it does not, half of the distance by which
-it came nearer counts. The paper's return is no fitness: it pays for driving round obstacles.
+A genome scores 1 in a world in which it reaches the target; otherwise half of the share of the distance by which it
+came nearer. The paper's return is not the fitness, because it pays for driving around obstacles.
 
 A checkpoint holds the number of episodes of the generation that have finished. Resuming drives the generation again
 from its beginning, with the same results bit for bit.
@@ -32,7 +32,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 
 class Evolution:
-    """A `Trainer`. The agent is given the fittest genome whenever a generation is over."""
+    """A `Trainer`. After each generation the agent gets the fittest genome."""
 
     def __init__(self, agent: Genetic, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> None:
         self._agent = agent
@@ -68,7 +68,7 @@ class Evolution:
                 yield TrainingEpisode(generation * size + place, summary, numbers)
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
-        """The generation under way, what its elites did before, and how many of its episodes were given out."""
+        """Copies the present generation, the scores of its elites, and how many of its episodes were yielded."""
         return {
             "generation": np.array([self._generation]),
             "genomes": self._genomes.copy(),
@@ -78,7 +78,7 @@ class Evolution:
         }
 
     def load_state_dict(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Takes back what `state_dict` gave."""
+        """Resumes from what `state_dict` gave."""
         try:
             if arrays["genomes"].shape != self._genomes.shape:
                 raise ValueError
@@ -158,14 +158,14 @@ class _Parent:
 
 
 def episode_fitness(ending: str, nearer: float) -> float:
-    """1 at the target, else half of the share of the way that it was nearer in the end."""
+    """Scores an episode: 1 at the target, else half of the share of the distance by which the vehicle came nearer."""
     return 1.0 if ending == "goal" else 0.5 * nearer
 
 
 def genome_fitness(sums: Array, tries: Array, average: float, prior: float) -> Array:
-    """Fitness of genomes (m,) whose episodes, so many (m,), came to such a sum (m,).
+    """Computes the fitness of genomes (m,) from the sums (m,) of the scores of their `tries` (m,).
 
-    As many tries as `prior` says are added to each, with the fitness of the average one: three of three may be luck.
+    `prior` tries with the average score are added to each genome, because three successes of three may be luck.
     """
     return np.asarray((sums + prior * average) / (tries + prior))
 

@@ -31,7 +31,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 Blocked = NDArray[np.bool_]
 
 BINS = 72
-"""Of a histogram, 5 degrees each, as in the article. Bin k is centred on the direction k times 5 degrees."""
+"""Number of bins of a histogram, 5 degrees each as in the article. Bin k is centred on the direction 5 k degrees."""
 BIN = 2 * pi / BINS
 
 
@@ -99,7 +99,7 @@ class VfhState:
 
 
 class Vfh(NoValues):
-    """The direction of least cost among the openings; the action nearest to it is taken.
+    """Finds the direction of least cost among the openings, and takes the action nearest to it.
 
     It sees the 72 rays, the yaw rate and the target's bearing, and knows the circle around the sensor that holds the
     footprint, and the tightest turn. It remembers of a drive the direction that it chose last, which directions were
@@ -161,13 +161,13 @@ class Vfh(NoValues):
 
 
 def _radius_about(place: tuple[float, float], box: OrientedBox) -> float:
-    """Of the circle about a place that holds a box [m]."""
+    """Radius of the circle around a place that holds a box [m]."""
     return float(np.hypot(*(box.corners() - place).T).max())
 
 
 @njit()
 def primary_histograms(distances: Array, bearings: Array, window: float, radius: float) -> Array:
-    """The primary polar histograms: obstacle density by direction (n, 72).
+    """Computes the primary polar histograms: obstacle density by direction (n, 72).
 
     An occupied cell at the distance d adds a - b d^2, where b is 1 / m2 and a such that it is 1 at the window's edge,
     to all directions within the enlargement angle arcsin(radius / d) of its own.
@@ -191,7 +191,7 @@ def primary_histograms(distances: Array, bearings: Array, window: float, radius:
 
 
 def binary_histograms(density: Array, before: Blocked, low: float, high: float) -> Blocked:
-    """Which directions are blocked (n, 72), where `before` were: with hysteresis between two thresholds."""
+    """Whether each direction is blocked (n, 72); between the thresholds it stays as it was `before` (hysteresis)."""
     return np.where(density > high, True, np.where(density < low, False, before))
 
 
@@ -204,7 +204,7 @@ def turning_limits(
     sensor: tuple[float, float],
     turning_radius: float,
 ) -> Array:
-    """How far to the right and to the left turns lead past the obstacles (n, 2) [rad], from the present heading.
+    """Computes how far to the right and left turns lead past the obstacles, from the present heading (n, 2) [rad].
 
     A cell on one side bars what lies beyond it if, enlarged, it meets the circle on which the sensor goes in the
     tightest turn to that side, or lies inside.
@@ -248,7 +248,7 @@ def masked_histograms(blocked: Blocked, headings: Array, limits: Array) -> Block
 
 @njit()
 def candidate_directions(masked: Blocked, target: float, wide: float) -> Array:
-    """Directions that lead through the openings of one masked histogram [rad].
+    """Lists the directions that lead through the openings of one masked histogram [rad].
 
     They are the middle of a narrow opening; of a wide one, what is half of `wide` from either border, and the target's
     direction if it lies in between. Without obstacles there is the target's direction alone, and without openings none.
