@@ -22,6 +22,8 @@ SIZE = (1280, 720)
 """Default size of pictures [pixels]."""
 FPS = 30.0
 """Default frame rate [Hz]."""
+MOST_FRAMES = 200_000
+"""Longest film [frames]."""
 SMALLEST, LARGEST = 64, 7680
 """Limits of a picture's sides [pixels]."""
 
@@ -74,6 +76,8 @@ def render(
         last = duration if end is None else min(end, duration)
         if not 0.0 <= begin < last:
             raise UserError(f"the drive takes {duration:.1f} s; nothing is between begin={begin:g} and end={last:g}")
+        if (count := (last - begin) / speed * fps) > MOST_FRAMES:
+            raise UserError(f"a film of {count:.3g} frames is longer than {MOST_FRAMES}; raise speed or lower fps")
         film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
         check_renderer(loaded, film.renderer)
         if video or pictures:

@@ -24,6 +24,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.files import read_json
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.document import Report
@@ -117,7 +118,7 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
     if not file.is_file():
         return None
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = read_json(file)
         there = {policy["fingerprint"]: policy for policy in values.get("policies", ())}
         driving = [there[policy.fingerprint] for policy in policies if policy.fingerprint in there]
         if not driving:
@@ -178,7 +179,7 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
     file = folder / "failures" / "failures.json"
     if not file.is_file():
         return None
-    sorted_out = json.loads(file.read_text(encoding="utf-8"))
+    sorted_out = read_json(file)
     groups = [
         FailureGroup(group["name"], group["about"], its)
         for group in sorted_out["groups"]
