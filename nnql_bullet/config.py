@@ -67,7 +67,7 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Reads the values of a TOML file.
+    """Reads the values of a TOML file, which may begin with a byte order mark.
 
     Raises:
         UserError: If the file cannot be read or is not TOML.
