@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import is_file
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -25,7 +26,7 @@ def find(kind: str, name: str) -> Path:
     """
     shipped = folder(kind) / f"{name}.toml"
     for candidate in (Path(name), shipped):
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
     names = ", ".join(sorted(path.stem for path in folder(kind).glob("*.toml")))
     raise UserError(f"{kind}: there is no file '{name}'; give a path to a TOML file or one of: {names}")

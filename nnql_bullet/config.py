@@ -16,9 +16,12 @@ from tomlkit.exceptions import TOMLKitError
 from typing_extensions import dataclass_transform
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import read_text
 
 T = TypeVar("T")
 
+MOST_VALUE = 80
+"""Characters of a wrong value that an error shows."""
 _UNKNOWN_KEY = ("unexpected_keyword_argument", "extra_forbidden")
 
 
@@ -57,6 +60,10 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         return TypeAdapter(cls).validate_json(json.dumps(values, default=str))
     except ValidationError as error:
         raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
+    except RecursionError:
+        raise UserError(f"{where}: its values are nested too deeply") from None
+    except (TypeError, ValueError) as error:  # of JSON: a key that is no text, a whole number of thousands of digits
+        raise UserError(f"{where}: {_reason(error)}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -66,9 +73,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         UserError: If the file cannot be read or is not TOML.
     """
     try:
-        return tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
-    except (OSError, UnicodeDecodeError, TOMLKitError) as error:
-        raise UserError(f"{path}: cannot be read as TOML: {error}".replace("\n", " ")) from None
+        return tomlkit.parse(read_text(path)).unwrap()
+    except RecursionError:
+        raise UserError(f"{path}: its values are nested too deeply") from None
+    except (TOMLKitError, ValueError, TypeError, KeyError, IndexError, AttributeError) as error:  # tomlkit's own faults
+        raise UserError(f"{path}: cannot be read as TOML: {_reason(error)}") from None
 
 
 def write_toml(values: Mapping[str, Any]) -> str:
@@ -240,7 +249,19 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
         return f"'{name}.kind' must be one of: {', '.join(tag for member in members for tag in _tags(member))}"
     if mistake["type"] == "value_error":
         return f"'{name}': {mistake['ctx']['error']}" if name else str(mistake["ctx"]["error"])
-    return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {mistake['input']!r}"
+    if mistake["type"] == "json_invalid":
+        return str(mistake["ctx"]["error"])
+    return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shortened(mistake['input'])}"
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong, without advice to a programmer."""
+    return "a whole number has too many digits" if "set_int_max_str_digits" in str(error) else str(error)
+
+
+def _shortened(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= MOST_VALUE else f"{text[:MOST_VALUE]}..."
 
 
 def _walk(cls: Any, location: tuple[str | int, ...]) -> tuple[list[str], list[Any]]:

@@ -1,8 +1,13 @@
 """The exceptions that a caller is meant to catch."""
 
+from nnql_bullet.text import one_line
+
 
 class UserError(Exception):
-    """Raised for bad input. The message is one line that says what is wrong and what to do."""
+    """Raised for bad input. The message is one printable line that says what is wrong and what to do."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 class WorkFailed(Exception):

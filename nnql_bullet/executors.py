@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing.connection import Connection
@@ -171,13 +171,14 @@ class RayExecutor:
         ray = self._ray
         connected = ray.is_initialized()
         if not connected:
-            ray.init(
-                self._address or "local",
-                num_cpus=None if self._address else self._workers,
-                include_dashboard=False,
-                log_to_driver=False,
-                logging_level="ERROR",
-            )
+            with nullcontext() if self._address else _on_loopback(ray):
+                ray.init(
+                    self._address or "local",
+                    num_cpus=None if self._address else self._workers,
+                    include_dashboard=False,
+                    log_to_driver=False,
+                    logging_level="ERROR",
+                )
         attempt = ray.remote(max_retries=0)(_attempt)
         running: dict[Future[Any], Any] = {}
 
@@ -196,6 +197,18 @@ class RayExecutor:
             wait(list(running), RAY_TIMEOUT)
             if not connected:
                 ray.shutdown()
+
+
+@contextmanager
+def _on_loopback(ray: Any) -> Iterator[None]:
+    """Lets Ray listen on the loopback interface alone, as it does where it makes no clusters of several machines."""
+    settings = ray._private.ray_constants
+    before = settings.ENABLE_RAY_CLUSTER
+    settings.ENABLE_RAY_CLUSTER = False
+    try:
+        yield
+    finally:
+        settings.ENABLE_RAY_CLUSTER = before
 
 
 def _check_answers(address: str) -> None:

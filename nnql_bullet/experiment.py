@@ -84,8 +84,9 @@ class Experiment:
         return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
 
     def _drawn(self, source: World, seed: int) -> WorldSpec:
-        if seed < 0:
-            raise UserError(f"world seed {seed}: world seeds are not negative")
+        if not 0 <= seed < 2**63:
+            given = f", not {seed}" if abs(seed) < 10**30 else ""
+            raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
         world = source.draw(seed, self.room)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
@@ -94,12 +95,17 @@ class Experiment:
 
     def training_world(self, episode: int) -> WorldSpec:
         """Draws the world of a training episode."""
-        sources, seed = self._training_sources, training_world_seed(self.config.seed, episode)
+        sources, seed = self.training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
         return turned(self._drawn(source, seed), self.config.training.domain_randomization)
 
     @cached_property
-    def _training_sources(self) -> list[World]:
+    def training_sources(self) -> list[World]:
+        """The kinds of worlds of training episodes.
+
+        Raises:
+            UserError: If one cannot be read.
+        """
         return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property

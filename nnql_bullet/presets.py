@@ -13,6 +13,7 @@ from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.config import merged, parse, read_toml, to_values
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import is_file
 from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, TrainingOptions, outdated_keys
 from nnql_bullet.sim.domain_randomization import DomainRandomization
 from nnql_bullet.task import TaskOptions
@@ -87,15 +88,15 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
     """
     if name in PRESETS:
         return parse(RunConfig, merged(to_values(PRESETS[name]), changes), name)
-    if not Path(name).is_file():
+    if not is_file(name):
         raise UserError(f"there is no preset or file '{name}'; give a TOML file or one of: {', '.join(PRESETS)}")
     values = read_toml(Path(name))
     preset = values.pop("preset", "paper")
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")
     for key in outdated_keys(values):
         raise UserError(f"{name}: key '{key}' is now named '{RENAMED_KEYS[key]}'")
-    if values.get("simulator") in RENAMED_SIMULATORS:
-        old = values["simulator"]
+    old = values.get("simulator")
+    if isinstance(old, str) and old in RENAMED_SIMULATORS:
         raise UserError(f"{name}: simulator '{old}' is now named '{RENAMED_SIMULATORS[old]}'")
     return parse(RunConfig, merged(merged(to_values(PRESETS[preset]), values), changes), name)

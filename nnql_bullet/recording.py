@@ -6,23 +6,28 @@ of `Recording`. With n decisions, arrays of states have n + 1 rows and arrays of
 
 import filecmp
 import json
+import zipfile
 from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
+from math import inf, prod
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from nnql_bullet import paper
-from nnql_bullet.env import Observation, Transition
+from nnql_bullet.env import MANOEUVRES, Observation, Transition
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import write_atomically
+from nnql_bullet.files import is_file, parse_json, write_atomically
 from nnql_bullet.geometry import Array, OrientedBox, Pose
 from nnql_bullet.rollout import Decision, EpisodeSummary
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -30,6 +35,8 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 FORMAT = "nnql-bullet recording 1"
 DERIVED = (".mp4", ".gif", ".rrd")
 """Suffixes of films and time lines beside a recording."""
+MOST_BYTES = 500_000_000
+"""Size of the largest recording that is read, unpacked [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -192,19 +199,111 @@ def load_recording(path: Path) -> Recording:
     Raises:
         UserError: If the file is not one, or is damaged.
     """
+    if not is_file(path):
+        raise UserError(f"{path}: there is no such recording; record a drive with: nnql-bullet drive")
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:  # noqa: TID251
-            arrays = {name: stored[name] for name in stored.files}
-        about = json.loads(str(arrays.pop("about")))
+        with path.open("rb") as file:
+            _check_sizes(file)
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as stored:  # noqa: TID251
+                arrays = {name: stored[name] for name in stored.files}
+        about = parse_json(str(arrays.pop("about")), "about")
         if about.pop("format") != FORMAT:
             raise ValueError("another format")
         if "overruled" in arrays:  # the name in version 0.1
             arrays["overridden"] = arrays.pop("overruled")
         arrays.setdefault("overridden", np.zeros(arrays["action"].shape, np.bool_))  # older recordings know no shield
-        return Recording(about=about, **arrays)
+        recording = Recording(about=about, **arrays)
+        _check(recording)
+        return recording
     except Exception as error:  # zipfile, zlib and NumPy raise whatever a damaged file leads them into
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{path}: not a whole recording of this program ({reason}); record it again") from None
+
+
+def _check_sizes(file: IO[bytes]) -> None:
+    """Checks a .npz before its arrays are read: a few bytes can stand for more than the memory holds.
+
+    Raises:
+        ValueError: If it is too large, or an array is not what its header says.
+    """
+    with zipfile.ZipFile(file) as archive:
+        if sum(info.file_size for info in archive.infolist()) > MOST_BYTES:
+            raise ValueError(f"it unpacks to more than {MOST_BYTES} bytes")
+        for info in archive.infolist():
+            with archive.open(info) as member:
+                version = np.lib.format.read_magic(member)
+                read = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}[version[0]]
+                shape, _, dtype = read(member)
+            if dtype.hasobject or min(shape, default=0) < 0 or prod(shape) * dtype.itemsize > info.file_size:
+                raise ValueError(f"{info.filename} is not what its header says")
+
+
+def _check(recording: Recording) -> None:
+    """Checks that a recording is one of an episode, so that nothing that is drawn from it fails half way.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    about, n, m = recording.about, len(recording.action), len(recording.sample_time)
+    _ABOUT.validate_json(json.dumps(about))
+    numbers: dict[str, tuple[int, ...]] = {
+        "state_time": (n + 1,),
+        "state_pose": (n + 1, 3),
+        "readings": (n + 1, paper.SECTORS),
+        "ray_distances": (n + 1, RAYS),
+        "heading_command": (n,),
+        "heading_error": (n,),
+        "clearance": (n,),
+        "reward_terms": (n, len(recording.term_names)),
+        "sample_time": (m,),
+        "sample_pose": (m, 3),
+        "joint_angles": (m, 4),
+        "wheel_speeds": (m, 2),
+        "action": (n,),
+    }
+    others = {"state_property": ("U", (n + 1,)), "overridden": ("b", (n,)), "contact": ("b", (n,))}
+    for name, shape in {**numbers, "q_values": (n, len(paper.TURNS))}.items():
+        array = getattr(recording, name)
+        if array.shape != shape or array.dtype.kind not in "fiu":
+            raise ValueError(f"{name} must be numbers of shape {shape}")
+        if name != "q_values" and not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite")
+    for name, (kind, shape) in others.items():
+        if getattr(recording, name).shape != shape or getattr(recording, name).dtype.kind != kind:
+            raise ValueError(f"{name} must be of shape {shape}")
+    actions, labels = recording.action, [one.label for one in StateProperty]
+    if n < 1 or m < 1 or actions.dtype.kind not in "iu" or not ((actions >= 0) & (actions < MANOEUVRES)).all():
+        raise ValueError("action must be manoeuvres")
+    if not np.isin(recording.state_property, labels).all() or about["ending"] not in (None, *ENDINGS):
+        raise ValueError("a state or the ending is unknown")
+    if (np.diff(recording.state_time) < 0).any() or (np.diff(recording.sample_time) < 0).any():
+        raise ValueError("time must not go back")
+    world, _ = recording.world, recording.summary if "summary" in about else None
+    if not (0 < world.width < inf and 0 < world.depth < inf and np.isfinite(world.solids_at(0.0)).all()):
+        raise ValueError("the world must be finite")
+
+
+@dataclass(frozen=True)
+class _Vehicle:
+    """What a recording says of the vehicle."""
+
+    footprint: OrientedBox
+    sensor: Vector
+
+
+@dataclass(frozen=True)
+class _About:
+    """What a recording says once."""
+
+    world: WorldSpec
+    vehicle: _Vehicle
+    ending: str | None
+    summary: EpisodeSummary | None = None
+    reward_terms: tuple[str, ...] = REWARD_TERMS
+
+
+_ABOUT = TypeAdapter(_About)
 
 
 class Recorder:

@@ -17,7 +17,7 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.sim.faults import SensorFaults
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.selection import SelectionOptions
-from nnql_bullet.types import Count, NonNegative, Positive
+from nnql_bullet.types import Count, NonNegative, Positive, Seed, Vehicles
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -95,7 +95,7 @@ class TrainingOptions:
 class RunConfig:
     """Configuration of a training run. The defaults are the preset `paper`."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     """Seed of the whole run."""
     episodes: Count = paper.EPISODES
     """Number of training episodes."""
@@ -107,7 +107,7 @@ class RunConfig:
     """Contact physics in one of two engines, or the kinematic model."""
     physics: PhysicsName = "fast"
     """Solver settings of contact physics."""
-    vehicles: Count = 1
+    vehicles: Vehicles = 1
     """Number of vehicles in lockstep from which one policy learns; 1 is the paper's online learning."""
     conditions: Conditions = Conditions()
     training: TrainingOptions = TrainingOptions()
@@ -139,7 +139,7 @@ def conditions_of(values: Mapping[str, Any]) -> Conditions | None:
 def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Renames keys in a configuration of version 0.1, and removes keys without effect that no longer exist."""
     new = copy.deepcopy(dict(values))
-    if "simulator" in new:
+    if isinstance(new.get("simulator"), str):
         new["simulator"] = RENAMED_SIMULATORS.get(new["simulator"], new["simulator"])
     for old in outdated_keys(new):
         _table(new, RENAMED_KEYS[old])[_leaf(RENAMED_KEYS[old])] = _table(new, old).pop(_leaf(old))
@@ -147,7 +147,7 @@ def migrated(values: Mapping[str, Any]) -> dict[str, Any]:
         if _table(new, old).get(_leaf(old)) == unused:
             del _table(new, old)[_leaf(old)]
     if not _table(new, "conditions.sensors.*"):
-        new.get("conditions", {}).pop("sensors", None)
+        _table(new, "conditions.*").pop("sensors", None)
     return new
 
 

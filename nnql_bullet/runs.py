@@ -1,6 +1,7 @@
 """Run folders, which hold a training, and policies that are loaded from them.
 
 - config.toml: the configuration, every key resolved
+- sources.json, robot/: what the world and robot files that the configuration names said (`sources.py`)
 - episodes.csv: a line for each finished episode
 - checkpoint.safetensors: the agent's weights after the last line of episodes.csv, and the state of the training then;
   with a selection (`training/selection.py`) the candidates too
@@ -11,6 +12,7 @@
 
 import csv
 import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,6 +31,7 @@ from nnql_bullet.files import write_text
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
+from nnql_bullet.sources import SOURCES, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
@@ -95,10 +98,11 @@ class Run:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if not (folder / CONFIG).is_file():
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
-            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE, REPORT):
+            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE, REPORT, SOURCES):
                 (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
+        keep_sources(self.config, folder)
 
     def save(self, agent: Trainable, training: Trainer) -> None:
         """Writes episodes, checkpoint and policy, in an order that is consistent whenever it is cut short.
@@ -136,7 +140,8 @@ class Run:
             OSError: If a file cannot be written; the selection is then not made.
         """
         best = most_goals(goals)
-        save_weights(Weights(to_values(self.config), best, candidates[best]), self.folder / POLICY)
+        config = to_values(self.config)
+        save_weights(Weights(config, best, candidates[best]), self.folder / POLICY)
         lines = [f"{episodes},{count},{worlds},{int(episodes == best)}" for episodes, count in goals.items()]
         write_text(self.folder / SELECTION, "\n".join(["episodes,goals,worlds,selected", *lines, ""]))
         return best
@@ -218,12 +223,15 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
         if config.agent.kind not in RULES:
             raise UserError(f"{name}: '{config.agent.kind}' has to learn first; train it with this configuration")
         return LoadedPolicy(name, Experiment(config), 0)
-    if not path.exists() and not _is_shipped(path):
+    if path.suffix == ".py":
+        raise UserError(f"{name}: a policy in Python is an object; give it to nnql_bullet.drive in a script")
+    if not os.path.exists(path) and not _is_shipped(path):
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
     file = path / POLICY if path.is_dir() else assets.policies()[name] if _is_shipped(path) else path
     weights = load_weights(file)
-    experiment = Experiment(changed(parse(RunConfig, migrated(weights.config), str(file)), **changes))
+    config = located(parse(RunConfig, migrated(weights.config), str(file)), file.parent)
+    experiment = Experiment(changed(config, **changes))
     experiment.trainable.load_state_dict(weights.arrays)
     return LoadedPolicy(name, experiment, weights.episodes)
 
@@ -328,7 +336,7 @@ def _read_csv(path: Path) -> list[TrainingEpisode]:
             others = [name for name in rows.fieldnames or () if name not in known]
             terms = [name for name in others if name in REWARD_TERMS or name.startswith(_REWARD)]
             return [_episode(row, terms, [name for name in others if name not in terms]) for row in rows]
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: damaged or missing ({error}); the run cannot be gone on with") from None
 
 

@@ -1,24 +1,31 @@
 """Runs a training from beginning to end: episodes, checkpoints, selection of the policy."""
 
 import logging
+import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from nnql_bullet.agents import Trainable
+from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.memory import refuse_beyond
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
 from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.training.base import RECENT, Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
@@ -61,9 +68,11 @@ def train(
     Raises:
         UserError: If the configuration cannot be trained, or the folder is not empty; nothing is written then.
         WorkerDied: If a worker process died; a checkpoint is written before.
+        WorkFailed: If the training diverges; the last checkpoint is then from before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-    return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(lambda run: run.create(overwrite))
+    session = _Session(Run(out, config), Experiment(config, agent), reward, workers, on_progress, stop)
+    return session.go(lambda run: run.create(overwrite))
 
 
 def resume(
@@ -98,7 +107,43 @@ def resume(
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     run = load_run(folder, episodes)
-    return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
+    for name in changed_sources(folder):
+        _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
+    if run.is_over:
+        return run
+    experiment = Experiment(located(run.config, folder), agent)
+    return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.save_config)
+
+
+def check(config: RunConfig) -> None:
+    """Checks that a training fits into this machine's memory, before anything is allocated.
+
+    Raises:
+        UserError: If it does not.
+    """
+    agent, n = config.agent, config.vehicles
+    learning = agent.training_memory(n) if isinstance(agent, DoubleDqnOptions | Sb3DqnOptions) else 0
+    actions = n * config.task.max_steps * 9  # a byte and a random number for each decision
+    remedy = "lower 'vehicles', 'task.max_steps', or sizes of the agent"
+    refuse_beyond(learning + actions, "this training", remedy)
+
+
+def unreachable(experiment: Experiment) -> str:
+    """Says why no vehicle can reach its target in an episode, however it drives; empty if one may.
+
+    It compares the straight way to the edge of the target with the way that the steps of an episode allow.
+    """
+    c = experiment.config
+    way = c.task.max_steps * c.drive.decision_period * c.drive.speed
+    for world in experiment.training_sources:
+        straight = math.dist(world.start, world.target) - world.target_radius
+        if way < straight:
+            return (
+                f"world '{world.name}': {c.task.max_steps} steps of {c.drive.decision_period:g} s at "
+                f"{c.drive.speed:g} m/s are {way:g} m, and the target is {straight:.0f} m away: no episode can reach "
+                "it; raise 'task.max_steps' or 'drive.speed'"
+            )
+    return ""
 
 
 @dataclass(frozen=True)
@@ -106,7 +151,7 @@ class _Session:
     """A training that runs until it is finished or stopped."""
 
     run: Run
-    agent: Policy | None
+    experiment: Experiment
     reward: Reward | None
     workers: int | None
     on_progress: OnProgress
@@ -114,8 +159,8 @@ class _Session:
 
     def go(self, prepare: Callable[[Run], None]) -> Run:
         """Trains and selects the policy; calls `prepare`, which writes the folder, after all checks."""
-        run, config = self.run, self.run.config
-        experiment = Experiment(config, self.agent)
+        run, config, experiment = self.run, self.run.config, self.experiment
+        check(config)
         agent = experiment.trainable
         experiment.training_world(0)
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
@@ -129,8 +174,15 @@ class _Session:
                     trainer.load_state_dict(run.state.under_way)
                 prepare(run)
                 _log.info("training %s", _title(config))
+                hopeless = unreachable(experiment)
+                if hopeless:
+                    _log.warning("%s", hopeless)
                 if len(run.episodes) < config.episodes:
-                    self._train(agent, trainer)
+                    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # `_check_finite` says it
+                        self._train(agent, trainer)
+                if run.episodes and not any(e.summary.ending == "goal" for e in run.episodes):
+                    reason = hopeless or "look at the endings in episodes.csv"
+                    _log.warning("none of %d episodes reached its target; %s", len(run.episodes), reason)
             if len(run.episodes) == config.episodes and config.training.selection:
                 self._select(experiment, config.training.selection)
         return load_run(run.folder)
@@ -145,6 +197,7 @@ class _Session:
         total, selection = run.config.episodes, run.config.training.selection
         recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
         steps, saved = 0, begin
+        schedule = getattr(run.config.agent, "schedule_episodes", total)
         self.on_progress(Progress("training", len(run.episodes), total))
         try:
             for episode in trainer.episodes():
@@ -157,8 +210,17 @@ class _Session:
                 rate = steps / max(now - begin, 1e-9)
                 note = f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s"
                 self.on_progress(Progress("training", done, total, note))
+                if done == schedule < total and not any(recent):
+                    _log.warning(
+                        "the schedule is over after %d episodes, and none of the last %d reached its target; "
+                        "a training seldom recovers from that",
+                        done,
+                        len(recent),
+                    )
                 over = done == total or self.stop()
+                self._check_finite({"td_error": episode.diagnostics.get("td_error", 0.0)})
                 if over or now - saved >= SAVE_EVERY:
+                    self._check_finite(agent.state_dict())
                     run.save(agent, trainer)
                     saved = now
                 if over:
@@ -167,6 +229,19 @@ class _Session:
             run.save(agent, trainer)
             if not self.stop():  # an interrupt may reach the worker processes too
                 raise
+
+    def _check_finite(self, learned: Mapping[str, ArrayLike]) -> None:
+        """Checks named numbers of the training.
+
+        Raises:
+            WorkFailed: If one is not finite; the last checkpoint is from before.
+        """
+        for name, values in learned.items():
+            if not np.isfinite(values).all():
+                raise WorkFailed(
+                    f"{self.run.folder}: the training diverged: after {len(self.run.episodes)} episodes '{name}' is "
+                    "not finite; lower the learning rate or step size. The last checkpoint, if any, is from before"
+                )
 
     def _select(self, experiment: Experiment, selection: SelectionOptions) -> None:
         """Selects as the policy the candidate that reaches the most targets in validation worlds."""
@@ -195,7 +270,8 @@ def _check_terms(run: Run, navigation: Navigation) -> None:
 
 def _title(config: RunConfig) -> str:
     where = "the kinematic model" if config.simulator == "kinematic" else f"{config.physics} contact physics"
-    worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(config.training.worlds or (config.world,)))
+    named = (one if isinstance(one, str) else one.name for one in config.training.worlds or (config.world,))
+    worlds = ", ".join(f"'{name}'" for name in dict.fromkeys(named))
     several = "" if config.vehicles == 1 else f", {config.vehicles} vehicles in lockstep"
     return f"{config.agent.kind} in {where}, world {worlds}{several}"
 

@@ -17,7 +17,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
-from nnql_bullet.types import Count
+from nnql_bullet.types import Number, Steps
 
 Properties = int | NDArray[np.int64]
 Booleans = bool | NDArray[np.bool_]
@@ -51,9 +51,9 @@ class TaskOptions:
     """A state is non-safe when a sector at +-45 degrees reads less than this [m]."""
     other_distance: Distance = 0.0
     """A state is non-safe when one of the other five sectors reads less than this [m]; 0 ignores them."""
-    reward_non_safe_to_safe: float = 0.4
+    reward_non_safe_to_safe: Number = 0.4
     """Reward of a step from a non-safe to a safe state. The number is illegible in the paper."""
-    max_steps: Count = paper.STEPS_PER_EPISODE
+    max_steps: Steps = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
 
     # Other readings of the paper's text, for ablations.

@@ -188,7 +188,7 @@ run_configs = st.builds(
     seed=st.integers(0, 2**63 - 1),
     episodes=st.integers(1, 10**6),
     physics=st.sampled_from(["fast", "reference"]),
-    drive=st.builds(DriveOptions, decision_period=numbers, speed=numbers, heading_gain=numbers),
+    drive=st.builds(DriveOptions, decision_period=st.floats(1e-3, 60), speed=st.floats(1e-3, 50), heading_gain=numbers),
     task=st.builds(TaskOptions, front_distance=st.floats(0, 10), reward_non_safe_to_safe=st.floats(-2, 2)),
     agent=st.builds(NnqlOptions, gradient_step=numbers, encoding=st.sampled_from(["proximity", "distance"])),
 )
@@ -251,7 +251,18 @@ def test_file_is_laid_over_its_preset_and_changes_over_the_file(tmp_path):
         ("sed = 3\n", "unknown key 'sed' (did you mean 'seed'?); valid keys: agent"),
         ("seed = \n", "cannot be read as TOML"),
         ("seed = 1\nseed = 2\n", "cannot be read as TOML"),
-        ("\udcff", "cannot be read as TOML"),
+        ("\udcff", "is not UTF-8 (byte 0)"),
+        ("seed = " + "9" * 5000, "cannot be read as TOML"),
+        ("preset = ['paper']\n", "'preset' must be one of"),
+        ("[preset]\nname = 'paper'\n", "'preset' must be one of"),
+        ("simulator = []\n", "'simulator'"),
+        ("conditions = 3\n", "'conditions'"),
+        ("seed = " + "[" * 2000 + "]" * 2000, ""),
+        ("vehicles = 1000000000\n", "'vehicles': input should be less than or equal to 4096"),
+        ("[task]\nmax_steps = 1000000000\n", "'task.max_steps': input should be less than or equal to 100000"),
+        ("[drive]\ndecision_period = 1e300\n", "'drive.decision_period': input should be less than or equal to 60"),
+        ("[agent]\nhidden_units = 10000000\n", "'agent.hidden_units': input should be less than or equal to 4096"),
+        ("[drive]\nspeed = nan\n", "'drive.speed': input should be a finite number"),
     ],
 )
 def test_mistake_in_a_file_is_one_line_that_names_the_file(tmp_path, text, message):
@@ -263,13 +274,33 @@ def test_mistake_in_a_file_is_one_line_that_names_the_file(tmp_path, text, messa
     assert "\n" not in str(refusal.value)
 
 
+def test_file_with_a_byte_order_mark_is_read(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_bytes(b"\xef\xbb\xbfseed = 7\n")
+    assert load_config(str(path), {}).seed == 7
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\0b", "folder"])
+def test_name_that_no_file_can_have_is_refused(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(UserError, match="there is no preset or file") as refusal:
+        load_config(name, {})
+    assert str(refusal.value).isprintable()
+
+
+def test_number_of_thousands_of_digits_is_refused():
+    with pytest.raises(UserError, match="too many digits"):
+        changed(RunConfig(), vehicles=10**5000)
+
+
 def test_unknown_preset_lists_the_presets():
     with pytest.raises(UserError, match="no preset or file 'mine'; give a TOML file or one of: paper, literal"):
         load_config("mine", {})
 
 
 def test_missing_file_is_an_error(tmp_path):
-    with pytest.raises(UserError, match="cannot be read as TOML"):
+    with pytest.raises(UserError, match="there is no such file"):
         read_toml(tmp_path / "nowhere.toml")
 
 

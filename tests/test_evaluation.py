@@ -207,7 +207,7 @@ def test_pieces_are_all_worlds_once() -> None:
 
 def test_the_kinematic_model_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
     (its,) = open_policies([tiny_run])
-    (small,) = draw_tiers([str(small_world)], KINEMATIC, 3, its)
+    (small,) = draw_tiers([str(small_world)], KINEMATIC, 3, [its])
     together = drive(DriveTask(its, small, KINEMATIC, 0))
     assert [s.world_seed for s in together] == [0, 1, 2]
     for k in range(3):

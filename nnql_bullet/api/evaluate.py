@@ -152,7 +152,7 @@ def evaluate(
         policies: Run folders, policy files, shipped policies and rules by name, or your own objects (see `drive`).
         worlds: Shipped worlds, TOML files or `World` objects.
         split: "validation" has worlds to choose with, "test" those for a final table.
-        n_worlds: Worlds of each kind.
+        n_worlds: Worlds of each kind; a world in which nothing is random counts once.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.
         conditions: Conditions in place of each policy's own.
@@ -177,8 +177,13 @@ def evaluate(
     setting = Setting(split, simulator, physics, conditions)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
-    check_setting(opened[0], setting)
-    tiers = draw_tiers(worlds, setting, n_worlds, opened[0])
+    if out is not None and Path(out).exists() and not Path(out).is_dir():
+        raise UserError(f"{out}: is a file; give a folder")
+    if not worlds:
+        raise UserError("give a world")
+    for policy in opened:
+        check_setting(policy, setting)
+    tiers = draw_tiers(worlds, setting, n_worlds, opened)
     parts = Parts(None if out is None else Path(out) / "parts")
     results = EvaluationResults(_driven(where, opened, tiers, setting, parts, on_progress))
     if out is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
+from nnql_bullet.evaluation.drives import distinct
 from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
@@ -16,7 +17,7 @@ from nnql_bullet.files import write_text
 from nnql_bullet.recording import remove_recordings
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import PolicyLike
+from nnql_bullet.runs import PolicyLike, load_policy
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.source import World
@@ -106,6 +107,7 @@ def gap(
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
+    seeds = distinct(seeds, load_policy(opened[0].source, {"world": world}).experiment, opened)
     tasks = measure.tasks(opened, world, seeds, first, second, conditions, faults)
     for policy in opened:
         measure.check(PairTask(policy, world, seeds, first, second, conditions))

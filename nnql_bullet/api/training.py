@@ -1,6 +1,6 @@
 """`train` and `resume`: an agent learns, and leaves a run folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ def train(
     config: str | Path | RunConfig = "paper",
     *,
     out: Path | str | None = None,
-    agent: Policy | None = None,
+    agent: Policy | Mapping[str, Any] | None = None,
     reward: Reward | None = None,
     workers: int | None = 1,
     overwrite: bool = False,
@@ -43,7 +43,7 @@ def train(
         config: A preset, a TOML file or a configuration.
         out: The run folder; by default runs/CONFIG-SEED.
         agent: An agent of your own (see `training.base.LearningAgent`) in place of the one that the configuration
-            describes. The object itself learns.
+            describes, which itself learns; or keys of that agent, such as {"kind": "q_table"}.
         reward: A reward of your own: terms whose sum it is (see `task.RewardTerm`), or a function of the transitions of
             n vehicles that returns n numbers. Beside a function, the terms that are logged stay the paper's.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; None takes one a
@@ -52,12 +52,14 @@ def train(
         on_progress: Receives the progress after every episode.
         stop: Asked after every episode; True ends the training with a checkpoint to resume from.
         **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, world, simulator, physics,
-            vehicles, agent={"kind": ...}, task={...} and so on.
+            vehicles, task={...} and so on.
 
     Raises:
         UserError: If a key or value is wrong, or the folder holds something; nothing is written then.
         WorkerDied: If a worker process is gone; a checkpoint is written before.
     """
+    if isinstance(agent, Mapping):
+        changes["agent"], agent = agent, None
     if changes.get("world") is not None:  # takes the place of a mix of worlds
         changes["training"] = {"worlds": [], **changes.get("training", {})}
     asked = {key: str(value) if isinstance(value, Path) else value for key, value in changes.items()}

@@ -13,7 +13,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
+from nnql_bullet.files import is_file
 from nnql_bullet.machine import open_streams
+from nnql_bullet.text import one_line, printable
 from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED = (
@@ -72,19 +74,19 @@ def give_up_output() -> int:
 
 def complain(text: str) -> int:
     """One line on standard error; the exit code of bad input."""
-    tell(f"nnql-bullet: {' '.join(text.split())}")
+    tell(f"nnql-bullet: {one_line(text)}")
     return 2
 
 
-def printable(text: str, encoding: str) -> str:
-    """The text with control characters, and characters that the encoding lacks, as backslash escapes."""
-    shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
-    return shown.encode(encoding, "backslashreplace").decode(encoding)
-
-
 def items(text: str | None) -> list[str]:
-    """The parts of a list with commas."""
-    return [item.strip() for item in (text or "").split(",") if item.strip()]
+    """The parts of a list with commas; a comma in the name of a file that is there is part of it."""
+    parts, found = (text or "").split(","), list[str]()
+    while parts:
+        ends = range(len(parts), 1, -1)
+        end = next((end for end in ends if is_file(",".join(parts[:end]).strip())), 1)
+        found.append(",".join(parts[:end]).strip())
+        parts = parts[end:]
+    return [item for item in found if item]
 
 
 class _Telling(logging.Handler):

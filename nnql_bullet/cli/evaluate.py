@@ -13,6 +13,7 @@ from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.reports import evaluation as report
 from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
 
@@ -97,7 +98,7 @@ def evaluate(
         say((out / "results.json").read_text(encoding="utf-8").rstrip())
         return 0
     e = results.evaluation
-    say(f"success in %, {e.setting.title}, {len(e.tiers[0].seeds)} worlds each (95 % intervals)")
+    say(f"success in %, {e.setting.title}, {report.counted(e)} (95 % intervals)")
     say(results.table())
     say(f"report: {out / 'evaluation.md'}")
     return 0

@@ -1,6 +1,5 @@
 """`nnql-bullet report`."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +12,7 @@ from nnql_bullet.files import write_text
 from nnql_bullet.reports import html
 from nnql_bullet.reports.html import Results, Verb, open_results
 from nnql_bullet.runs import REPORT, load_run
+from nnql_bullet.text import shell_line
 
 
 def report(
@@ -48,7 +48,7 @@ def report(
     measured = _results("gap", gap, policies)
     given = {"--evaluation": evaluation, "--gap": gap, "--out": out}
     flags = [part for flag, value in given.items() if value for part in (flag, str(value))]
-    again = shlex.join(["nnql-bullet", "report", *map(str, runs), *flags])
+    again = shell_line("nnql-bullet", "report", *map(str, runs), *flags)
     page = html.page(opened, policies, evaluated, measured, again)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
@@ -64,6 +64,6 @@ def _results(verb: Verb, given: Path | None, policies: list[Policy]) -> Results 
     """
     found = open_results(verb, given or Path("runs") / verb, policies)
     if given and not found:
-        command = shlex.join(["nnql-bullet", verb, *(policy.path for policy in policies), "--out", str(given)])
+        command = shell_line("nnql-bullet", verb, *(policy.path for policy in policies), "--out", str(given))
         raise UserError(f"{given}: holds no results of '{verb}' with one of these runs as it is now; try: {command}")
     return found

@@ -18,6 +18,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
 from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.text import shell_line
 
 
 def train(
@@ -87,9 +88,10 @@ def train(
     if run.is_over and not died:
         if run.config.training.selection:
             say(f"selection: {folder / SELECTION}")
-        say(f"policy: {folder / POLICY}; drive it with: nnql-bullet drive {folder}")
+        say(f"policy: {folder / POLICY}; drive it with: {shell_line('nnql-bullet', 'drive', str(folder))}")
         return 0
-    stopped = f"stopped after episode {len(run.episodes)} of {total}; go on with: nnql-bullet train --resume {folder}"
+    again = shell_line("nnql-bullet", "train", "--resume", str(folder))
+    stopped = f"stopped after episode {len(run.episodes)} of {total}; go on with: {again}"
     if died:
         complain(f"{died}; {stopped}")
         return 1

@@ -1,6 +1,5 @@
 """`nnql-bullet view`."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import tyro
 from nnql_bullet.cli.console import say
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import load_recording
+from nnql_bullet.text import shell_line
 
 
 def view(
@@ -44,5 +44,5 @@ def view(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_rrd(loaded, path)
     say(f"time line: {path}")
-    say(f"open it: {shlex.join(['rerun', str(path)])}")
+    say(f"open it: {shell_line('rerun', str(path))}")
     return 0

@@ -1,6 +1,5 @@
 """Drives policies through worlds, in pieces of work."""
 
-import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nnql_bullet import __version__
+from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
@@ -21,6 +21,7 @@ from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
@@ -100,28 +101,40 @@ def check_setting(policy: Policy, setting: Setting) -> None:
     load_policy(policy.source, setting.changes).experiment.simulator.close()
 
 
-def draw_tiers(given: Sequence[str | Path | World], setting: Setting, worlds: int, policy: Policy) -> list[Tier]:
-    """Draws and checks the first worlds of a split, of each kind.
+def distinct(seeds: range, experiment: Experiment, policies: Sequence[Policy]) -> range:
+    """The seeds that give drives of their own: only the first where all worlds are the same and nothing is random."""
+    noisy = experiment.config.conditions.sensor_noise > 0
+    if noisy or any(policy.custom or policy.kind == RandomTurnsOptions.kind for policy in policies):
+        return seeds
+    first = experiment.world(seeds[0]).digest
+    return seeds if any(experiment.world(seed).digest != first for seed in seeds[1:]) else seeds[:1]
+
+
+def draw_tiers(
+    given: Sequence[str | Path | World], setting: Setting, worlds: int, policies: Sequence[Policy]
+) -> list[Tier]:
+    """Draws and checks the first worlds of a split, of each kind; of a fixed world one, as all drives are the same.
 
     Args:
         given: Shipped worlds, TOML files or worlds made in code.
         setting: The setting, with the split.
         worlds: Number of worlds of each kind.
-        policy: One of the policies; its vehicle gives the width of the free path.
+        policies: The policies; the vehicle of the first gives the width of the free path.
 
     Raises:
         UserError: If a world is wrong or given twice, or is not the frozen one.
     """
-    seeds, frozen = split_seeds(setting.split, worlds), load_frozen()
+    all_seeds, frozen, policy = split_seeds(setting.split, worlds), load_frozen(), policies[0]
     tiers: list[Tier] = []
     for one in given:
         file = one if isinstance(one, World) else str(one)
-        experiment = load_policy(policy.source, {"world": file}).experiment
+        experiment = load_policy(policy.source, {"world": file, **setting.changes}).experiment
         world = experiment.worlds
         if world.name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{world.name}'; give each once")
         named = "" if isinstance(file, World) else file
         checked = check_frozen(named, setting.split, worlds, policy.room, experiment.world, frozen)
+        seeds = distinct(all_seeds, experiment, policies)
         digests = tuple(experiment.world(seed).digest for seed in seeds)
         cover = world.layout.cover if isinstance(world.layout, RandomBoxes) and not world.patrols else None
         code = file if isinstance(file, World) else None
@@ -220,7 +233,7 @@ class FilmTask:
         """Command line that repeats the drive."""
         where = ["--world", self.tier.file, "--seed", str(self.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shlex.join(["nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags])
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
 
 
 def film(task: FilmTask) -> Recording:

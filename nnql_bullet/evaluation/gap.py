@@ -1,6 +1,5 @@
 """The gap between two simulators: the same policy, worlds and seeds in both, drive by drive."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,6 +22,7 @@ from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
+from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.source import World
 
 FAULTS: dict[str, Conditions] = {
@@ -206,14 +206,14 @@ class Gap:
         world = ["--world", self.world] if self.world else []
         sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
         faults = [] if self.trials else ["--no-faults"]
-        return shlex.join(["nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults, *self._conditions])
+        return shell_line("nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults, *self._conditions)
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
         world = ["--world", self.world] if self.world else []
         physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
         where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._conditions]
-        return shlex.join(["nnql-bullet", "drive", pair.run, *world, *where])
+        return shell_line("nnql-bullet", "drive", pair.run, *world, *where)
 
     @property
     def _conditions(self) -> list[str]:

@@ -1,6 +1,5 @@
 """Computes metrics of drives: outcomes with intervals, quality of the drives, and tests between methods."""
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,6 +13,7 @@ from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion, suc
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.task import ENDINGS
+from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.paths import Difficulty
 
 EVERYWHERE = "all worlds"
@@ -42,9 +42,9 @@ class Evaluation:
         """Command line that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
         worlds = ",".join(tier.file for tier in self.tiers)
-        count = ["--worlds", str(len(self.tiers[0].seeds)), "--split", self.setting.split]
+        count = ["--worlds", str(max(len(tier.seeds) for tier in self.tiers)), "--split", self.setting.split]
         flags = [*(["--shield"] if self.shielded else []), *self.setting.flags]
-        return shlex.join(["nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *flags])
+        return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *flags)
 
     @property
     def shielded(self) -> bool:

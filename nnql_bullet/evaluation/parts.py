@@ -7,10 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
+
 from nnql_bullet import __version__
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import Executor
-from nnql_bullet.files import write_text
+from nnql_bullet.files import read_json, write_text
 from nnql_bullet.work import OnProgress, run_all
 
 R = TypeVar("R")
@@ -52,9 +54,10 @@ class Parts:
         if path is None or not path.exists():
             return None
         try:
-            return [record(**values) for values in json.loads(path.read_text(encoding="utf-8"))]
-        except (OSError, ValueError, TypeError) as error:
-            raise UserError(f"{path}: damaged ({error}); delete it, and its work is done again") from None
+            return TypeAdapter(list[record]).validate_python(read_json(path))  # type: ignore[valid-type]
+        except (UserError, ValidationError) as error:
+            reason = str(error).partition("\n")[0]
+            raise UserError(f"{path}: damaged ({reason}); delete it, and its work is done again") from None
 
     def save(self, name: str, records: Sequence[Any]) -> None:
         """Writes the records of a piece."""

@@ -194,7 +194,8 @@ def _learned(agent: rollout.Policy) -> dict[str, Array]:
 
 def _recipe(experiment: Experiment) -> str:
     """Writes a configuration without its training seed as text."""
-    return json.dumps(to_values(experiment.config) | {"seed": 0}, sort_keys=True)
+    config = experiment.config
+    return json.dumps(to_values(config) | {"seed": 0, "robot": Path(config.robot).stem}, sort_keys=True)
 
 
 def fingerprint(experiment: Experiment) -> str:
@@ -205,6 +206,7 @@ def fingerprint(experiment: Experiment) -> str:
     if isinstance(experiment.agent, Custom):
         return ""
     values = to_values(experiment.config)
+    values["robot"] = Path(values["robot"]).stem  # wherever its files are
     tables = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
     driving = {key: values[key] for key in tables if key in values}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())

@@ -1,7 +1,6 @@
 """Finds the failed drives of an evaluation, from its results, and repeats them."""
 
 import csv
-import json
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
@@ -12,8 +11,10 @@ from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.files import is_file, read_json
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions
+from nnql_bullet.text import shell_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +57,12 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
     Raises:
         UserError: If there is none, or its files are damaged.
     """
-    if not (folder / "results.json").is_file():
-        raise UserError(f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {folder}")
+    if not is_file(folder / "results.json"):
+        raise UserError(
+            f"{folder}: holds no evaluation; make one: nnql-bullet evaluate RUN ... --out {shell_line(str(folder))}"
+        )
     try:
-        values = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+        values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else Conditions(**values["conditions"])
         setting = Setting(values["split"], values["simulator"], values["physics"], conditions)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
@@ -85,7 +88,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
                 if row["ending"] != "goal"
             ]
         return FinishedEvaluation(values["command"], failed)
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, csv.Error) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet evaluate") from None
 

@@ -5,13 +5,16 @@ by block, for every shipped world file. They reveal a change of the generator, w
 """
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
 
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import read_json
 from nnql_bullet.seeding import TEST_WORLDS, VALIDATION_WORLDS
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -46,10 +49,18 @@ def split_seeds(split: SplitName, worlds: int) -> range:
     return SPLITS[split][:worlds]
 
 
-def load_frozen() -> FrozenSplits:
-    """Reads the shipped hashes."""
-    values = json.loads((assets.folder("worlds") / _FILE).read_text(encoding="utf-8"))
-    return FrozenSplits(values["room"], values["worlds"])
+def load_frozen(path: Path | None = None) -> FrozenSplits:
+    """Reads hashes; by default the shipped ones.
+
+    Raises:
+        UserError: If the file is damaged.
+    """
+    file = path or assets.folder("worlds") / _FILE
+    try:
+        values = read_json(file)
+        return TypeAdapter(FrozenSplits).validate_python({"room": values["room"], "hashes": values["worlds"]})
+    except (ValidationError, TypeError, KeyError):
+        raise UserError(f"{file}: damaged; install the program anew") from None
 
 
 def block_hash(worlds: Sequence[WorldSpec]) -> str:

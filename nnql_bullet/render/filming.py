@@ -23,6 +23,8 @@ SIZE = (1280, 720)
 """Default size of pictures [pixels]."""
 FPS = 30.0
 """Default frame rate [Hz]."""
+MOST_FRAMES = 200_000
+"""Longest film [frames]."""
 SMALLEST, LARGEST = 64, 7680
 """Limits of a picture's sides [pixels]."""
 
@@ -78,6 +80,8 @@ def render(
         last = duration if end is None else min(end, duration)
         if not 0.0 <= begin < last:
             raise UserError(f"the drive takes {duration:.1f} s; nothing is between begin={begin:g} and end={last:g}")
+        if (count := (last - begin) / speed * fps) > MOST_FRAMES:
+            raise UserError(f"a film of {count:.3g} frames is longer than {MOST_FRAMES}; raise speed or lower fps")
         recorded_urdf(loaded.about["vehicle"])  # is refused here if it cannot be drawn
         film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
         if video or pictures:

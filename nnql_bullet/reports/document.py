@@ -18,8 +18,8 @@ class Table:
     def markdown(self) -> str:
         """Returns the table with its caption and note as Markdown."""
         lines = (self.header, ("---",) * len(self.header), *self.rows)
-        grid = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        return "\n\n".join(part for part in (self.caption, grid, self.note) if part)
+        grid = "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+        return "\n\n".join(part for part in (_text(self.caption), grid, _text(self.note)) if part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Picture:
 
     def markdown(self) -> str:
         """Returns the picture as Markdown."""
-        return f"![{self.alt}]({self.file})"
+        return f"![{_text(self.alt)}]({self.file})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,8 @@ class Section:
 
     def markdown(self) -> str:
         """Returns the section as Markdown."""
-        title = [f"{'#' * self.level} {self.title}"] if self.title else []
-        blocks = [block if isinstance(block, str) else block.markdown() for block in self.blocks]
+        title = [f"{'#' * self.level} {_text(self.title)}"] if self.title else []
+        blocks = [_text(block) if isinstance(block, str) else block.markdown() for block in self.blocks]
         return "\n\n".join([*title, *blocks])
 
 
@@ -76,7 +76,18 @@ class Report:
 
     def markdown(self) -> str:
         """Returns the report as Markdown."""
-        return "\n\n".join([f"# {self.title}", *(section.markdown() for section in self.sections)]) + "\n"
+        return "\n\n".join([f"# {_text(self.title)}", *(section.markdown() for section in self.sections)]) + "\n"
+
+
+def _text(text: str) -> str:
+    """Text as Markdown: what looks like a tag outside of code is shown, not obeyed."""
+    parts = text.split("`")
+    return "`".join(part if number % 2 else part.replace("<", "&lt;") for number, part in enumerate(parts))
+
+
+def _cell(text: str) -> str:
+    """A cell of a table as Markdown: one line, whose bars do not end it."""
+    return _text(" ".join(text.split("\n"))).replace("|", "\\|")
 
 
 def table(header: Sequence[str], rows: Iterable[Iterable[object]], caption: str = "", note: str = "") -> Table:

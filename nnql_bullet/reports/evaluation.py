@@ -194,10 +194,16 @@ def evaluation_markdown(
 
 
 def _worlds(e: Evaluation) -> str:
-    count = len(e.tiers[0].seeds)
     known = [tier.title for tier in e.tiers if not tier.frozen]
     free = f" ({', '.join(known)}: not frozen)" if known else ""
-    return f"{count} worlds each of {', '.join(tier.title for tier in e.tiers)}{free}"
+    return f"{counted(e)} of {', '.join(tier.title for tier in e.tiers)}{free}"
+
+
+def counted(e: Evaluation) -> str:
+    """How many worlds of each kind there are, in words; a kind in which nothing is random has one."""
+    most = max(len(tier.seeds) for tier in e.tiers)
+    fixed = [tier.title for tier in e.tiers if len(tier.seeds) < most]
+    return f"{most} worlds each" + (f" (1 of {', '.join(fixed)}, where nothing is random)" if fixed else "")
 
 
 def _method_row(e: Evaluation, method: str) -> tuple[object, ...]:

@@ -2,7 +2,6 @@
 
 import json
 import platform
-import shlex
 from base64 import b64encode
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.files import read_json
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
@@ -34,6 +34,7 @@ from nnql_bullet.reports.failures import draw_sheet, varied
 from nnql_bullet.reports.player import player_text
 from nnql_bullet.reports.plots import draw_success, draw_trajectory
 from nnql_bullet.runs import LEARNING_CURVE, Run
+from nnql_bullet.text import shell_line
 from nnql_bullet.training.base import RECENT
 
 TEMPLATE = "report.html.j2"
@@ -117,7 +118,7 @@ def open_results(verb: Verb, folder: Path, policies: Sequence[Policy]) -> Result
     if not file.is_file():
         return None
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = read_json(file)
         there = {policy["fingerprint"]: policy for policy in values.get("policies", ())}
         driving = [there[policy.fingerprint] for policy in policies if policy.fingerprint in there]
         if not driving:
@@ -178,7 +179,7 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
     file = folder / "failures" / "failures.json"
     if not file.is_file():
         return None
-    sorted_out = json.loads(file.read_text(encoding="utf-8"))
+    sorted_out = read_json(file)
     groups = [
         FailureGroup(group["name"], group["about"], its)
         for group in sorted_out["groups"]
@@ -190,7 +191,7 @@ def _grouped(values: Mapping[str, Any], driving: Sequence[Mapping[str, Any]], fo
 
 def failures_command(results: Path) -> str:
     """Returns the command that groups the failures of an evaluation."""
-    return shlex.join(["nnql-bullet", "failures", str(results)])
+    return shell_line("nnql-bullet", "failures", str(results))
 
 
 def page(
@@ -240,10 +241,10 @@ def page(
         player=Markup(player),
         player_hash=b64encode(sha256(player.encode()).digest()).decode(),
         gap=gap,
-        make={verb: shlex.join(["nnql-bullet", verb, *paths]) for verb in _FILES},
+        make={verb: shell_line("nnql-bullet", verb, *paths) for verb in _FILES},
         commands=[
             *(_training_command(run) for run, _ in pairs),
-            *(f"{its.command} --out {shlex.quote(str(its.folder))}" for its in (evaluation, gap) if its),
+            *(f"{its.command} --out {shell_line(str(its.folder))}" for its in (evaluation, gap) if its),
             *([evaluation.grouped.command] if evaluation and evaluation.grouped else []),
             again,
         ],
@@ -260,7 +261,7 @@ def _run_row(run: Run, policy: Policy) -> dict[str, Any]:
         "config": run.config,
         "episodes": len(run.episodes),
         "success": f"{100 * sum(goals) / len(goals):.0f}" if goals else "-",
-        "resume": shlex.join(["nnql-bullet", "train", "--resume", str(run.folder)]),
+        "resume": shell_line("nnql-bullet", "train", "--resume", str(run.folder)),
     }
 
 
@@ -317,7 +318,7 @@ def _version(library: str) -> str:
 def _training_command(run: Run) -> str:
     """Returns the command that repeats a training."""
     preset, flags = train_arguments(run.config)
-    return shlex.join(["nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder)])
+    return shell_line("nnql-bullet", "train", "--config", preset, *flags, "--out", str(run.folder))
 
 
 def _success_curves(pairs: Sequence[tuple[Run, Policy]]) -> Markup | None:

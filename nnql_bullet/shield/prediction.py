@@ -10,7 +10,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
-from nnql_bullet.types import NonNegative
+from nnql_bullet.types import NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, turning_deceleration
 from nnql_bullet.vehicle.profiles import ramp_distances
@@ -32,13 +32,13 @@ AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 class ShieldOptions:
     """Options of the shield: the clearance that it keeps, and how far ahead it keeps it."""
 
-    margin: NonNegative = 0.3
+    margin: Reach = 0.3
     """Smallest clearance between the footprint and the last scan [m]. An obstacle may reach out between two rays."""
-    tight_margin: NonNegative = 0.06
+    tight_margin: Reach = 0.06
     """The same for a vehicle that stands and has no other way out [m]."""
-    look_ahead: NonNegative = 2.0
+    look_ahead: Reach = 2.0
     """Distance along every action that has to be clear [m]; more where a control period and braking take more."""
-    corridor: NonNegative = 6.0
+    corridor: Reach = 6.0
     """Distance within which there has to be a place to turn round on the spot [m]. The vehicle does not reverse, so
     that it could not leave a path without one."""
     box_speed: NonNegative = 1.0

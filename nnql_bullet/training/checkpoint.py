@@ -10,7 +10,7 @@ from safetensors.numpy import save_file
 
 from nnql_bullet import __version__
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import write_atomically
+from nnql_bullet.files import is_file, parse_json, write_atomically
 from nnql_bullet.geometry import Array
 
 FORMAT = "nnql-bullet weights 1"
@@ -48,7 +48,7 @@ def load_weights(path: Path) -> Weights:
     Raises:
         UserError: If it is missing, damaged, or was not written by this program.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise UserError(f"{path}: there is no such file; train first, or give another run")
     try:
         with safe_open(path, framework="numpy") as file:
@@ -59,9 +59,12 @@ def load_weights(path: Path) -> Weights:
     if metadata.get("format") != FORMAT:
         raise UserError(f"{path}: not written by this program (its format is {metadata.get('format')!r})")
     try:
-        return Weights(dict(json.loads(metadata["config"])), int(metadata["episodes"]), arrays)
-    except (KeyError, ValueError, TypeError):
+        config, episodes = parse_json(metadata["config"], f"{path}: its configuration"), int(metadata["episodes"])
+    except (KeyError, ValueError):
         raise UserError(f"{path}: its metadata is damaged") from None
+    if not isinstance(config, dict) or episodes < 0:
+        raise UserError(f"{path}: its metadata is damaged")
+    return Weights(config, episodes, arrays)
 
 
 def _save(arrays: dict[str, Array], path: Path, metadata: dict[str, str]) -> None:

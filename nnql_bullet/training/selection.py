@@ -20,7 +20,8 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.seeding import VALIDATION_WORLDS
 from nnql_bullet.training.base import Trainable
-from nnql_bullet.types import Count
+from nnql_bullet.types import Count, Few
+from nnql_bullet.worlds.source import WorldLike
 from nnql_bullet.worlds.spec import WorldSpec
 
 Candidates = dict[int, dict[str, Array]]
@@ -31,12 +32,12 @@ Candidates = dict[int, dict[str, Array]]
 class SelectionOptions:
     """Options of the selection."""
 
-    candidates: Count = 8
+    candidates: Few = 8
     """Number of states that are tried in the end, the last one among them; 1 takes the last state."""
     every: Count = 50
     """Episodes from one candidate to the next. They do not follow the number of training episodes, so that a run can be
     stopped and resumed."""
-    worlds: tuple[str, ...] = ()
+    worlds: tuple[WorldLike, ...] = ()
     """Shipped worlds or TOML files to try them in, each once; by default those of the training."""
     count: Annotated[int, Field(ge=1, le=1000)] = 100
     """Validation worlds of each kind."""

@@ -5,15 +5,17 @@ the vehicle's limits, and commands the wheel speeds that follow them, with propo
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
-from nnql_bullet.types import NonNegative, Positive
+from nnql_bullet.types import Period, Speed
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import Limits
 
@@ -25,11 +27,11 @@ COMMAND_RATE = 120.0
 class DriveOptions:
     """Options of the vehicle's controller."""
 
-    decision_period: Positive = 0.5
+    decision_period: Period = 0.5
     """Time between decisions [s]; the paper states no length of "one step". A turn may last for several decisions."""
-    speed: Positive = paper.SPEED
+    speed: Speed = paper.SPEED
     """Speed of the rear-axle centre [m/s], unless a decision asks for less."""
-    heading_gain: NonNegative = 4.0
+    heading_gain: Annotated[float, Field(ge=0, le=1000)] = 4.0
     """Yaw rate per heading error [1/s]."""
 
 

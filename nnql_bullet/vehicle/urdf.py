@@ -9,6 +9,7 @@ import numpy as np
 from nnql_bullet import assets
 from nnql_bullet.config import options, parse, read_toml
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.vehicle.description import LARGEST, Description, Link, Solid, Unfit, describe, read
 from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, SensorMount, VehicleSpec
@@ -51,7 +52,7 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     if Path(robot.urdf).is_absolute() or ".." in Path(robot.urdf).parts:
         raise UserError(f"{path}: 'urdf': '{robot.urdf}' leads out of the folder of this file; put the URDF beside it")
     urdf_path = path.parent / robot.urdf
-    if not urdf_path.is_file():
+    if not is_file(urdf_path):
         raise UserError(f"{urdf_path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
     urdf = describe(read(urdf_path))
     try:

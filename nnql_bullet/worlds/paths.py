@@ -18,6 +18,8 @@ CHECK_SPACING = GRID_CELL / 4
 """Distance between the checked points of a straight line [m]; the cell of each point must be free."""
 SURVEY_SPACING = 2.0
 """Distance along the path between measurements of its surroundings [m]."""
+SIGHT_BOXES = 200
+"""Boxes that rays are tested against at a time."""
 VISIBILITY_RANGE = 100.0
 """Length of a ray that meets nothing [m]; in the paper's arena every ray meets a wall."""
 
@@ -56,7 +58,7 @@ def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
     point = np.zeros(6)  # a footprint without extent
     point[4] = 1.0
     closest = [clearance_at(x, y, 0.0, point, world.solids) for x, y in points.tolist()]
-    seen = [float(np.mean(ray_distances((x, y), angles, world.solids, VISIBILITY_RANGE))) for x, y in points.tolist()]
+    seen = [float(np.mean(_sight(x, y, angles, world.solids))) for x, y in points.tolist()]
     return Difficulty(
         cover=world.cover,
         shortest_path=length - world.target_radius,
@@ -64,6 +66,19 @@ def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
         closest_obstacle=float(np.mean(closest)),
         visibility=float(np.mean(seen)),
     )
+
+
+def _sight(x: float, y: float, angles: Array, solids: Array) -> Array:
+    """Lengths of rays (m,) from a point [m], the nearest boxes first: those behind what all rays meet are left out."""
+    nearest = np.hypot(solids[:, 0] - x, solids[:, 1] - y) - np.hypot(solids[:, 2], solids[:, 3])
+    order = np.argsort(nearest)
+    lengths = np.full(len(angles), VISIBILITY_RANGE)
+    for first in range(0, len(order), SIGHT_BOXES):
+        some = order[first : first + SIGHT_BOXES]
+        if nearest[some[0]] > lengths.max():
+            break
+        lengths = np.minimum(lengths, ray_distances((x, y), angles, solids[some], VISIBILITY_RANGE))
+    return lengths
 
 
 def shortest_path(world: WorldSpec, clearance: float) -> Array:

@@ -9,7 +9,7 @@ from pydantic import Field
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, as_rows, clearance
-from nnql_bullet.types import NonNegative, Positive
+from nnql_bullet.types import Extent, NonNegative
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 Speed = Annotated[float, Field(gt=0, le=1)]
@@ -25,15 +25,15 @@ class Patrols:
     Patrols never stop. Their tracks are clear of all fixed obstacles, but may cross; patrols pass through each other.
     """
 
-    count: Annotated[int, Field(ge=0)]
+    count: Annotated[int, Field(ge=0, le=1000)]
     """Number of patrols."""
-    min_side: Positive = 1.0
+    min_side: Extent = 1.0
     """Length of a side [m]."""
-    max_side: Positive = 3.0
+    max_side: Extent = 3.0
     """[m]"""
-    min_track: Annotated[float, Field(ge=0.1)] = 10.0
+    min_track: Annotated[float, Field(ge=0.1, le=1000)] = 10.0
     """Length of a track [m]."""
-    max_track: Positive = 30.0
+    max_track: Extent = 30.0
     """[m]"""
     min_speed: Speed = 0.3
     """[m/s]"""

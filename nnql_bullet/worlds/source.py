@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from math import radians
+from math import dist, radians
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +11,10 @@ from pydantic import Discriminator, Tag
 from nnql_bullet import assets, paper
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import is_file
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Positive
+from nnql_bullet.types import Extent, Number
 from nnql_bullet.worlds.grid import is_solvable
 from nnql_bullet.worlds.layouts import AnyLayout, Arena
 from nnql_bullet.worlds.patrols import Patrols
@@ -21,6 +22,12 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_BASES = 20
+"""Longest chain of world files whose `base` is the next."""
+FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
+"""Suffixes of maps and worlds of other programs."""
+MOST_NAME = 100
+"""Longest name of a world."""
 ROOM = 0.7888466169590319
 """Default half width of the free path in every world [m]; it fits the shipped vehicle."""
 
@@ -44,20 +51,30 @@ class World:
     """Name of the kind; by default the stem of its file's name."""
     patrols: Patrols | None = None
     """Moving boxes, in addition to those of the layout."""
-    width: Positive = paper.ARENA_SIDE
+    width: Extent = paper.ARENA_SIDE
     """[m]"""
-    depth: Positive = paper.ARENA_SIDE
+    depth: Extent = paper.ARENA_SIDE
     """[m]"""
-    start: tuple[float, float] = paper.START
+    start: tuple[Number, Number] = paper.START
     """Start of the rear-axle centre [m]."""
-    start_yaw_degrees: float | None = None
+    start_yaw_degrees: Number | None = None
     """Heading at the start [degrees]; by default towards the target."""
-    target: tuple[float, float] = paper.TARGET
+    target: tuple[Number, Number] = paper.TARGET
     """[m]"""
-    target_radius: Positive = 2.0
+    target_radius: Extent = 2.0
     """Distance from the rear-axle centre at which the target is reached [m]."""
-    obstacle_height: Positive = 1.5
+    obstacle_height: Extent = 1.5
     """Height of boxes and walls [m]."""
+
+    def __post_init__(self) -> None:
+        """Refuses a name that no file could be named for, and a target that is reached at the start."""
+        if not (0 < len(self.name) <= MOST_NAME and self.name.isprintable()) or {"/", "\\"} & set(self.name):
+            raise ValueError(f"name must be one line of at most {MOST_NAME} characters without slashes")
+        if dist(self.start, self.target) <= self.target_radius:
+            raise ValueError(
+                f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
+                f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
+            )
 
     @staticmethod
     def load(name: "str | Path | World") -> "World":
@@ -112,6 +129,8 @@ class World:
             world = self._attempt(seed, attempt)
             if is_solvable(world, room):
                 return self._with_patrols(world)
+            if attempt == 0:  # no draw of boxes mends ends that walls are too near to
+                self._check_ends(replace(world, obstacles=()), room)
         self._check_ends(world, room)
         random = self.layout.is_random
         again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
@@ -166,12 +185,16 @@ def load_world(name: str) -> World:
         UserError: If a file is missing or malformed.
     """
     path = assets.find("worlds", name)
+    if path.suffix.lower() in FOREIGN:
+        raise UserError(f"{path}: maps and worlds of other programs are not read; write its boxes into a TOML file")
     return parse(World, {"name": path.stem, **_with_base(path, ())}, str(path))
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     if path.resolve() in below:
         raise UserError(f"{path}: its 'base' leads back to itself")
+    if len(below) == MOST_BASES:
+        raise UserError(f"{path}: more than {MOST_BASES} worlds are based on one another; write their keys in one file")
     values = read_toml(path)
     base = values.pop("base", None)
     if base is None:
@@ -179,5 +202,5 @@ def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
     if not isinstance(base, str):
         raise UserError(f"{path}: 'base' must be the name of a world")
     beside = path.parent / f"{base}.toml"
-    found = beside if beside.is_file() else assets.find("worlds", base)
+    found = beside if is_file(beside) else assets.find("worlds", base)
     return merged(_with_base(found, (*below, path.resolve())), values)

@@ -16,18 +16,19 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
+from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, frame_width
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.sensing import FRONT
 from nnql_bullet.task import NO_ENDING, StateProperty
-from nnql_bullet.types import Bytes, Count, Positive, UnitInterval
+from nnql_bullet.types import BatchSize, BufferSize, Bytes, Count, Few, Frames, Layers, Number, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -45,11 +46,11 @@ class DoubleDqnOptions:
     kind: Literal["double_dqn"] = "double_dqn"
     rays: Literal[8, 24, 72] = 24
     """Readings of the network: each is the nearest of its share of the 72 rays."""
-    frames: Count = 3
+    frames: Frames = 3
     """Last moments that the network sees at once."""
     grid_map: bool = True
     """Whether the vehicle keeps a map of what it has seen, and the network is given path lengths through it."""
-    hidden: tuple[Count, ...] = (128, 128)
+    hidden: Layers = (128, 128)
     """Units of the hidden layers."""
     learning_rate: Positive = 5e-4
     """Learning rate of Adam in the first half of the scheduled episodes."""
@@ -60,36 +61,44 @@ class DoubleDqnOptions:
     stopped and resumed."""
     discount: UnitInterval = 0.9
     """gamma."""
-    n_step: Count = 3
+    n_step: Few = 3
     """Steps of a return before it is bootstrapped."""
-    batch_size: Count = 256
+    batch_size: BatchSize = 256
     """Steps that one gradient step learns from."""
-    gradient_steps: Count = 2
+    gradient_steps: Few = 2
     """Gradient steps after each step of all vehicles."""
     tau: Annotated[float, Field(gt=0, le=1)] = 0.005
     """Fraction by which the target network moves toward the online network in a gradient step."""
-    buffer_size: Count = 300_000
+    buffer_size: BufferSize = 300_000
     """Steps in the replay buffer, of all vehicles together."""
-    learning_starts: Annotated[int, Field(ge=0)] = 10_000
+    learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 10_000
     """Steps of all vehicles together before the first gradient step."""
-    exploration_final: Annotated[tuple[UnitInterval, ...], Field(min_length=1)] = (0.01, 0.05, 0.1, 0.2)
+    exploration_final: Annotated[tuple[UnitInterval, ...], Field(min_length=1, max_length=100)] = (0.01, 0.05, 0.1, 0.2)
     """Probabilities of a random action, which episodes take by turns: some get far, and some see much."""
     exploration_episodes: Count = 1_000
     """Episodes over which the probability of a random action falls from 1 to those, linearly."""
     mirrored: bool = True
     """Whether half of the steps are learned from as their mirror images, with left and right exchanged."""
-    reward_progress: float = 0.03
+    reward_progress: Number = 0.03
     """Reward for each metre that the path to the target gets shorter."""
-    reward_step: float = -0.005
+    reward_step: Number = -0.005
     """Reward for each decision."""
-    reward_turn: float = -0.003
+    reward_turn: Number = -0.003
     """Reward for each radian of heading change that is asked for."""
-    reward_near: float = -0.06
+    reward_near: Number = -0.06
     """Reward for an obstacle that touches the front sensor; it shrinks to nothing at 5 m."""
-    reward_winning: float = 0.5
+    reward_winning: Number = 0.5
     """Reward for reaching the target."""
-    reward_failure: float = -2.0
+    reward_failure: Number = -2.0
     """Reward for touching something."""
+
+    def training_memory(self, vehicles: int) -> int:
+        """Memory that a training with so many vehicles needs at least: buffer, maps, batch, weights [bytes]."""
+        width = frame_width(self.rays, self.grid_map)
+        seen, steps = self.frames * width, max(self.buffer_size, (self.n_step + self.frames) * vehicles)
+        weights = sum(one * other for one, other in pairwise((seen, *self.hidden, ACTIONS)))
+        maps = vehicles * (seen + (grid_map.SIZE**2 if self.grid_map else 0))
+        return steps * (width + 8) + maps + 2 * self.gradient_steps * self.batch_size * seen + 16 * weights
 
     def exploration(self, episodes: NDArray[np.int64]) -> Array:
         """Probability of a random action in training episodes (n,), counted from 0."""

@@ -70,6 +70,11 @@ class Look:
         return frames.reshape(len(frames), -1)
 
 
+def frame_width(rays: int, with_map: bool) -> int:
+    """Number of bytes in a frame of a `FrameMaker`."""
+    return rays + (len(grid_map.REACHES) * grid_map.BEARINGS if with_map else 0) + _STATE + ACTIONS
+
+
 class FrameMaker:
     """Makes frames of what vehicles see.
 

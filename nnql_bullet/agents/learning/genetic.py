@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from math import prod
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.special import expit
 
 from nnql_bullet import paper
@@ -19,7 +18,7 @@ from nnql_bullet.errors import missing_library
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import Trainer
-from nnql_bullet.types import Count, NonNegative, Positive, UnitInterval
+from nnql_bullet.types import Count, Few, NonNegative, Population, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -40,15 +39,15 @@ class GeneticOptions:
     """Options of the genetic search."""
 
     kind: Literal["genetic"] = "genetic"
-    population: Annotated[int, Field(ge=2)] = 50
+    population: Population = 50
     """Genomes in a generation."""
-    worlds: Count = 4
+    worlds: Few = 4
     """Worlds in which each genome is tried; they are the same for all of a generation."""
     elites: Count = 5
     """Fittest genomes that live on unchanged. They are tried again in the worlds of the next generation."""
     prior: NonNegative = 8.0
     """Tries of average fitness that are added to those of each genome, in all generations that it lived through."""
-    tournament: Count = 3
+    tournament: Few = 3
     """Genomes drawn at random for each parent, which is the fittest of them."""
     crossover: UnitInterval = 0.5
     """Fraction of pairs of parents whose genes are blended; the others are copied."""

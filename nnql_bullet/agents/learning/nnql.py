@@ -13,7 +13,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Count, Positive
+from nnql_bullet.types import Positive, Units
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -26,7 +26,7 @@ class NnqlOptions(QLearningOptions):
     """
 
     kind: Literal["nnql"] = "nnql"
-    hidden_units: Count = paper.HIDDEN_UNITS
+    hidden_units: Units = paper.HIDDEN_UNITS
     """Units of the hidden layer."""
     encoding: Literal["proximity", "distance"] = "proximity"
     """How a reading d becomes a network input: "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,

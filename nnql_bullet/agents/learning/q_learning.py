@@ -34,7 +34,7 @@ class QLearningOptions:
     """T of eq. (3) from the last scheduled episode on."""
     schedule: Literal["linear", "exponential"] = "linear"
     """How the temperature falls: the paper gives only its ends."""
-    schedule_episodes: Annotated[int, Field(ge=2)] = paper.EPISODES
+    schedule_episodes: Annotated[int, Field(ge=2, le=1_000_000_000)] = paper.EPISODES
     """Episodes over which it falls. It does not follow the number of training episodes, so that a run can be stopped
     and resumed."""
 

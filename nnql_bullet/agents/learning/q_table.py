@@ -23,13 +23,15 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 MOST_STATES = 2**22
 """Of a table, whose values then take 168 MB."""
 
+Edge = Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)]
+
 
 @options
 class QTableOptions(QLearningOptions):
     """The paper's numbers, and how readings become states."""
 
     kind: Literal["q_table"] = "q_table"
-    edges: tuple[Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)], ...] = (3.5, 5.0)
+    edges: Annotated[tuple[Edge, ...], Field(max_length=100)] = (3.5, 5.0)
     """Readings from which the next level begins [m], rising."""
     sectors: tuple[Annotated[int, Field(ge=0, lt=paper.SECTORS)], ...] = (FRONT, FRONT_LEFT, FRONT_RIGHT)
     """Sectors whose readings make up the state. Each further sector multiplies the size of the table."""

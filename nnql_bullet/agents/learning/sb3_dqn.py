@@ -20,7 +20,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.training.base import Trainer
-from nnql_bullet.types import Count, Positive, UnitInterval
+from nnql_bullet.types import BatchSize, BufferSize, Count, Layers, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -35,17 +35,17 @@ class Sb3DqnOptions:
     """The hyper-parameters that differ from the library's defaults, or matter most; they were hardly tuned."""
 
     kind: Literal["sb3_dqn"] = "sb3_dqn"
-    hidden: tuple[Count, ...] = (64, 64)
+    hidden: Layers = (64, 64)
     """Units of the hidden layers."""
     learning_rate: Positive = 5e-4
     """Learning rate of Adam; the library's default is 1e-4."""
     discount: UnitInterval = 0.9
     """gamma; the library's default is 0.99."""
-    buffer_size: Count = 1_000_000
+    buffer_size: BufferSize = 1_000_000
     """Steps in the replay buffer."""
-    learning_starts: Annotated[int, Field(ge=0)] = 100
+    learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 100
     """Steps before the first update."""
-    batch_size: Count = 32
+    batch_size: BatchSize = 32
     """Steps that an update learns from."""
     steps_per_update: Count = 4
     """Steps, of all vehicles together, from one update to the next."""
@@ -56,6 +56,12 @@ class Sb3DqnOptions:
     training episodes, so that a run can be resumed."""
     exploration_final: UnitInterval = 0.05
     """Probability of a random action after that."""
+
+    def training_memory(self, vehicles: int) -> int:
+        """Memory that a training needs at least: its buffer, which keeps what is seen twice, and weights [bytes]."""
+        del vehicles
+        weights = sum(one * other for one, other in pairwise((INPUTS, *self.hidden, ACTIONS)))
+        return self.buffer_size * (2 * 4 * INPUTS + 16) + 16 * weights
 
     def exploration(self, steps: int) -> float:
         """Probability of a random action after so many steps."""

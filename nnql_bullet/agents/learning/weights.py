@@ -16,10 +16,14 @@ def state_dict(module: torch.nn.Module) -> dict[str, Array]:
     return {name: value.numpy().copy() for name, value in module.state_dict().items()}
 
 
+def _is_finite(values: Array) -> bool:
+    return values.dtype.kind in "fiub" and bool(np.isfinite(values).all())
+
+
 def fits(arrays: Mapping[str, Array], shapes: Shapes) -> bool:
     """Tells whether arrays have exactly these names and shapes, and hold finite numbers only."""
     theirs = {name: value.shape for name, value in arrays.items()}
-    return theirs == dict(shapes) and all(np.isfinite(value).all() for value in arrays.values())
+    return theirs == dict(shapes) and all(map(_is_finite, arrays.values()))
 
 
 def check(arrays: Mapping[str, Array], shapes: Shapes, network: str, units: Sequence[int]) -> None:
@@ -34,6 +38,8 @@ def check(arrays: Mapping[str, Array], shapes: Shapes, network: str, units: Sequ
     Raises:
         UserError: If a name, a shape or a number is wrong.
     """
+    if (odd := next((name for name, its in arrays.items() if not _is_finite(its)), None)) is not None:
+        raise UserError(f"'{odd}' of {network} is not finite: the training that wrote it diverged, or it is damaged")
     if not fits(arrays, shapes):
         raise UserError(f"these are not the weights of {network} of {'-'.join(map(str, units))} units")
 

@@ -13,7 +13,7 @@ from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.rollout import Actions
-from nnql_bullet.types import NonNegative
+from nnql_bullet.types import Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -23,9 +23,9 @@ class LookAheadOptions:
     """Options of the prediction."""
 
     kind: Literal["look_ahead"] = "look_ahead"
-    horizon: Annotated[float, Field(ge=PREDICTION_STEP)] = 4.0
+    horizon: Annotated[float, Field(ge=PREDICTION_STEP, le=60)] = 4.0
     """Time that is predicted: the turn, and straight on after it [s]."""
-    margin: NonNegative = 0.5
+    margin: Reach = 0.5
     """Smallest clearance between the footprint and the last scan [m]. An obstacle may reach out between two rays."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "LookAhead":

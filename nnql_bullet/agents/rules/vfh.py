@@ -23,7 +23,7 @@ from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import seen_distances
 from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import ray_angles
-from nnql_bullet.types import NonNegative
+from nnql_bullet.types import NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import turn_headings
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -42,7 +42,7 @@ class VfhOptions:
     kind: Literal["vfh"] = "vfh"
     window: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = 8.0
     """Radius of the active window [m]. Points farther off do not count."""
-    safety_distance: NonNegative = 0.2
+    safety_distance: Reach = 0.2
     """d_s, clearance of the circle that holds the footprint [m]."""
     low_threshold: NonNegative = 2.0
     """tau_low, obstacle density below which a direction becomes free. A point at the window's edge counts 1, one at the

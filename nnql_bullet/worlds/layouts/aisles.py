@@ -2,19 +2,23 @@
 
 from itertools import pairwise
 from math import hypot
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, bearing, ray_distances, squared_distance
-from nnql_bullet.types import NonNegative, Positive, UnitInterval
+from nnql_bullet.types import Extent, NonNegative, UnitInterval
 from nnql_bullet.worlds.layouts.base import Arena
 
 Span = tuple[float, float]
 """Lower and upper end [m]."""
+Wide = Annotated[float, Field(ge=0.1, le=1000)]
 MOST_TRIES = 200
+MOST_RACKS = 10_000
+"""Of a hall; each try draws all of them."""
 
 
 @options
@@ -28,15 +32,15 @@ class Aisles:
 
     is_random: ClassVar[bool] = True
     kind: Literal["aisles"]
-    min_aisle: Positive = 3.0
+    min_aisle: Wide = 3.0
     """Width of aisles and cross aisles [m]."""
-    max_aisle: Positive = 4.0
+    max_aisle: Wide = 4.0
     """[m]"""
-    min_rack: Positive = 6.0
+    min_rack: Wide = 6.0
     """Length of a rack [m]; the last rack of a row is cut at the wall."""
-    max_rack: Positive = 9.0
+    max_rack: Wide = 9.0
     """[m]"""
-    rack_depth: Positive = 2.4
+    rack_depth: Wide = 2.4
     """Depth of two racks back to back [m]."""
     dock: NonNegative = 9.0
     """Width of the free strips before the first and after the last row, along x [m]."""
@@ -44,7 +48,7 @@ class Aisles:
     """Probability that a rack is missing."""
     block_chance: UnitInterval = 0.15
     """Probability that an aisle along a rack, or a cross aisle through a row, is blocked."""
-    block_length: Positive = 1.2
+    block_length: Extent = 1.2
     """Length of a block along an aisle [m]; the block of a cross aisle is as deep as the racks."""
     clear_radius: NonNegative = 4.0
     """Smallest distance of racks and blocks from the start and the target; nearer ones are left out [m]."""
@@ -59,8 +63,11 @@ class Aisles:
         Racks and blocks begin and end at whole centimetres, so that all machines draw the same hall.
 
         Raises:
-            UserError: If no rack stands across the line in any of `MOST_TRIES` halls.
+            UserError: If there would be too many racks, or none stands across the line in any of `MOST_TRIES` halls.
         """
+        most = arena.width / (self.rack_depth + self.min_aisle) * arena.depth / (self.min_rack + self.min_aisle)
+        if most > MOST_RACKS:
+            raise UserError(f"layout: {most:.0f} racks are more than {MOST_RACKS}; make them or the aisles wider")
         for _ in range(MOST_TRIES):
             boxes = tuple(_box(*spans) for spans in self._hall(arena, rng))
             rows = as_rows(boxes)

@@ -8,6 +8,9 @@ import numpy as np
 from nnql_bullet.geometry import Array, OrientedBox, squared_distance
 from nnql_bullet.jit import njit
 
+MOST_BOXES = 100_000
+"""Largest number of boxes of a world."""
+
 
 @dataclass(frozen=True, slots=True)
 class Arena:

@@ -1,25 +1,26 @@
 """A fixed layout: the world file lists all boxes."""
 
 from math import radians
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
-from nnql_bullet.types import Positive
-from nnql_bullet.worlds.layouts.base import Arena
+from nnql_bullet.types import Extent, Number
+from nnql_bullet.worlds.layouts.base import MOST_BOXES, Arena
 
 
 @options
 class Box:
     """A box: its centre and sides [m], and the yaw of its length [degrees]."""
 
-    x: float
-    y: float
-    length: Positive
-    width: Positive
-    yaw_degrees: float = 0.0
+    x: Number
+    y: Number
+    length: Extent
+    width: Extent
+    yaw_degrees: Number = 0.0
 
 
 @options
@@ -28,7 +29,7 @@ class Boxes:
 
     is_random: ClassVar[bool] = False
     kind: Literal["boxes"]
-    boxes: tuple[Box, ...]
+    boxes: Annotated[tuple[Box, ...], Field(max_length=MOST_BOXES)]
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
         """The boxes of the world file."""

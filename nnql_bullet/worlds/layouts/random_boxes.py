@@ -11,9 +11,11 @@ from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, clearance
 from nnql_bullet.jit import njit
-from nnql_bullet.types import NonNegative, Positive
+from nnql_bullet.types import Extent, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
 
+MOST_RANDOM = 5_000
+"""Largest number of boxes."""
 MOST_TRIES = 20_000
 """Largest number of candidates."""
 FIRST_TRIES = 32
@@ -28,9 +30,9 @@ class RandomBoxes:
     kind: Literal["random_boxes"]
     cover: Annotated[float, Field(ge=0, le=0.4)]
     """Share of the arena's area under boxes."""
-    min_side: Positive = 2.0
+    min_side: Extent = 2.0
     """Length of a side [m]."""
-    max_side: Positive = 8.0
+    max_side: Extent = 8.0
     """[m]"""
     clear_radius: NonNegative = 4.0
     """Smallest distance of boxes from the start and the target [m]."""
@@ -45,6 +47,9 @@ class RandomBoxes:
         Raises:
             UserError: If the arena has no room for this cover.
         """
+        most = self.cover * arena.width * arena.depth / ((self.min_side + self.max_side) / 2) ** 2
+        if most > MOST_RANDOM:
+            raise UserError(f"layout: {most:.0f} boxes are more than {MOST_RANDOM}; raise 'min_side' and 'max_side'")
         mean_area = ((self.min_side + self.max_side) / 2) ** 2
         wanted = self.cover * arena.width * arena.depth - mean_area / 2
         size, keep_free = arena.limits

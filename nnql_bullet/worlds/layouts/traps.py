@@ -8,7 +8,7 @@ import numpy as np
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance, moved
-from nnql_bullet.types import Count, NonNegative, Positive
+from nnql_bullet.types import Extent, Few, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room, rounded
 
 MOST_TRIES = 5_000
@@ -25,19 +25,19 @@ class Traps:
 
     is_random: ClassVar[bool] = True
     kind: Literal["traps"]
-    count: Count
+    count: Few
     """Number of traps."""
-    min_width: Positive = 8.0
+    min_width: Extent = 8.0
     """Distance between the side walls [m]."""
-    max_width: Positive = 14.0
+    max_width: Extent = 14.0
     """[m]"""
-    min_depth: Positive = 8.0
+    min_depth: Extent = 8.0
     """Distance from the opening to the back wall [m]; from outside, the sensors see the back wall only in range."""
-    max_depth: Positive = 15.0
+    max_depth: Extent = 15.0
     """[m]"""
-    min_thickness: Positive = 0.5
+    min_thickness: Extent = 0.5
     """Thickness of the walls [m]."""
-    max_thickness: Positive = 1.5
+    max_thickness: Extent = 1.5
     """[m]"""
     clear_radius: NonNegative = 4.0
     """Smallest distance of traps, including their inside, from the start and the target [m]."""

@@ -1,0 +1,179 @@
+"""Classes of input: a valid file of each, what may happen to it, and the reader that a user would reach with it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+import mutators
+
+import nnql_bullet as nb
+from nnql_bullet import assets
+from nnql_bullet.config import to_values, write_toml
+from nnql_bullet.env import Navigation
+from nnql_bullet.evaluation.parts import Parts
+from nnql_bullet.evaluation.policies import open_policies
+from nnql_bullet.evaluation.replays import open_evaluation
+from nnql_bullet.evaluation.splits import load_frozen
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import PRESETS, load_config
+from nnql_bullet.recording import load_recording
+from nnql_bullet.reports.html import open_results
+from nnql_bullet.rollout import EpisodeSummary
+from nnql_bullet.run_config import RunConfig
+from nnql_bullet.runs import load_policy, load_run
+from nnql_bullet.session import check
+from nnql_bullet.sources import changed_sources, located
+from nnql_bullet.vehicle.urdf import load_vehicle
+
+Changed = Callable[[bytes, Random], bytes]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A class of input."""
+
+    folder: Path
+    """Holds valid files; a copy of it is read."""
+    files: dict[str, Changed]
+    """What may happen to each of its files."""
+    read: Callable[[Path], object]
+    """Reads a folder like it."""
+
+
+def targets(home: Path) -> dict[str, Target]:
+    """Makes the valid files of every class below a folder."""
+    home.mkdir(parents=True, exist_ok=True)
+    run = home / "trained"
+    kinematic = {"simulator": "kinematic", "task": {"max_steps": 30}}
+    few = {"vehicles": 2, "episodes": 4, **kinematic}
+    nb.train("paper", out=run, **few)
+    nb.train(
+        "double_dqn",
+        out=home / "double",
+        vehicles=2,
+        episodes=2,
+        agent={"hidden": [8], "buffer_size": 100, "learning_starts": 4},
+        training={"worlds": []},
+        **kinematic,
+    )
+    nb.evaluate(["straight", str(run)], worlds=["empty"], n_worlds=2, simulator="kinematic", out=home / "evaluated")
+    recording = nb.drive("straight", world="traps", simulator="kinematic")
+    recording.save(_made(home / "recorded") / "trajectory.npz")
+    robots = _made(home / "robot")
+    for name in ("tricycle.toml", "tricycle.urdf"):
+        (robots / name).write_bytes((assets.folder("robots") / name).read_bytes())
+    worlds = _made(home / "worlds")
+    for path in assets.folder("worlds").glob("*.toml"):
+        (worlds / path.name).write_bytes(path.read_bytes())
+    (worlds / "fixed.toml").write_text(_BOXES)
+    (worlds / "based.toml").write_text('base = "fixed"\nwidth = 60\n')
+    configs = _made(home / "configs")
+    for name, config in PRESETS.items():
+        (configs / f"{name}.toml").write_text(_config_text(config))
+    splits = _made(home / "splits")
+    (splits / "splits.json").write_bytes((assets.folder("worlds") / "splits.json").read_bytes())
+    parts = _made(home / "parts")
+    summaries = [path for path in (home / "evaluated" / "parts").glob("*.json") if "ending" in path.read_text()]
+    (parts / "a.json").write_bytes(summaries[0].read_bytes())
+    toml, json_, csv, st = (
+        mutators.toml_changed,
+        mutators.json_changed,
+        mutators.csv_changed,
+        mutators.safetensors_changed,
+    )
+    nb.train("paper", out=home / "sourced", world=worlds / "based.toml", robot=robots / "tricycle.toml", **few)
+    policies = open_policies([str(run)])
+    return {
+        "configuration": Target(configs, {f"{name}.toml": toml for name in PRESETS}, _configure),
+        "worlds": Target(worlds, {path.name: toml for path in worlds.iterdir()}, _draw),
+        "robots": Target(robots, {"tricycle.toml": toml, "tricycle.urdf": mutators.bytes_changed}, _load_robot),
+        "policies": Target(run, {"policy.safetensors": st}, lambda folder: load_policy(folder / "policy.safetensors")),
+        "checkpoints": Target(
+            home / "double", {"checkpoint.safetensors": st, "config.toml": toml, "episodes.csv": csv}, _resume
+        ),
+        "episodes.csv": Target(run, {"episodes.csv": csv, "selection.csv": csv}, load_run),
+        "recordings": Target(home / "recorded", {"trajectory.npz": mutators.npz_changed}, _watch),
+        "results.json": Target(
+            home / "evaluated",
+            {"results.json": json_, "episodes.csv": csv},
+            lambda folder: (open_evaluation(folder), open_results("evaluate", folder, policies)),
+        ),
+        "splits": Target(splits, {"splits.json": json_}, lambda folder: load_frozen(folder / "splits.json")),
+        "sources": Target(
+            home / "sourced",
+            {"sources.json": json_},
+            lambda folder: (located(load_run(folder).config, folder), changed_sources(folder)),
+        ),
+        "parts": Target(parts, {"a.json": json_}, lambda folder: Parts(folder).load("a", EpisodeSummary)),
+    }
+
+
+_BOXES = """\
+width = 40
+depth = 40
+start = [5, 5]
+target = [35, 35]
+
+[layout]
+kind = "boxes"
+
+[[layout.boxes]]
+x = 20
+y = 20
+length = 3
+width = 2
+yaw_degrees = 30
+
+[patrols]
+count = 2
+"""
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _config_text(config: RunConfig) -> str:
+    return write_toml(to_values(config) | {"world": "empty"})
+
+
+def _changed_file(folder: Path) -> Path:
+    """The file that was changed last."""
+    return max(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns)
+
+
+def _configure(folder: Path) -> None:
+    config = load_config(str(_changed_file(folder)), {})
+    check(config)
+    experiment = Experiment(config)
+    experiment.agent  # noqa: B018 (makes it)
+    experiment.training_world(0)
+
+
+def _draw(folder: Path) -> None:
+    world = nb.World.load(_changed_file(folder))
+    world.draw(0).digest  # noqa: B018 (hashes it)
+
+
+def _load_robot(folder: Path) -> None:
+    load_vehicle(folder / "tricycle.toml")
+
+
+def _resume(folder: Path) -> None:
+    run = load_run(folder)
+    check(run.config)
+    experiment = Experiment(run.config)
+    experiment.training_world(0)
+    if run.state:
+        experiment.trainable.load_state_dict(run.state.learned)
+        trainer = experiment.trainer(Navigation(experiment.new_training_simulator(1), run.config.task))
+        trainer.load_state_dict(run.state.under_way)
+
+
+def _watch(folder: Path) -> None:
+    recording = load_recording(folder / "trajectory.npz")
+    (recording.world, recording.footprint, recording.term_names, recording.boxes_at(1.0))
+    if "summary" in recording.about:
+        recording.summary  # noqa: B018 (makes it)
