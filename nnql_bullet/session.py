@@ -4,7 +4,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from nnql_bullet.agents import Trainable
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.files import sweep
+from nnql_bullet.locks import locked
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import Run, load_run
@@ -58,11 +60,18 @@ def train(
         The run, read from its folder.
 
     Raises:
-        UserError: If the configuration cannot be trained, or the folder is not empty; nothing is written then.
+        UserError: If the configuration cannot be trained, or the folder is in use or not empty; nothing is written
+            then.
         WorkerDied: If a worker process died; a checkpoint is written before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-    return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(lambda run: run.create(overwrite))
+    with ExitStack() as lock:
+
+        def create(run: Run) -> None:
+            lock.enter_context(locked(out))
+            run.create(overwrite)
+
+        return _Session(Run(out, config), agent, reward, workers, on_progress, stop).go(create)
 
 
 def resume(
@@ -92,12 +101,17 @@ def resume(
         The run, read from its folder.
 
     Raises:
-        UserError: If the folder contains no run, its files do not fit each other, or it has more episodes already.
+        UserError: If the folder contains no run, is in use, its files do not fit each other, or it has more episodes
+            already.
         WorkerDied: If a worker process died; a checkpoint is written before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-    run = load_run(folder, episodes)
-    return run if run.is_over else _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
+    if load_run(folder, episodes).is_over:  # before anything is written
+        sweep(folder)
+        return load_run(folder, episodes)
+    with locked(folder):
+        run = load_run(folder, episodes)
+        return _Session(run, agent, reward, workers, on_progress, stop).go(Run.save_config)
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,8 @@ class _Session:
                 _log.info("training %s", _title(config))
                 if len(run.episodes) < config.episodes:
                     self._train(agent, trainer)
+                elif not config.training.selection:  # the run ended before its last policy was written
+                    run.save_policy(agent.state_dict())
             if len(run.episodes) == config.episodes and config.training.selection:
                 self._select(experiment, config.training.selection)
         return load_run(run.folder)

@@ -48,7 +48,7 @@ def learned(arrays: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.floa
 
 def metadata(path: Path) -> dict[str, str]:
     with safe_open(path, framework="numpy") as file:
-        return dict(file.metadata())
+        return dict(json.loads(file.metadata()["nnql-bullet"]))
 
 
 def change_arrays(
@@ -56,7 +56,7 @@ def change_arrays(
 ) -> None:
     """Rewrites a safetensors file with other arrays and the same metadata."""
     about = metadata(path)
-    save_file(change(load_file(path)), path, about)
+    save_file(change(load_file(path)), path, about)  # in the format of version 0.1, which is still read
 
 
 def episodes(folder: Path) -> int:

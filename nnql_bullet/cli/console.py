@@ -3,7 +3,7 @@
 import logging
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from time import monotonic
 
 from rich.console import Console
@@ -31,8 +31,9 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> int:
-    """One line on standard error; the exit code of bad input."""
-    err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
+    """One line on standard error, if somebody reads it; the exit code of bad input."""
+    with suppress(OSError):
+        err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
     return 2
 
 
