@@ -246,7 +246,10 @@ def _describe(error: BaseException) -> TaskError:
 
 
 def _prepare_worker(lifeline: Connection) -> None:
-    """Ignores Ctrl-C and a closed terminal, uses one core, and ends the worker when the parent closes the other end of the pipe or dies."""
+    """Ignores Ctrl-C and a closed terminal, and uses one core.
+
+    The worker ends when the parent closes the other end of the pipe or dies.
+    """
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch, which is imported later, reads it; Ray sets it too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)

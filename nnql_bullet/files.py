@@ -3,7 +3,7 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
@@ -63,6 +63,35 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
+
+
+@contextmanager
+def staged(folder: Path, last: str, old: Iterable[str] = ()) -> Iterator[Path]:
+    """Yields an empty folder for files that belong together, and puts them into `folder` when all are written.
+
+    After an error the older files are unchanged. If the process is killed while they are replaced, `last` is missing,
+    so that a reader does not take old and new files for a whole.
+
+    Args:
+        folder: Where they go; it is made if it is not there.
+        last: Name of the file that readers look for.
+        old: Patterns of older files to remove, within the folder.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with temporary_folder(folder) as stage:
+            yield stage
+            for path in [folder / last, *(path for pattern in old for path in folder.glob(pattern))]:
+                path.unlink(missing_ok=True)
+            for path in sorted(stage.rglob("*"), key=lambda path: (path == stage / last, path)):
+                target = folder / path.relative_to(stage)
+                if path.is_dir():
+                    target.mkdir(exist_ok=True)
+                else:
+                    path.replace(target)
+    except OSError as error:
+        error.filename, error.filename2 = str(folder), None  # what the caller knows
+        raise
 
 
 def sweep(folder: Path) -> None:

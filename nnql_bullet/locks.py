@@ -22,16 +22,19 @@ _log = logging.getLogger(__name__)
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path | None) -> Iterator[None]:
     """Keeps other processes and threads out of a folder, which is made if it is not there.
 
     The system releases the lock of a process that dies, so what is left of it is taken over; temporary files that it
-    left below the folder are removed.
+    left below the folder are removed. No folder needs no lock.
 
     Raises:
         UserError: If somebody else holds the lock, or there is a file of that name.
         OSError: If the folder cannot be written to.
     """
+    if folder is None:
+        yield
+        return
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: is a file; give another folder")
     folder.mkdir(parents=True, exist_ok=True)

@@ -28,6 +28,6 @@ def main(arguments: list[str] | None = None) -> int:
 
             return run(sys.argv[1:] if arguments is None else arguments)
         except KeyboardInterrupt:
-            with handled(signal.SIG_IGN):
+            with handled(signal.SIG_IGN, last):
                 complain("interrupted")
                 return 130

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import training as api
-from nnql_bullet.cli.console import complain, err, progress, say
+from nnql_bullet.cli.console import complain, progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.cli.signals import held_back
 from nnql_bullet.commands import flags
@@ -32,8 +32,8 @@ def train(
     """Train the vehicle, headless, and leave a run folder.
 
     The folder holds config.toml, episodes.csv, policy.safetensors, learning_curve.png and a checkpoint. The result is a
-    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from; so
-    do SIGTERM and a closed terminal.
+    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from;
+    SIGTERM and a closed terminal do too.
 
     Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the same with numbers set by
     evidence), q_table (a table instead of the network), genetic (a search over its weights), double_dqn (decides every

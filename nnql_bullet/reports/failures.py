@@ -48,6 +48,8 @@ from nnql_bullet.reports.drawing import (
 
 T = TypeVar("T")
 
+FILES = ("*.npz", "*.png", "failures.*")
+"""Patterns of the recordings, pictures and reports of failures."""
 SHOWN = 12
 """Largest number of drives on a contact sheet."""
 COLUMNS = 6
@@ -180,13 +182,6 @@ def _cells(features: Features) -> dict[str, str]:
         "target at the end [m]": f"{features.target_distance:.0f}",
         "nearest ever [m]": f"{features.least_target_distance:.0f}",
     }
-
-
-def clear(folder: Path) -> None:
-    """Removes the recordings, pictures and reports of failures from a folder."""
-    for pattern in ("*.npz", "*.png", "failures.*"):
-        for old in folder.glob(pattern):
-            old.unlink()
 
 
 def failure_records(found: Failures) -> list[dict[str, Any]]:
