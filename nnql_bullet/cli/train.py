@@ -65,6 +65,7 @@ def train(
         run = load_run(resume, keys.get("episodes"))
         folder, total = resume, run.config.episodes
         if run.is_over:
+            api.resume(folder, total)  # draws the learning curve, which a run that was killed may be without
             say(f"{folder} has its {total} episodes already; give more with --episodes")
             return 0
     else:
