@@ -67,7 +67,11 @@ def _hook(folder: Path, blow: Blow) -> tuple[Callable[[str, Any], None], Callabl
         if not writes and event not in _REMOVING:
             return
         path = arguments[0]
-        if isinstance(path, int) or not os.path.abspath(os.fsdecode(path)).startswith(within):
+        if isinstance(path, int):
+            return
+        if event in _REMOVING and arguments[1] != -1:  # relative to an open folder
+            path = os.path.join(os.readlink(f"/proc/self/fd/{arguments[1]}"), os.fsdecode(path))
+        if not os.path.abspath(os.fsdecode(path)).startswith(within):
             return
         count += 1
         if blow.kind in ("full", "read_only"):
