@@ -16,8 +16,8 @@ def main(arguments: list[str] | None = None) -> int:
         arguments: Of the command line, without the program's name.
 
     Returns:
-        The exit code: 0 done, 1 a check failed, 2 bad input, 130 interrupted by
-            Ctrl-C, SIGTERM or a closed terminal.
+        The exit code: 0 done, 1 a check or a piece of work failed, 2 bad input, 130 interrupted by Ctrl-C, SIGTERM or
+            SIGHUP, 141 nobody reads what is printed.
     """
     if UNSUPPORTED_PYTHON:
         return complain(UNSUPPORTED_PYTHON)

@@ -1,6 +1,8 @@
 """Printing: lines, complaints, and the progress of long work."""
 
+import errno
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,8 +23,15 @@ UNSUPPORTED_PYTHON = (
 LINE_EVERY = 10.0
 """Seconds between plain progress lines where there is no terminal."""
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+class _Stream(Console):
+    def on_broken_pipe(self) -> None:
+        """Leaves the exit code to the parser."""
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+out = _Stream(highlight=False, soft_wrap=True)
+err = _Stream(stderr=True, highlight=False, soft_wrap=True)
 
 
 def say(text: str) -> None:
@@ -35,6 +44,20 @@ def complain(text: str) -> int:
     with suppress(OSError):
         err.print(f"nnql-bullet: {' '.join(text.split())}", markup=False)
     return 2
+
+
+def is_unread(error: OSError) -> bool:
+    """Whether it is that nobody reads what is printed any more; errors of files name the file."""
+    return error.filename is None and (isinstance(error, BrokenPipeError) or error.errno == errno.EIO)
+
+
+def give_up_output() -> int:
+    """Sends to nowhere what is still to be printed, because nobody reads it; the exit code of that."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
+    return 128 + 13  # as if ended by SIGPIPE
 
 
 def items(text: str | None) -> list[str]:

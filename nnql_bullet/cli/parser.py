@@ -6,7 +6,7 @@ from importlib import import_module
 from inspect import getdoc
 
 from nnql_bullet import __version__
-from nnql_bullet.cli.console import complain, messages, say
+from nnql_bullet.cli.console import complain, give_up_output, is_unread, messages, say
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.sim.base import WorkerDied
 
@@ -70,6 +70,8 @@ def run(arguments: list[str]) -> int:
         complain(str(error))
         return 1
     except OSError as error:
+        if is_unread(error):
+            return give_up_output()
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
 
 

@@ -1,6 +1,5 @@
 """`nnql-bullet train`."""
 
-import errno
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -9,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import training as api
-from nnql_bullet.cli.console import complain, progress, say
+from nnql_bullet.cli.console import complain, is_unread, progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.cli.signals import held_back
 from nnql_bullet.commands import flags
@@ -82,7 +81,7 @@ def train(
             try:
                 show(now)
             except OSError as error:
-                if not _is_unread(error):
+                if not is_unread(error):
                     raise
                 unread = True
 
@@ -110,8 +109,3 @@ def train(
         return 1
     say(stopped)
     return 130
-
-
-def _is_unread(error: OSError) -> bool:
-    """Whether it is that nobody reads what is printed any more; errors of files name the file."""
-    return error.filename is None and error.errno in (errno.EIO, errno.EPIPE)
