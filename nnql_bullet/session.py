@@ -4,7 +4,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,6 @@ from nnql_bullet.agents import Trainable
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.files import sweep
 from nnql_bullet.locks import locked
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
@@ -107,7 +106,8 @@ def resume(
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     if load_run(folder, episodes).is_over:  # before anything is written
-        sweep(folder)
+        with suppress(OSError), locked(folder):  # which removes what a killed process left
+            pass
         return load_run(folder, episodes)
     with locked(folder):
         run = load_run(folder, episodes)

@@ -125,6 +125,17 @@ def went_on(strike: Callable[..., int], case: Case, place: Path, wanted: dict[st
     assert [name for name in wanted if found[name] != wanted[name]] == []
 
 
+def overwritten_whole_or_not_at_all(
+    strike: Callable[..., int], place: Path, old: dict[str, bytes], new: dict[str, bytes]
+) -> None:
+    """Asserts that after an `--overwrite` that was struck, plain commands give the old or the new run, no mixture."""
+    code = strike(TRAIN, place, Blow("none"))
+    if code:
+        assert "is not empty; resume the run there" in (place / "log").read_text()
+        assert strike("train --resume run", place, Blow("none")) == 0, (place / "log").read_text()
+    assert files(place / "work") in ([new] if code == 0 else [old, new])
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_whatever_strikes_it_can_be_gone_on_with(
     name: str, strike: Callable[..., int], tmp_path: Path, small_world: Path, record_property: Callable[..., None]
@@ -159,6 +170,10 @@ def test_whatever_strikes_it_can_be_gone_on_with(
             left = [path for path in files(place / "work") if ".writing-" in path or path.endswith(".lock")]
             assert blow.kind == "read_only" or "twice" in blow.kind or left == [], context
         try:
+            if name == "overwrite":
+                copy = Path(shutil.copytree(place, tmp_path / "copy"))
+                overwritten_whole_or_not_at_all(strike, copy, files(start / "work"), wanted)
+                shutil.rmtree(copy)
             went_on(strike, case, place, wanted)
         except AssertionError as error:
             raise AssertionError(f"{context}\n{error}") from None
