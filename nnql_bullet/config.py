@@ -60,13 +60,13 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Reads the values of a TOML file.
+    """Reads the values of a TOML file, which may begin with a byte order mark.
 
     Raises:
         UserError: If the file cannot be read or is not TOML.
     """
     try:
-        return tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
+        return tomlkit.parse(path.read_text(encoding="utf-8-sig")).unwrap()
     except (OSError, UnicodeDecodeError, TOMLKitError) as error:
         raise UserError(f"{path}: cannot be read as TOML: {error}".replace("\n", " ")) from None
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import cos, hypot, sin
 
-import imageio_ffmpeg
 import numpy as np
 
 from nnql_bullet import paper
+from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import placed, ray_distances
+from nnql_bullet.render.video import check_encoder
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
@@ -81,13 +82,9 @@ def check_mujoco() -> Finding:
 def check_ffmpeg() -> Finding:
     """Checks that ffmpeg starts; it encodes videos."""
     try:
-        program = imageio_ffmpeg.get_ffmpeg_exe()
-        answer = subprocess.run(
-            [program, "-version"], capture_output=True, text=True, timeout=PROGRAM_TIMEOUT, check=True
-        )
-    except (RuntimeError, OSError, subprocess.SubprocessError):
-        return Finding(False, "not found; install it: pip install 'imageio[ffmpeg]'", needed=False)
-    return Finding(True, answer.stdout.splitlines()[0].split(" Copyright")[0])
+        return Finding(True, check_encoder())
+    except UserError as error:
+        return Finding(False, str(error), needed=False)
 
 
 def check_chromium() -> Finding:

@@ -343,7 +343,7 @@ def _as_csv(episodes: list[TrainingEpisode]) -> str:
 def _read_csv(path: Path) -> list[TrainingEpisode]:
     known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return"}
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             others = [name for name in rows.fieldnames or () if name not in known]
             terms = [name for name in others if name in REWARD_TERMS or name.startswith(_REWARD)]

@@ -628,6 +628,18 @@ def test_drive_leaves_a_video_when_asked(
     assert drawn == [(tmp_path / "trajectory.npz", tmp_path / "trajectory.mp4")]
 
 
+@pytest.mark.parametrize("verb", [("drive", "hand_rule", "--video"), ("render", "hand_rule")])
+def test_a_missing_encoder_is_told_before_the_drive(
+    run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch, verb: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "nowhere"))
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run_cli(*verb, "--world", small_world, "--out", tmp_path / "a.mp4")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "ffmpeg, which encodes videos, does not start; install it: pip install" in err
+    assert not list(tmp_path.rglob("trajectory.*"))
+
+
 # The window
 
 SHORT_WORLD = """\
@@ -648,6 +660,7 @@ def test_without_a_display_no_window_is_promised(run_cli: Run, tmp_path: Path, m
     code, out, err = run_cli("drive", "straight", "--world", tmp_path / "short.toml", "--gui", "--out", tmp_path)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "no window can be opened here" in err
+    assert not (tmp_path / "trajectory.npz").exists()
 
 
 @pytest.mark.slow

@@ -368,11 +368,17 @@ def test_mistake_in_a_robots_toml_is_named(robot, pairs, message):
     assert message in str(refusal.value)
 
 
-@pytest.mark.parametrize(("left", "right"), [("right_drive", "left_drive"), ("left_drive", "left_drive")])
-def test_drives_on_the_wrong_side_are_refused(robot, left, right):
+@pytest.mark.parametrize(
+    ("left", "right", "message"),
+    [
+        ("right_drive", "left_drive", "the left drive wheel is not to the left of the right one"),
+        ("left_drive", "left_drive", r"\[joints\] in the TOML names one joint twice: left_drive, left_drive, swivel"),
+    ],
+)
+def test_drives_on_the_wrong_side_are_refused(robot, left, right, message):
     toml = re.sub(r'left_drive = "\w+"', f'left_drive = "{left}"', TOML)
     toml = re.sub(r'right_drive = "\w+"', f'right_drive = "{right}"', toml)
-    with pytest.raises(UserError, match="the left drive wheel is not to the left of the right one"):
+    with pytest.raises(UserError, match=message):
         load_vehicle(robot(toml=toml))
 
 

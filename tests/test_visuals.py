@@ -93,11 +93,3 @@ def test_what_has_no_colour_is_grey(vehicle: VehicleSpec) -> None:
 def test_a_recording_that_does_not_say_is_refused() -> None:
     with pytest.raises(UserError, match="record it again"):
         Visuals({"name": "tricycle"})
-
-
-def test_meshes_are_refused(vehicle: VehicleSpec) -> None:
-    said = said_of(vehicle)
-    mast = '<cylinder radius="0.025" length="0.2" />'
-    assert mast in said["urdf"]
-    with pytest.raises(UserError, match="'chassis' of the vehicle looks like a mesh"):
-        Visuals({**said, "urdf": said["urdf"].replace(mast, '<mesh filename="mast.stl" />')})

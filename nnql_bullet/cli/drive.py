@@ -13,7 +13,8 @@ from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.driving import RECORDING, drive_folder
 from nnql_bullet.render.filming import render
-from nnql_bullet.render.window import watch
+from nnql_bullet.render.video import check_encoder
+from nnql_bullet.render.window import check_window, watch
 from nnql_bullet.run_config import Conditions, RunConfig, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import PhysicsName
 
@@ -71,6 +72,10 @@ def drive(
         keys: Other keys of the configuration.
     """
     asked, in_shield = conditions_of(conditions), shield or "shield" in keys
+    if video:
+        check_encoder()
+    if gui:
+        check_window()
     recording = driving.drive(
         policy,
         world=world,

@@ -11,8 +11,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.filming import FPS, SIZE
-from nnql_bullet.render.renderers import RendererName
-from nnql_bullet.render.video import VideoFormat
+from nnql_bullet.render.renderers import RendererName, check_renderer
+from nnql_bullet.render.video import VideoFormat, check_encoder
 
 
 def render(
@@ -65,6 +65,9 @@ def render(
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)
     kind = filming.video_format(out, format)
+    check_renderer(renderer)
+    if out or not (frames or sheet):
+        check_encoder()
     if recording.suffix == ".npz":
         if world is not None or seed is not None:
             raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")

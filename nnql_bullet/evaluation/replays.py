@@ -74,7 +74,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
             )
             for tier in values["tiers"]
         }
-        with (folder / "episodes.csv").open(encoding="utf-8", newline="") as file:
+        with (folder / "episodes.csv").open(encoding="utf-8-sig", newline="") as file:
             failed = [
                 FailedDrive(
                     FilmTask(policies[row["policy"]], tiers[row["world"]], setting, int(row["world_seed"])),

@@ -1,7 +1,6 @@
 """Probes of the vehicle's body: masses, inertia, standing, falling, turning and tipping."""
 
 from math import cos, degrees, hypot, isnan, nan, sin, tan
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -10,8 +9,9 @@ from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_mos
 from nnql_bullet.fidelity.probes_vehicles import on_ice, rolling_freely, top_heavy
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.vehicle.description import parse
 from nnql_bullet.vehicle.limits import tip_angle
-from nnql_bullet.vehicle.payload import urdf_text
+from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
@@ -21,7 +21,7 @@ ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
 def _inertials(vehicle: VehicleSpec) -> dict[str, tuple[float, Array]]:
     """Reads the mass [kg] and ascending principal moments of inertia (3,) [kg m2] of every link from the URDF."""
     found = {}
-    for link in ElementTree.fromstring(urdf_text(vehicle)).iter("link"):
+    for link in parse(physics_text(vehicle)).iter("link"):
         mass = float(link.find("inertial/mass").attrib["value"])  # type: ignore[union-attr]
         i = {k: float(v) for k, v in link.find("inertial/inertia").attrib.items()}  # type: ignore[union-attr]
         rows = [[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]]

@@ -14,8 +14,9 @@ from nnql_bullet.render.film import HOLD, Film, frame_times, frames
 from nnql_bullet.render.renderers import RendererName, best_renderer, check_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.timeline import Timeline
-from nnql_bullet.render.video import VideoFormat, write_picture, write_pictures, write_video
+from nnql_bullet.render.video import VideoFormat, check_encoder, write_picture, write_pictures, write_video
 from nnql_bullet.types import Bytes
+from nnql_bullet.vehicle.visuals import recorded_urdf
 from nnql_bullet.work import OnProgress, Progress, silent
 
 SIZE = (1280, 720)
@@ -69,13 +70,16 @@ def render(
     """
     check_pictures(size, fps, speed)
     chosen = video_format(video, kind)
+    check_renderer(renderer)
+    if video:
+        check_encoder()
     with _as_file(recording) as (loaded, path):
         duration = Timeline(loaded).duration
         last = duration if end is None else min(end, duration)
         if not 0.0 <= begin < last:
             raise UserError(f"the drive takes {duration:.1f} s; nothing is between begin={begin:g} and end={last:g}")
+        recorded_urdf(loaded.about["vehicle"])  # is refused here if it cannot be drawn
         film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
-        check_renderer(loaded, film.renderer)
         if video or pictures:
             times = frame_times(begin, last, fps, speed, hold)
             _write_film(film, times, video, chosen, fps, pictures, workers, on_progress)

@@ -7,7 +7,6 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.solids import BulletRenderer, Renderer
 from nnql_bullet.sim.bullet_scene import NO_EGL, works
-from nnql_bullet.vehicle.visuals import Visuals
 
 RendererName = Literal["tiny", "egl", "vtk"]
 
@@ -31,13 +30,12 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     return VtkRenderer(recording)
 
 
-def check_renderer(recording: Recording, name: RendererName) -> None:
-    """Checks that a renderer can draw a recording.
+def check_renderer(name: Literal["auto"] | RendererName) -> None:
+    """Checks that a renderer works on this machine.
 
     Raises:
-        UserError: If the renderer does not work on this machine, or the recording has no shapes of the vehicle.
+        UserError: If it does not.
     """
-    Visuals(recording.about["vehicle"])
     if name == "vtk" and find_spec("pyvista") is None:
         raise UserError(NO_VTK)
     if name == "egl" and not works("egl"):

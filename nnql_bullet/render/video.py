@@ -1,5 +1,6 @@
 """Writes frames as a video, an animation, or separate pictures."""
 
+import subprocess
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -14,6 +15,8 @@ from nnql_bullet.types import Bytes
 
 VideoFormat = Literal["mp4", "gif"]
 
+TIMEOUT = 60.0
+"""Time limit for the answer of the encoder [s]."""
 THREADS = 2
 """Number of the encoder's threads; it is fixed because the output depends on it."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
@@ -23,6 +26,22 @@ _PARAMETERS: dict[VideoFormat, list[str]] = {
     "gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"],
 }
 _BITEXACT = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+
+
+def check_encoder() -> str:
+    """Checks that ffmpeg, which encodes videos, starts; returns its name and version.
+
+    Raises:
+        UserError: If it does not.
+    """
+    try:
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+        answer = subprocess.run([program, "-version"], capture_output=True, text=True, timeout=TIMEOUT, check=True)
+    except (RuntimeError, OSError, subprocess.SubprocessError):
+        raise UserError(
+            "ffmpeg, which encodes videos, does not start; install it: pip install 'imageio[ffmpeg]'"
+        ) from None
+    return answer.stdout.partition("\n")[0].partition(" Copyright")[0]
 
 
 def write_video(path: Path, frames: Iterable[Bytes], size: tuple[int, int], fps: float, kind: VideoFormat) -> None:

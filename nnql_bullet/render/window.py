@@ -19,14 +19,23 @@ THICK = 0.02
 """Half the height of the ground and of the target's disc [m]."""
 
 
+def check_window() -> None:
+    """Checks that a window can open on this machine.
+
+    Raises:
+        UserError: If none can.
+    """
+    if not works("window"):  # without a display, the engine ends the process
+        raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
+
+
 def watch(recording: Recording) -> None:
     """Shows a recording until it ends or the window is closed.
 
     Raises:
         UserError: If no window can open on this machine, or the recording has no shapes of the vehicle.
     """
-    if not works("window"):  # without a display, the engine ends the process
-        raise UserError("no window can be opened here; leave out --gui (--video leaves a film), or set DISPLAY")
+    check_window()
     with silenced():  # PyBullet's threads print messages while the window is open
         _show(recording)
 

@@ -49,7 +49,7 @@ class Motion:
     heading_error: Array
     """Commanded heading change minus the one that was reached (n,) [rad]."""
     touching: NDArray[np.bool_]
-    """Whether the vehicle touched an obstacle or wall (n,)."""
+    """Whether the vehicle touched an obstacle or wall, or tipped over (n,)."""
     at_target: NDArray[np.bool_]
     """Whether the rear-axle centre came within the target's radius (n,)."""
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import cos, sin
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.payload import urdf_text
+from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities
 
@@ -67,6 +67,10 @@ SHAPES_PER_COMPOUND = 16
 
 FASTEST_JOINT = 1e4
 """Limit on the speed of joints [rad/s]."""
+
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+STRAIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+"""The orientation that is no rotation."""
 
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
@@ -109,12 +113,8 @@ class BulletEngine(ContactEngine):
         self.client = bullet.connect(bullet.DIRECT)
         if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
-        self._folder = TemporaryDirectory(prefix="nnql-bullet-") if vehicle.payload else None
-        self._urdf = vehicle.urdf
-        if self._folder:
-            self._urdf = Path(self._folder.name) / "loaded.urdf"
-            self._urdf.write_text(urdf_text(vehicle), encoding="utf-8")
-        self._finalizer = weakref.finalize(self, _release, self.client, self._folder)
+        self._finalizer = weakref.finalize(self, _release, self.client)
+        self._urdf = physics_text(vehicle)
 
     def close(self) -> None:
         """Disconnects the client."""
@@ -248,14 +248,12 @@ class BulletEngine(ContactEngine):
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         vehicle = self.vehicle
-        self.body = bullet.loadURDF(
-            str(self._urdf),
-            [pose.x, pose.y, vehicle.wheel_radius + height],
-            [0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
-            flags=bullet.URDF_USE_INERTIA_FROM_FILE
-            | bullet.URDF_USE_IMPLICIT_CYLINDER
-            | bullet.URDF_IGNORE_VISUAL_SHAPES,
-            physicsClientId=self.client,
+        self.body = load_text(
+            self._urdf,
+            self.client,
+            basePosition=[pose.x, pose.y, vehicle.wheel_radius + height],
+            baseOrientation=[0.0, 0.0, sin(pose.yaw / 2), cos(pose.yaw / 2)],
+            flags=bullet.URDF_USE_INERTIA_FROM_FILE,
         )
         infos = self._joint_infos()
         joints = {joint.name: joint.number for joint in infos if joint.joint_type != bullet.JOINT_FIXED}
@@ -265,7 +263,10 @@ class BulletEngine(ContactEngine):
         self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
         self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
         self._joints = tuple(joints.values())
-        self._com = self._dynamics(-1).inertia_position
+        inertial = self._dynamics(-1)
+        self._com = inertial.inertia_position
+        x, y, z, w = inertial.inertia_orientation
+        self._turned_back = None if inertial.inertia_orientation == STRAIGHT else (-x, -y, -z, w)
         wheels = (self.left, self.right, self._caster)
         for link in range(-1, len(infos)):
             # Damping, which applies to the whole body, needs a separate call; so does friction.
@@ -334,8 +335,10 @@ class BulletEngine(ContactEngine):
             bullet.resetBaseVelocity(body, [vx, vy, 0.0], [0.0, 0.0, 0.0], self.client)
 
     def _frame(self) -> tuple[Vector, Quaternion]:
-        frame: tuple[Vector, Quaternion] = bullet.getBasePositionAndOrientation(self.body, self.client)
-        return frame
+        position, orientation = bullet.getBasePositionAndOrientation(self.body, self.client)
+        if self._turned_back:  # the engine tells that of the principal axes of inertia
+            _, orientation = bullet.multiplyTransforms(ORIGIN, orientation, ORIGIN, self._turned_back)
+        return position, orientation
 
     def _velocities(self) -> tuple[Vector, Vector]:
         velocities: tuple[Vector, Vector] = bullet.getBaseVelocity(self.body, self.client)
@@ -362,11 +365,29 @@ class BulletEngine(ContactEngine):
         return DynamicsInfo(*bullet.getDynamicsInfo(self.body, link, self.client))
 
 
-def _release(client: int, folder: TemporaryDirectory[str] | None) -> None:
+def load_text(urdf: str, client: int, **options: Any) -> int:
+    """Loads a URDF from its text, because the engine reads only files; returns the engine's number of the body.
+
+    Args:
+        urdf: The text.
+        client: The engine's number of the client.
+        options: Further arguments of `loadURDF`.
+
+    Raises:
+        UserError: If the engine cannot load it.
+    """
+    with NamedTemporaryFile("w", encoding="utf-8", prefix="nnql-bullet-", suffix=".urdf") as file:
+        file.write(urdf)
+        file.flush()
+        try:
+            return int(bullet.loadURDF(file.name, physicsClientId=client, **options))
+        except bullet.error as error:
+            raise UserError(f"PyBullet cannot load the vehicle: {error}") from None
+
+
+def _release(client: int) -> None:
     if bullet.isConnected(client):
         bullet.disconnect(client)
-    if folder:
-        folder.cleanup()
 
 
 def has_numpy() -> bool:
@@ -374,4 +395,4 @@ def has_numpy() -> bool:
     return bool(bullet.isNumpyEnabled())
 
 
-__all__ = ["PHYSICS", "BulletEngine", "Physics", "bullet", "has_numpy", "silenced"]
+__all__ = ["ORIGIN", "PHYSICS", "STRAIGHT", "BulletEngine", "Physics", "bullet", "has_numpy", "load_text", "silenced"]

@@ -5,8 +5,6 @@ import multiprocessing
 import os
 from functools import cache
 from math import asin, atan2, cos, degrees, sin
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal
 from xml.etree import ElementTree
 
@@ -15,9 +13,10 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.bullet import bullet, silenced
+from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text, silenced
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.types import Vector
+from nnql_bullet.vehicle.description import parse, text_of
 
 SceneKind = Literal["tiny", "egl", "window"]
 
@@ -82,22 +81,23 @@ class BulletScene:
 
     def add_robot(self, urdf: str) -> tuple[int, dict[str, int]]:
         """Adds the visible shapes of a URDF's text; returns the engine's number of it, and of its joints by name."""
-        with TemporaryDirectory(prefix="nnql-bullet-") as folder:
-            file = Path(folder) / "robot.urdf"
-            file.write_text(_one_visual_per_link(urdf) if self._kind == "window" else urdf, encoding="utf-8")
-            with silenced():  # PyBullet warns of links without a mass
-                body = bullet.loadURDF(str(file), useFixedBase=True, physicsClientId=self.client)
+        text = _one_visual_per_link(urdf) if self._kind == "window" else urdf
+        with silenced():  # PyBullet warns of links without a mass
+            body = load_text(text, self.client, useFixedBase=True)
         joints = range(bullet.getNumJoints(body, self.client))
         infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]
         return body, {info.name: info.number for info in infos}
 
     def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
         """Sets the position [m] and yaw [rad] of an object's origin."""
-        # The engine sets centres of mass.
-        ahead, left, up = DynamicsInfo(*bullet.getDynamicsInfo(body, -1, self.client)).inertia_position
+        # The engine sets centres of mass and principal axes of inertia.
+        inertial = DynamicsInfo(*bullet.getDynamicsInfo(body, -1, self.client))
+        ahead, left, up = inertial.inertia_position
         c, s = cos(yaw), sin(yaw)
         centre = (x + c * ahead - s * left, y + s * ahead + c * left, z + up)
         turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))
+        if inertial.inertia_orientation != STRAIGHT:
+            _, turned = bullet.multiplyTransforms(ORIGIN, turned, ORIGIN, inertial.inertia_orientation)
         bullet.resetBasePositionAndOrientation(body, centre, turned, self.client)
 
     def turn(self, body: int, joint: int, angle: float) -> None:
@@ -192,7 +192,7 @@ def _load_egl(client: int) -> bool:
 
 def _one_visual_per_link(urdf: str) -> str:
     """Gives every visual shape its own link, because the window shows all shapes of a link in one colour."""
-    robot = ElementTree.fromstring(urdf)
+    robot = parse(urdf)
     for link in robot.findall("link"):
         for number, visual in enumerate(link.findall("visual")[1:]):
             name = f"{link.attrib['name']}_{number}"
@@ -201,4 +201,4 @@ def _one_visual_per_link(urdf: str) -> str:
             joint = ElementTree.SubElement(robot, "joint", name=name, type="fixed")
             ElementTree.SubElement(joint, "parent", link=link.attrib["name"])
             ElementTree.SubElement(joint, "child", link=name)
-    return ElementTree.tostring(robot, encoding="unicode")
+    return text_of(robot)

@@ -46,6 +46,8 @@ class _Episode(NamedTuple):
 
     ahead: float
     """Position of the engine's frame ahead of the rear axle [m]."""
+    left: float
+    """Its position to the left of the rear-axle centre [m]."""
     up: float
     """Its position above the rear axle [m]."""
     reach: float
@@ -63,6 +65,9 @@ class _Episode(NamedTuple):
     target_radius: float
     """[m]"""
 
+
+UPRIGHT = 0.5
+"""Cosine of the tilt beyond which the vehicle has tipped over: it lies on its side, roof or nose."""
 
 _RECORD = np.dtype([(name, np.float64) for name in _Episode._fields], align=True)
 
@@ -111,6 +116,7 @@ class ContactEngine(VehiclePhysics):
         fastest_patrol = max((patrol.speed for patrol in world.patrols), default=0.0)
         episode = _Episode(
             ahead=self._com[0],
+            left=self._com[1],
             up=self._com[2],
             reach=self._reach + fastest_patrol * SAMPLE_EVERY / COMMAND_RATE,
             heading_gain=self.drive.heading_gain,
@@ -132,7 +138,8 @@ class ContactEngine(VehiclePhysics):
         """Drives one control period, or up to the first contact or the target.
 
         The controller sets the wheel speeds 120 times a second, and feeds the heading back 30 times a second. Contact
-        is checked at every physics step where it is possible, the target after every wheel command.
+        is checked at every physics step where it is possible, the target after every wheel command. A vehicle that has
+        tipped over by the end of the period touches the ground, which counts as contact.
 
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
@@ -141,7 +148,7 @@ class ContactEngine(VehiclePhysics):
             look: Called after every physics step; it may read the engine, not change it.
         """
         first_step, (position, orientation) = self._steps, self._frame()
-        begin = Pose(*rear_axle(position, orientation, self._com[0], self._com[2]))
+        begin = Pose(*rear_axle(position, orientation, *self._com))
         plan = plan_period(
             self._planned_yaw_rate,
             self._planned_speed,
@@ -170,6 +177,8 @@ class ContactEngine(VehiclePhysics):
                 self._move_patrols()
             position, orientation = self._frame()
         x, y, yaw, path_length, smallest, _ = progress.tolist()
+        qx, qy, _, _ = orientation
+        touching = touching or 1 - 2 * (qx * qx + qy * qy) < UPRIGHT
         self._clearance = clearance_at(x, y, yaw, footprint, solids)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])
         return VehicleMotion(
@@ -257,7 +266,7 @@ def _look_and_command(
         until the next look, which is 1 where they might reach the target.
     """
     e = episode[0]
-    x, y, yaw = rear_axle(position, orientation, e.ahead, e.up)
+    x, y, yaw = rear_axle(position, orientation, e.ahead, e.left, e.up)
     progress[PATH_LENGTH] += np.hypot(x - progress[X], y - progress[Y])
     progress[X], progress[Y], progress[YAW] = x, y, yaw
     progress[BOUND] -= e.reach

@@ -30,7 +30,7 @@ from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.payload import urdf_text
+from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -89,7 +89,7 @@ class MujocoEngine(ContactEngine):
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
         super().__init__(vehicle, drive, physics.time_step)
-        self._urdf = urdf_text(vehicle)
+        self._urdf = physics_text(vehicle)
         self._model: Any = None
         self._data: Any = None
         self._chassis = 0

@@ -158,8 +158,7 @@ class VehiclePhysics(ABC):
     def pose(self) -> Pose:
         """Pose of the rear-axle centre, seen from above."""
         position, orientation = self._frame()
-        ahead, _, up = self._com
-        return Pose(*rear_axle(position, orientation, ahead, up))
+        return Pose(*rear_axle(position, orientation, *self._com))
 
     def velocity(self) -> Vector:
         """Velocity of the chassis [m/s]."""
@@ -168,8 +167,8 @@ class VehiclePhysics(ABC):
     def speed(self) -> float:
         """Speed of the rear-axle centre along the vehicle [m/s]."""
         vx, vy, _ = self.velocity()
-        yaw = self.pose().yaw
-        return float(vx * cos(yaw) + vy * sin(yaw))
+        yaw, left = self.pose().yaw, self._com[1]
+        return float(vx * cos(yaw) + vy * sin(yaw) + self.yaw_rate() * left)
 
     def yaw_rate(self) -> float:
         """Yaw rate [rad/s]."""
@@ -218,7 +217,11 @@ class VehiclePhysics(ABC):
 
 @njit()
 def rear_axle(
-    position: tuple[float, float, float], orientation: tuple[float, float, float, float], ahead: float, up: float
+    position: tuple[float, float, float],
+    orientation: tuple[float, float, float, float],
+    ahead: float,
+    left: float,
+    up: float,
 ) -> tuple[float, float, float]:
     """Computes x, y [m] and yaw [rad] of the rear-axle centre from a frame fixed to the chassis.
 
@@ -226,10 +229,11 @@ def rear_axle(
         position: Origin of the frame in the world [m].
         orientation: Its quaternion: x, y, z, w.
         ahead: Distance of that origin ahead of the rear axle, in the chassis frame [m].
+        left: Its distance to the left of the rear-axle centre [m].
         up: Its distance above the rear axle [m].
     """
     qx, qy, qz, qw = orientation
     forward_x, forward_y = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz)
-    x = position[0] - (ahead * forward_x + up * 2 * (qx * qz + qw * qy))
-    y = position[1] - (ahead * forward_y + up * 2 * (qy * qz - qw * qx))
+    x = position[0] - (ahead * forward_x + left * 2 * (qx * qy - qw * qz) + up * 2 * (qx * qz + qw * qy))
+    y = position[1] - (ahead * forward_y + left * (1 - 2 * (qx * qx + qz * qz)) + up * 2 * (qy * qz - qw * qx))
     return x, y, np.arctan2(forward_y, forward_x)

@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.vehicle.description import for_physics, read, root_of, text_of
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 
 LINK = "payload"
@@ -21,7 +23,7 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     """Adds a load to a vehicle: to its mass, centre of mass and inertia (parallel-axis theorem).
 
     Raises:
-        UserError: If the vehicle already carries a load.
+        UserError: If the vehicle already carries a load, or tips over under this one.
     """
     if vehicle.payload:
         raise UserError(f"vehicle '{vehicle.name}' carries a payload already")
@@ -30,29 +32,48 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     m, p = vehicle.mass, payload.mass
     together = m + p
     apart = payload.ahead - vehicle.com_ahead
+    com_ahead = (m * vehicle.com_ahead + p * payload.ahead) / together
+    if not 0 < com_ahead < vehicle.wheelbase:
+        raise UserError(
+            f"vehicle '{vehicle.name}' would tip over under {p:g} kg at x = {payload.ahead:.4g} m: the centre of mass "
+            f"would be at x = {com_ahead:.4g} m, and the wheels stand at 0 and {vehicle.wheelbase:.4g} m"
+        )
     return replace(
         vehicle,
         payload=payload,
         mass=together,
-        com_ahead=(m * vehicle.com_ahead + p * payload.ahead) / together,
+        com_ahead=com_ahead,
         com_height=(m * vehicle.com_height + p * payload.height) / together,
         yaw_inertia=vehicle.yaw_inertia + payload.inertia + m * p / together * apart * apart,
     )
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF, with an additional link for its load.
+    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load.
 
     Raises:
-        OSError: If the URDF cannot be read.
+        UserError: If the URDF cannot be read.
     """
-    text = vehicle.urdf.read_text(encoding="utf-8")
+    return text_of(_with_load(vehicle))
+
+
+def physics_text(vehicle: VehicleSpec) -> str:
+    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load.
+
+    Raises:
+        UserError: If the URDF cannot be read.
+    """
+    return for_physics(_with_load(vehicle))
+
+
+def _with_load(vehicle: VehicleSpec) -> Element:
+    robot = read(vehicle.urdf)
     if vehicle.payload is None:
-        return text
-    robot = ElementTree.fromstring(text)
-    children = {joint.find("child").attrib["link"] for joint in robot.iter("joint")}  # type: ignore[union-attr]
-    base = next(link.attrib["name"] for link in robot.iter("link") if link.attrib["name"] not in children)
+        return robot
     payload, inertia = vehicle.payload, repr(vehicle.payload.inertia)
+    if any(part.get("name") == LINK for part in robot):
+        raise UserError(f"{vehicle.urdf}: has a part named '{LINK}'; give it another name, which a load has")
+    base = root_of(robot)
     link = ElementTree.SubElement(robot, "link", name=LINK)
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "mass", value=repr(payload.mass))
@@ -67,4 +88,4 @@ def urdf_text(vehicle: VehicleSpec) -> str:
     ElementTree.SubElement(joint, "child", link=LINK)
     above_axle = payload.height - vehicle.wheel_radius
     ElementTree.SubElement(joint, "origin", xyz=f"{payload.ahead!r} 0 {above_axle!r}", rpy="0 0 0")
-    return ElementTree.tostring(robot, encoding="unicode")
+    return robot

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from io import BytesIO
 from typing import Any, Literal
 
 import numpy as np
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.vehicle.description import Unfit, for_drawing, parse
 
 Kind = Literal["box", "cylinder", "sphere"]
 Colour = tuple[float, float, float]
@@ -41,14 +41,16 @@ class Visuals:
             vehicle: The recording's entry `vehicle`.
 
         Raises:
-            UserError: If the entry has no URDF, or the URDF shows a mesh.
+            UserError: If the entry has no URDF, or one that cannot be read.
         """
         import yourdfpy  # here because few programs need its memory
 
-        with TemporaryDirectory(prefix="nnql-bullet-") as folder:
-            path = Path(folder) / "vehicle.urdf"
-            path.write_text(recorded_urdf(vehicle), encoding="utf-8")
-            self._urdf: Any = yourdfpy.URDF.load(str(path), load_meshes=False, load_collision_meshes=False)
+        text = BytesIO(recorded_urdf(vehicle).encode())
+        try:
+            self._urdf: Any = yourdfpy.URDF.load(text, load_meshes=False, load_collision_meshes=False)
+        except Exception as error:  # yourdfpy passes on all errors of its parsers
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise UserError(f"the vehicle in this recording cannot be drawn ({reason}); record it again") from None
         paints = {material.name: material.color for material in self._urdf.robot.materials}
         links = self._urdf.link_map.values()
         self.shapes = [_shape(link.name, visual, paints) for link in links for visual in link.visuals]
@@ -72,14 +74,17 @@ class Visuals:
 
 
 def recorded_urdf(vehicle: Mapping[str, Any]) -> str:
-    """Returns the text of the URDF in a recording's entry `vehicle`.
+    """Returns the text to draw of the URDF in a recording's entry `vehicle`; see `description.for_drawing`.
 
     Raises:
-        UserError: If the entry has none.
+        UserError: If the entry has none, or one that cannot be read.
     """
     if "urdf" not in vehicle:
         raise UserError("this recording has no shapes of the vehicle; record it again with: nnql-bullet drive")
-    return str(vehicle["urdf"])
+    try:
+        return for_drawing(parse(str(vehicle["urdf"])))
+    except Unfit as error:
+        raise UserError(f"the vehicle in this recording {error}; record it again with: nnql-bullet drive") from None
 
 
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
@@ -98,10 +103,8 @@ def _shape(link: str, visual: Any, paints: Mapping[str, Any]) -> Shape:
     elif geometry.cylinder is not None:
         radius = geometry.cylinder.radius
         kind, sizes = "cylinder", (radius, radius, geometry.cylinder.length / 2)
-    elif geometry.sphere is not None:
-        kind, sizes = "sphere", [geometry.sphere.radius] * 3
     else:
-        raise UserError(f"link '{link}' of the vehicle looks like a mesh; only boxes, cylinders and spheres are drawn")
+        kind, sizes = "sphere", [geometry.sphere.radius] * 3
     paint = None if material is None else material.color or paints.get(material.name)
     x, y, z = map(float, sizes)
     red, green, blue = UNPAINTED if paint is None else map(float, paint.rgba[:3])

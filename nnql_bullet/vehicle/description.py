@@ -1,0 +1,433 @@
+"""Reads a URDF: the one place that parses XML, and what its links and joints are.
+
+No document type is taken, so no entity is expanded and no other file is read. Links without a mass that are fixed to
+others are frames, as ROS files have them for sensors and for `base_footprint`: they are folded into the link that
+carries them, because PyBullet would give each a mass of 1 kg.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import atan2, cos, sin
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Array
+
+NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
+NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
+"""Attributes that hold numbers, and how many."""
+LARGEST = 1e6
+"""Largest number that a URDF may hold [m, kg, kg m2]."""
+DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}
+"""Shapes that are drawn, and the attributes that they need."""
+MOST_BYTES, MOST_LINKS = 10_000_000, 500
+"""Size of the largest URDF that is read [bytes, links]."""
+DEEPEST = 50
+"""Largest depth of elements in elements."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
+
+
+class Unfit(Exception):
+    """The URDF does not describe a vehicle that this package can drive; the text names the change needed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A collision shape."""
+
+    kind: str
+    """The tag of its geometry: box, cylinder, sphere or mesh."""
+    sizes: tuple[float, ...]
+    """Edges of a box, or the radius of a sphere [m]; empty for the others."""
+    origin: Array
+    """Transform from its own frame to its link's frame (4, 4)."""
+    file: str = ""
+    """Name of the file of a mesh, which is not read."""
+
+    @property
+    def title(self) -> str:
+        """The kind, and the file of a mesh."""
+        return f"{self.kind} '{self.file}'" if self.file else self.kind or "a shape without geometry"
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A rigid body."""
+
+    name: str
+    mass: float | None
+    """[kg]"""
+    centre: Array
+    """Transform from the frame of its inertia to its own frame (4, 4)."""
+    inertia: Array | None
+    """Moments of inertia in that frame (3, 3) [kg m2]."""
+    solids: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A joint between two links."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    """Transform from its child's frame at the angle 0 to its parent's frame (4, 4)."""
+    axis: Array
+    """In the child's frame (3,)."""
+    effort: float | None
+    """Torque limit [N m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """Links and joints of a URDF, which form a tree, with all joints at the angle 0."""
+
+    base: str
+    """Name of the root of the tree, whose frame is the chassis frame."""
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+    frames: dict[str, Array]
+    """Transforms from each link's frame to the chassis frame (4, 4), by link."""
+
+    def moving_joints_above(self, link: str) -> list[str]:
+        """Names of the joints that are not fixed, from a link up to the base."""
+        carried_by = {joint.child: joint for joint in self.joints.values()}
+        above = []
+        while link in carried_by:
+            joint = carried_by[link]
+            above += [] if joint.kind == "fixed" else [joint.name]
+            link = joint.parent
+        return above
+
+
+def read(path: Path) -> Element:
+    """Reads the links and joints of a URDF, without its massless frames.
+
+    Raises:
+        UserError: If the file cannot be read, is not XML, or its links and joints are not a tree with proper numbers.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise Unfit(f"has {size} bytes; a URDF is read up to {MOST_BYTES} bytes")
+        return parse(path.read_bytes())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except Unfit as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def parse(source: str | bytes) -> Element:
+    """Reads the links and joints of a URDF from its text, in the encoding that it declares.
+
+    Raises:
+        Unfit: See `read`.
+    """
+    try:
+        robot = ElementTree.fromstring(source, ElementTree.XMLParser(target=_Elements()))
+        if robot.tag != "robot":
+            raise Unfit(f"its root is <{robot.tag}>, not <robot>")
+        _check_numbers(robot)
+        _check_tree(robot)
+    except (Unfit, SyntaxError, LookupError, ValueError) as error:  # those of the parser, and of unknown encodings
+        raise Unfit(f"cannot be read as a URDF: {error}") from None
+    _fold_frames(robot)
+    return robot
+
+
+def describe(robot: Element) -> Description:
+    """Makes records of the links and joints that `read` gives."""
+    links = {link.attrib["name"]: _link(link) for link in robot.findall("link")}
+    joints = {joint.attrib["name"]: _joint(joint) for joint in robot.findall("joint")}
+    base = root_of(robot)
+    frames = {base: np.eye(4)}
+    while len(frames) < len(links):
+        for joint in joints.values():
+            if joint.parent in frames:
+                frames[joint.child] = frames[joint.parent] @ joint.origin
+    return Description(base, links, joints, frames)
+
+
+def root_of(robot: Element) -> str:
+    """Returns the name of the link that is no joint's child."""
+    children = {_end(joint, "child") for joint in robot.findall("joint")}
+    return next(link.attrib["name"] for link in robot.findall("link") if link.attrib["name"] not in children)
+
+
+def for_physics(robot: Element) -> str:
+    """Returns the text that engines load: what moves and collides, without looks and extensions of other programs."""
+    bare = Element("robot", name=robot.get("name", ""))
+    for link in robot.findall("link"):
+        kept = ElementTree.SubElement(bare, "link", name=link.attrib["name"])
+        kept.extend(_inertial(link))
+        kept.extend(_shape("collision", solid) for solid in link.findall("collision"))
+    bare.extend(_bare_joint(joint, "limit", "dynamics") for joint in robot.findall("joint"))
+    return text_of(bare)
+
+
+def for_drawing(robot: Element) -> str:
+    """Returns the text that renderers load, which names no other file.
+
+    A link that looks like meshes alone gets the looks of its collision shapes; of other links, meshes are left out.
+    """
+    bare = Element("robot", name=robot.get("name", ""))
+    bare.extend(map(_paint, robot.findall("material")))
+    for link in robot.findall("link"):
+        kept = ElementTree.SubElement(bare, "link", name=link.attrib["name"])
+        kept.extend(_inertial(link))
+        looks, solids = link.findall("visual"), link.findall("collision")
+        drawn = [_look(look, look) for look in looks if _is_drawable(look)]
+        kept.extend(drawn or [_look(solid, looks[0]) for solid in solids if looks and _is_drawable(solid)])
+    bare.extend(map(_bare_joint, robot.findall("joint")))
+    return text_of(bare)
+
+
+def text_of(robot: Element) -> str:
+    """Writes a URDF as text."""
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+class _Elements(ElementTree.TreeBuilder):
+    """Builds the tree of an XML file that declares nothing and is no deeper than a URDF can be."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = 0
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Refuses a document type, which entities need."""
+        raise Unfit("it declares a document type (<!DOCTYPE>); remove that, and write out its entities")
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> Element:
+        """Begins an element."""
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise Unfit(f"it has elements in elements, more than {DEEPEST} deep")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str, /) -> Element:
+        """Ends an element."""
+        self._depth -= 1
+        return super().end(tag)
+
+
+def _check_numbers(robot: Element) -> None:
+    """Checks the form of all numbers of links and joints, and writes one space between them, as PyBullet needs it."""
+    for part in [*robot.findall("link"), *robot.findall("joint"), *robot.findall("material")]:
+        for element in part.iter():
+            for key in sorted(element.attrib.keys() & NUMBERS.keys()):
+                if key == "value" and element.tag != "mass":
+                    continue
+                words, count = element.attrib[key].split(), NUMBERS[key]
+                given = f'<{element.tag} {key}="{element.attrib[key]}"> of {part.tag} {part.get("name")!r}'
+                if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
+                    raise Unfit(f"{given} must be {count} number{'s' * (count > 1)}")
+                numbers = [float(word) for word in words]
+                if key not in ("effort", "value") and not all(abs(number) <= LARGEST for number in numbers):
+                    raise Unfit(f"{given} must be finite, and at most {LARGEST:g} in size")
+                if key in ("size", "length") and min(numbers) <= 0:
+                    raise Unfit(f"{given} must be positive")
+                element.set(key, " ".join(words))
+
+
+def _check_tree(robot: Element) -> None:
+    for tag in ("link", "joint"):
+        names = [part.get("name", "") for part in robot.findall(tag)]
+        if len(names) > MOST_LINKS:
+            raise Unfit(f"it has {len(names)} {tag}s; up to {MOST_LINKS} are taken")
+        for number, name in enumerate(names):
+            if not name or name in names[:number]:
+                raise Unfit(f"two {tag}s are named {name!r}" if name else f"a <{tag}> has no name")
+    above = {}
+    links = [link.attrib["name"] for link in robot.findall("link")]
+    for joint in robot.findall("joint"):
+        for end in ("parent", "child"):
+            if _end(joint, end) not in links:
+                raise Unfit(f"the {end} {_end(joint, end)!r} of joint {joint.get('name')!r} is not a link of it")
+        if _end(joint, "child") in above:
+            raise Unfit(f"link {_end(joint, 'child')!r} is the child of two joints")
+        above[_end(joint, "child")] = _end(joint, "parent")
+    roots = [link for link in links if link not in above]
+    if len(roots) != 1:
+        raise Unfit(
+            f"one link must carry all others; no joint carries: {', '.join(roots) or 'none, they go in circles'}"
+        )
+    held = set(roots)
+    while more := {link for link, carrier in above.items() if carrier in held} - held:
+        held |= more
+    if astray := [link for link in links if link not in held]:
+        raise Unfit(f"joints go in a circle, and nothing carries: {', '.join(astray)}")
+
+
+def _fold_frames(robot: Element) -> None:
+    """Moves what massless links carry to the links that they are fixed to, and removes them."""
+    links = {link.attrib["name"]: link for link in robot.findall("link")}
+    for joint in robot.findall("joint"):
+        if joint.get("type") == "fixed" and _massless(links[_end(joint, "child")]):
+            _fold(robot, joint, links[_end(joint, "child")], links[_end(joint, "parent")], _transform(joint))
+    root = links[root_of(robot)]
+    fixed = [joint for joint in robot.findall("joint") if joint.get("type") == "fixed" and _carries(joint, root)]
+    if fixed and _massless(root):
+        _fold(robot, fixed[0], root, links[_end(fixed[0], "child")], np.asarray(np.linalg.inv(_transform(fixed[0]))))
+
+
+def _fold(robot: Element, joint: Element, frame: Element, carrier: Element, transform: Array) -> None:
+    """Moves all that a frame carries to another link, whose frame it lies in by a transform (4, 4)."""
+    robot.remove(joint)
+    robot.remove(frame)
+    for element in [*frame.findall("visual"), *frame.findall("collision")]:
+        carrier.append(element)
+        _place(element, transform @ _transform(element))
+    for other in robot.findall("joint"):
+        if _carries(other, frame):
+            _place(other, transform @ _transform(other))
+            for parent in other.findall("parent"):
+                parent.set("link", carrier.attrib["name"])
+
+
+def _massless(link: Element) -> bool:
+    mass = link.find("inertial/mass")
+    return mass is None or float(mass.get("value", "nan")) == 0
+
+
+def _carries(joint: Element, link: Element) -> bool:
+    return _end(joint, "parent") == link.attrib["name"]
+
+
+def _end(joint: Element, end: str) -> str:
+    """Returns the name of a joint's parent or child."""
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _is_drawable(element: Element) -> bool:
+    shape = element.find("geometry/*")
+    return shape is not None and shape.attrib.keys() >= DRAWABLE.get(shape.tag, {"no such attribute"})
+
+
+def _firsts(part: Element, *tags: str) -> list[Element]:
+    """Finds the first element of each tag; engines differ in which of several they take."""
+    return [found for tag in tags if (found := part.find(tag)) is not None]
+
+
+def _bare_joint(joint: Element, *more: str) -> Element:
+    bare = Element("joint", name=joint.attrib["name"], type=joint.get("type", ""))
+    bare.extend(_firsts(joint, "parent", "child", "origin", "axis", *more))
+    return bare
+
+
+def _inertial(link: Element) -> list[Element]:
+    found = link.find("inertial")
+    if found is None:
+        return []
+    bare = Element("inertial")
+    bare.extend(_firsts(found, "origin", "mass", "inertia"))
+    return [bare]
+
+
+def _shape(tag: str, element: Element) -> Element:
+    """Makes a visual or collision of the shape of another element."""
+    shape = Element(tag)
+    shape.extend(_firsts(element, "origin"))
+    ElementTree.SubElement(shape, "geometry").extend(_firsts(element, "geometry/*"))
+    return shape
+
+
+def _look(element: Element, painted: Element) -> Element:
+    look = _shape("visual", element)
+    look.extend(map(_paint, _firsts(painted, "material")))
+    return look
+
+
+def _paint(material: Element) -> Element:
+    """Copies a material, without its texture and with its colour between 0 and 1."""
+    paint = Element("material", name=material.get("name", ""))
+    colour = material.find("color")
+    if colour is not None and "rgba" in colour.attrib:
+        rgba = _words(min(max(value, 0.0), 1.0) for value in _floats(colour.attrib["rgba"]))
+        ElementTree.SubElement(paint, "color", rgba=rgba)
+    return paint
+
+
+def _floats(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
+
+
+def _transform(element: Element) -> Array:
+    """Computes the transform (4, 4) of the <origin> of an element, whose rpy turns about x, then y, then z."""
+    origin = element.find("origin")
+    transform = np.eye(4)
+    if origin is not None:
+        roll, pitch, yaw = _floats(origin.get("rpy", "0 0 0"))
+        about_x = np.array([[1.0, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
+        about_y = np.array([[cos(pitch), 0, sin(pitch)], [0, 1.0, 0], [-sin(pitch), 0, cos(pitch)]])
+        about_z = np.array([[cos(yaw), -sin(yaw), 0], [sin(yaw), cos(yaw), 0], [0, 0, 1.0]])
+        transform[:3, :3] = about_z @ about_y @ about_x
+        transform[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
+    return transform
+
+
+def _place(element: Element, transform: Array) -> None:
+    """Gives an element the <origin> of a transform (4, 4)."""
+    origin = element.find("origin")
+    if origin is None:
+        origin = ElementTree.SubElement(element, "origin")
+    r = transform[:3, :3]
+    across = float(np.hypot(r[0, 0], r[1, 0]))
+    pitch = atan2(-r[2, 0], across)
+    if across > 1e-9:
+        roll, yaw = atan2(r[2, 1], r[2, 2]), atan2(r[1, 0], r[0, 0])
+    else:  # it points up or down: roll and yaw turn about one axis
+        roll, yaw = atan2(-r[1, 2], r[1, 1]), 0.0
+    origin.set("xyz", _words(transform[:3, 3].tolist()))
+    origin.set("rpy", _words((roll, pitch, yaw)))
+
+
+def _words(numbers: Iterable[float]) -> str:
+    return " ".join(map(repr, numbers))
+
+
+def _link(link: Element) -> Link:
+    inertial, mass = link.find("inertial"), link.find("inertial/mass")
+    return Link(
+        name=link.attrib["name"],
+        mass=None if mass is None or "value" not in mass.attrib else float(mass.attrib["value"]),
+        centre=np.eye(4) if inertial is None else _transform(inertial),
+        inertia=_inertia(link.find("inertial/inertia")),
+        solids=tuple(map(_solid, link.findall("collision"))),
+    )
+
+
+def _inertia(moments: Element | None) -> Array | None:
+    if moments is None or not {"ixx", "iyy", "izz"} <= moments.attrib.keys():
+        return None
+    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+    return np.array([[float(moments.get(key, "0")) for key in row] for row in rows])
+
+
+def _solid(collision: Element) -> Solid:
+    shape = collision.find("geometry/*")
+    kind = "" if shape is None else shape.tag
+    sizes = {} if shape is None else shape.attrib
+    key = {"box": "size", "sphere": "radius"}.get(kind, "")
+    return Solid(kind, tuple(_floats(sizes.get(key, ""))), _transform(collision), sizes.get("filename", ""))
+
+
+def _joint(joint: Element) -> Joint:
+    axis, limit = joint.find("axis"), joint.find("limit")
+    return Joint(
+        name=joint.attrib["name"],
+        kind=joint.get("type", "of no type"),
+        parent=_end(joint, "parent"),
+        child=_end(joint, "child"),
+        origin=_transform(joint),
+        axis=np.array(_floats("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))),
+        effort=None if limit is None or "effort" not in limit.attrib else float(limit.attrib["effort"]),
+    )
