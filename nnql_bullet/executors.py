@@ -262,9 +262,13 @@ def _describe(error: BaseException) -> TaskError:
 
 
 def _prepare_worker(lifeline: Connection) -> None:
-    """Ignores Ctrl-C, uses one core, and ends the worker when the parent closes the other end of the pipe or dies."""
+    """Ignores Ctrl-C and a closed terminal, and uses one core.
+
+    The worker ends when the parent closes the other end of the pipe or dies.
+    """
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch, which is imported later, reads it; Ray sets it too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
 

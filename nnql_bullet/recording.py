@@ -35,6 +35,8 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 FORMAT = "nnql-bullet recording 1"
 DERIVED = (".mp4", ".gif", ".rrd")
 """Suffixes of films and time lines beside a recording."""
+RECORDINGS = ("*.npz", *(f"*{suffix}" for suffix in DERIVED))
+"""Patterns of recordings, and of their films and time lines."""
 MOST_BYTES = 500_000_000
 """Size of the largest recording that is read, unpacked [bytes]."""
 
@@ -179,13 +181,6 @@ class Recording:
                 _remove_derived(file)
 
         write_atomically(file, write)
-
-
-def remove_recordings(folder: Path) -> None:
-    """Removes the recordings in a folder, and their films and time lines."""
-    for file in folder.glob("*.npz"):
-        _remove_derived(file)
-        file.unlink()
 
 
 def _remove_derived(file: Path) -> None:

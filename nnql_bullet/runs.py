@@ -8,6 +8,7 @@
 - policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
 - selection.csv: with a selection, the goals of each candidate, once the training is over
 - learning_curve.png: the verb `train` draws it when the training stops
+- .lock: while a process trains there, which process it is
 """
 
 import csv
@@ -28,10 +29,11 @@ from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import write_text
+from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
-from nnql_bullet.sources import SOURCES, keep_sources, located
+from nnql_bullet.sources import ROBOT, SOURCES, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
@@ -80,26 +82,32 @@ class Run:
 
     @property
     def is_over(self) -> bool:
-        """Whether all its episodes are done and, if so configured, its policy is selected."""
-        selected = self.config.training.selection is None or (self.folder / SELECTION).is_file()
-        return len(self.episodes) == self.config.episodes and selected
+        """Whether all its episodes are done, and its policy is what was learned or, if so configured, selected."""
+        if len(self.episodes) != self.config.episodes or not (self.folder / POLICY).is_file():
+            return False
+        if self.config.training.selection:
+            return (self.folder / SELECTION).is_file()
+        return load_weights(self.folder / POLICY).episodes == len(self.episodes)
 
     def create(self, overwrite: bool) -> None:
         """Creates the folder, or empties it of an older run.
+
+        What a training has left that ended before its first checkpoint is no loss, and is emptied unasked. Whenever
+        this is cut short, either the old run can be resumed, or the folder holds nothing that would be lost.
 
         Raises:
             UserError: If it holds a run and `overwrite` is False, or holds something else.
         """
         folder = self.folder
-        if folder.exists() and not folder.is_dir():
-            raise UserError(f"{folder}: is a file; give another folder")
-        if folder.is_dir() and any(folder.iterdir()):
+        found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
+        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT}:
             if not overwrite:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
-            if not (folder / CONFIG).is_file():
+            if CONFIG not in found:
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
-            for name in (SELECTION, CHECKPOINT, POLICY, EPISODES, LEARNING_CURVE, REPORT, SOURCES):
-                (folder / name).unlink(missing_ok=True)
+        # The checkpoint can restore the files before it.
+        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, EPISODES):
+            (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
         keep_sources(self.config, folder)
@@ -123,7 +131,15 @@ class Run:
             for name, values in arrays.items()
         }
         save_weights(Weights(config, done, {**learned, **under_way, **candidates}), self.folder / CHECKPOINT)
-        save_weights(Weights(config, done, learned), self.folder / POLICY)
+        self.save_policy(learned)
+
+    def save_policy(self, learned: dict[str, NDArray[Any]]) -> None:
+        """Writes what was learned in the episodes so far as the policy.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        save_weights(Weights(to_values(self.config), len(self.episodes), learned), self.folder / POLICY)
 
     def save_selected(self, candidates: Candidates, goals: Mapping[int, int], worlds: int) -> int:
         """Makes the candidate with the most goals the policy, and writes down how each did.

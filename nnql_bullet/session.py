@@ -5,7 +5,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -20,6 +20,7 @@ from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.locks import locked
 from nnql_bullet.memory import refuse_beyond
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
@@ -66,13 +67,20 @@ def train(
         The run, read from its folder.
 
     Raises:
-        UserError: If the configuration cannot be trained, or the folder is not empty; nothing is written then.
+        UserError: If the configuration cannot be trained, or the folder is in use or not empty; nothing is written
+            then.
         WorkerDied: If a worker process died; a checkpoint is written before.
         WorkFailed: If the training diverges; the last checkpoint is then from before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
-    session = _Session(Run(out, config), Experiment(config, agent), reward, workers, on_progress, stop)
-    return session.go(lambda run: run.create(overwrite))
+    with ExitStack() as lock:
+
+        def create(run: Run) -> None:
+            lock.enter_context(locked(out))
+            run.create(overwrite)
+
+        session = _Session(Run(out, config), Experiment(config, agent), reward, workers, on_progress, stop)
+        return session.go(create)
 
 
 def resume(
@@ -102,17 +110,22 @@ def resume(
         The run, read from its folder.
 
     Raises:
-        UserError: If the folder contains no run, its files do not fit each other, or it has more episodes already.
+        UserError: If the folder contains no run, is in use, its files do not fit each other, or it has more episodes
+            already.
         WorkerDied: If a worker process died; a checkpoint is written before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     run = load_run(folder, episodes)
     for name in changed_sources(folder):
         _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
-    if run.is_over:
-        return run
-    experiment = Experiment(located(run.config, folder), agent)
-    return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.save_config)
+    if run.is_over:  # before anything is written
+        with suppress(OSError), locked(folder):  # which removes what a killed process left
+            pass
+        return load_run(folder, episodes)
+    with locked(folder):
+        run = load_run(folder, episodes)
+        experiment = Experiment(located(run.config, folder), agent)
+        return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.save_config)
 
 
 def check(config: RunConfig) -> None:
@@ -180,6 +193,8 @@ class _Session:
                 if len(run.episodes) < config.episodes:
                     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # `_check_finite` says it
                         self._train(agent, trainer)
+                elif not config.training.selection:  # the run ended before its last policy was written
+                    run.save_policy(agent.state_dict())
                 if run.episodes and not any(e.summary.ending == "goal" for e in run.episodes):
                     reason = hopeless or "look at the endings in episodes.csv"
                     _log.warning("none of %d episodes reached its target; %s", len(run.episodes), reason)

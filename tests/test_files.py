@@ -76,10 +76,10 @@ def test_old_file_is_whole_while_the_new_one_is_written(tmp_path):
 
     def write(temporary):
         temporary.write_bytes(b"new")
-        seen.append((temporary.parent, temporary.suffix, path.read_bytes()))
+        seen.append((temporary.parent.parent, temporary.name, path.read_bytes()))
 
     write_atomically(path, write)
-    assert seen == [(tmp_path, ".bin", b"old")]
+    assert seen == [(tmp_path, "a.bin", b"old")]
 
 
 def test_writers_that_go_by_the_ending_write_where_they_should(tmp_path):

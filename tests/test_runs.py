@@ -49,7 +49,7 @@ def learned(arrays: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.floa
 
 def metadata(path: Path) -> dict[str, str]:
     with safe_open(path, framework="numpy") as file:
-        return dict(file.metadata())
+        return dict(json.loads(file.metadata()["nnql-bullet"]))
 
 
 def change_arrays(
@@ -57,7 +57,7 @@ def change_arrays(
 ) -> None:
     """Rewrites a safetensors file with other arrays and the same metadata."""
     about = metadata(path)
-    save_file(change(load_file(path)), path, about)
+    save_file(change(load_file(path)), path, about)  # in the format of version 0.1, which is still read
 
 
 def episodes(folder: Path) -> int:
@@ -534,3 +534,61 @@ class TestFullDisk:
         line = refused(train(tmp_path / "full", 2))
         assert "free some space" in line
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+class TestCutShort:
+    """Moments at which a training may be killed; `tests/crash` tries them all."""
+
+    SMALL = ("--sim", "kinematic", "--vehicles", 2, "--episodes", 3)
+
+    @pytest.fixture
+    def whole(self, train: Callable[..., tuple[int, str, str]], tmp_path: Path) -> Path:
+        assert train(tmp_path / "whole", 3, *self.SMALL[:4])[0] == 0
+        return tmp_path / "whole"
+
+    @pytest.mark.parametrize("again", ["train", "resume"])
+    @pytest.mark.parametrize("left", [["config.toml"], ["config.toml", "episodes.csv"], [".lock"]])
+    def test_before_its_first_checkpoint_nothing_is_lost(
+        self,
+        train: Callable[..., tuple[int, str, str]],
+        run_cli: Cli,
+        whole: Path,
+        tmp_path: Path,
+        snapshot: Snapshot,
+        left: list[str],
+        again: str,
+    ) -> None:
+        folder = tmp_path / "cut"
+        folder.mkdir()
+        for name in left:
+            (folder / name).write_bytes((whole / name).read_bytes() if (whole / name).exists() else b"process 1")
+        (folder / ".writing-x").mkdir()
+        (folder / ".writing-x" / "episodes.csv").write_text("half")
+        if again == "resume" and "config.toml" in left:
+            assert run_cli("train", "--resume", folder)[0] == 0
+        else:
+            assert train(folder, 3, *self.SMALL[:4])[0] == 0
+        assert snapshot(folder) == snapshot(whole)
+
+    @pytest.mark.parametrize("lost", [["policy.safetensors"], ["policy.safetensors", "learning_curve.png"]])
+    def test_a_checkpoint_restores_the_whole_run(
+        self, run_cli: Cli, whole: Path, snapshot: Snapshot, lost: list[str]
+    ) -> None:
+        before = snapshot(whole)
+        for name in lost:
+            (whole / name).unlink()
+        assert run_cli("train", "--resume", whole)[0] == 0
+        assert snapshot(whole) == before
+
+
+@pytest.mark.slow
+def test_equal_trainings_leave_equal_bytes(
+    spawn_cli: Callable[..., subprocess.CompletedProcess[str]], small_config: Path, tmp_path: Path, snapshot: Snapshot
+) -> None:
+    left = []
+    for number in (1, 2):
+        command = ["train", "--config", small_config, "--sim", "kinematic", "--vehicles", 2, "--episodes", 3, "--out"]
+        environment = {**os.environ, "PYTHONHASHSEED": str(number)}
+        assert spawn_cli(*command, tmp_path / str(number), env=environment).returncode == 0
+        left.append(snapshot(tmp_path / str(number)))
+    assert left[0] == left[1]

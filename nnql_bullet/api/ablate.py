@@ -12,7 +12,8 @@ from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.studies import STUDIES, Study
 from nnql_bullet.executors import ExecutorKind, make_executor
-from nnql_bullet.files import write_text
+from nnql_bullet.files import staged, write_text
+from nnql_bullet.locks import locked
 from nnql_bullet.reports import ablation as report
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import SimulatorName
@@ -44,13 +45,12 @@ class AblationResults:
 
     def save(self, folder: Path | str) -> None:
         """Writes ablation.md, ablation.csv, ablation.json and ablation.png into a folder."""
-        out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "ablation.md", report.ablation_markdown(self.study, self.entries, self.budget))
-        write_text(out / "ablation.csv", report.ablation_csv(self.entries))
-        values = report.ablation_values(self.study, self.entries, self.budget)
-        write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
-        report.draw_ablation(self.study, self.entries, self.budget, out / "ablation.png")
+        with staged(Path(folder), "ablation.json") as out:
+            write_text(out / "ablation.md", report.ablation_markdown(self.study, self.entries, self.budget))
+            write_text(out / "ablation.csv", report.ablation_csv(self.entries))
+            report.draw_ablation(self.study, self.entries, self.budget, out / "ablation.png")
+            values = report.ablation_values(self.study, self.entries, self.budget)
+            write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
 
 
 def ablate(
@@ -92,7 +92,7 @@ def ablate(
         on_progress: Receives the progress.
 
     Raises:
-        UserError: If an argument is wrong.
+        UserError: If an argument is wrong, or another process writes to `out`.
         WorkFailed: If a training fails.
     """
     split_seeds("validation", n_worlds)
@@ -113,14 +113,16 @@ def ablate(
         for factor in study.factors
         for variant in factor.variants
     ]
-    parts, tasks = Parts(None if out is None else Path(out) / "parts"), [task for *_, task in trials]
-    tested = run_kept(where, "trainings", train_and_test, tasks, parts, Counts, on_progress)
-    found: dict[tuple[str, str], list[list[Counts]]] = {}
-    for (name, label, _), its in zip(trials, tested, strict=True):
-        found.setdefault((name, label), []).append(its)
-    results = AblationResults(study, budget, entries(study, found))
-    if out is not None:
-        results.save(out)
+    folder, tasks = None if out is None else Path(out), [task for *_, task in trials]
+    with locked(folder):
+        parts = Parts(folder / "parts" if folder else None)
+        tested = run_kept(where, "trainings", train_and_test, tasks, parts, Counts, on_progress)
+        found: dict[tuple[str, str], list[list[Counts]]] = {}
+        for (name, label, _), its in zip(trials, tested, strict=True):
+            found.setdefault((name, label), []).append(its)
+        results = AblationResults(study, budget, entries(study, found))
+        if folder:
+            results.save(folder)
     return results
 
 

@@ -25,12 +25,13 @@ from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
-from nnql_bullet.files import write_text
+from nnql_bullet.files import staged, write_text
+from nnql_bullet.locks import locked
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.filming import render_ending
 from nnql_bullet.render.video import check_encoder
 from nnql_bullet.reports import evaluation as report
-from nnql_bullet.reports.failures import clear
+from nnql_bullet.reports.failures import FILES
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions, SimulatorName
@@ -46,6 +47,8 @@ CLIP = 12.0
 """Length of a clip of a failure [s]."""
 CLIP_SIZE = (960, 540)
 """Size of a clip [pixels]."""
+_OLD = ("cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
+"""Files of an older report that a new one may be without."""
 
 
 @dataclass(frozen=True)
@@ -97,27 +100,25 @@ class EvaluationResults:
         Returns:
             The values of results.json.
         """
-        out, e = Path(folder), self.evaluation
+        e = self.evaluation
         films = _filmed(executor or InlineExecutor(), e, on_progress)
         tasks = [task for task, _ in films]
-        failures = out / "failures"
-        failures.mkdir(parents=True, exist_ok=True)
-        clear(failures)
-        for task, recording in films:
-            recording.save(failures / task.name)
-        for old in (out / "cover.png", out / "failures.png", *(out / "clips").glob("*.mp4")):
-            old.unlink(missing_ok=True)
-        report.draw_outcomes(e, self.methods, out / "outcomes.png")
-        report.draw_cover(e, self.methods, out / "cover.png")
-        report.draw_failures(films, out / "failures.png")
-        write_text(out / "results.csv", report.results_csv(self.methods))
-        write_text(out / "episodes.csv", report.episodes_csv(e))
-        write_text(out / "evaluation.md", report.evaluation_markdown(e, self.methods, self.comparisons, tasks))
         values = report.evaluation_values(e, self.methods, self.comparisons, tasks)
-        write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
-        for task in tasks[:clips]:
-            (out / "clips").mkdir(exist_ok=True)
-            render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+        with staged(Path(folder), "results.json", _OLD) as out:
+            failures = out / "failures"
+            failures.mkdir()
+            for task, recording in films:
+                recording.save(failures / task.name)
+            report.draw_outcomes(e, self.methods, out / "outcomes.png")
+            report.draw_cover(e, self.methods, out / "cover.png")
+            report.draw_failures(films, out / "failures.png")
+            write_text(out / "results.csv", report.results_csv(self.methods))
+            write_text(out / "episodes.csv", report.episodes_csv(e))
+            write_text(out / "evaluation.md", report.evaluation_markdown(e, self.methods, self.comparisons, tasks))
+            for task in tasks[:clips]:
+                (out / "clips").mkdir(exist_ok=True)
+                render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+            write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 
 
@@ -167,7 +168,7 @@ def evaluate(
         on_progress: Receives the progress.
 
     Raises:
-        UserError: If an argument is wrong or a policy or world cannot be read.
+        UserError: If an argument is wrong, a policy or world cannot be read, or another process writes to `out`.
         WorkFailed: If a piece of work fails.
     """
     if clips < 0:
@@ -184,10 +185,12 @@ def evaluate(
     for policy in opened:
         check_setting(policy, setting)
     tiers = draw_tiers(worlds, setting, n_worlds, opened)
-    parts = Parts(None if out is None else Path(out) / "parts")
-    results = EvaluationResults(_driven(where, opened, tiers, setting, parts, on_progress))
-    if out is not None:
-        results.save(out, clips, where, on_progress)
+    folder = None if out is None else Path(out)
+    with locked(folder):
+        parts = Parts(folder / "parts" if folder else None)
+        results = EvaluationResults(_driven(where, opened, tiers, setting, parts, on_progress))
+        if folder:
+            results.save(folder, clips, where, on_progress)
     return results
 
 

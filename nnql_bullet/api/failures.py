@@ -18,7 +18,8 @@ from nnql_bullet.evaluation.replays import (
     replay,
 )
 from nnql_bullet.executors import ExecutorKind
-from nnql_bullet.files import write_text
+from nnql_bullet.files import staged, write_text
+from nnql_bullet.locks import locked
 from nnql_bullet.reports import failures as report
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.work import OnProgress, run_all
@@ -47,17 +48,16 @@ class FailureResults:
 
     def save(self, folder: Path | str) -> None:
         """Writes recordings, failures.md, failures.json and a contact sheet of each group into a folder."""
-        out, found = Path(folder), self.failures
-        out.mkdir(parents=True, exist_ok=True)
-        report.clear(out)
-        for one in found.replays:
-            one.recording.save(out / one.failed.film.name)
-        for name, its in found.groups.items():
-            shown = report.varied(its, [one.failed.place for one in its], report.SHOWN)
-            drives = [(one.failed.title, one.recording, one.features) for one in shown]
-            report.draw_sheet(drives, out / report.sheet(name))
-        write_text(out / "failures.md", report.failures_markdown(found))
-        write_text(out / "failures.json", json.dumps(report.failures_values(found), indent=1) + "\n")
+        found = self.failures
+        with staged(Path(folder), "failures.json", report.FILES) as out:
+            for one in found.replays:
+                one.recording.save(out / one.failed.film.name)
+            for name, its in found.groups.items():
+                shown = report.varied(its, [one.failed.place for one in its], report.SHOWN)
+                drives = [(one.failed.title, one.recording, one.features) for one in shown]
+                report.draw_sheet(drives, out / report.sheet(name))
+            write_text(out / "failures.md", report.failures_markdown(found))
+            write_text(out / "failures.json", json.dumps(report.failures_values(found), indent=1) + "\n")
 
 
 def failures(
@@ -108,5 +108,6 @@ def failures(
     )
     found = FailureResults(Failures(evaluation, replays, most))
     if out is not None:
-        found.save(out)
+        with locked(Path(out)):
+            found.save(out)
     return found

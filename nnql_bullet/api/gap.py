@@ -13,14 +13,18 @@ from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, split_seeds
 from nnql_bullet.executors import ExecutorKind
-from nnql_bullet.files import write_text
-from nnql_bullet.recording import remove_recordings
+from nnql_bullet.files import staged, write_text
+from nnql_bullet.locks import locked
+from nnql_bullet.recording import RECORDINGS
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import PolicyLike, load_policy
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.source import World
+
+_OLD = ("faults.png", "flips.png", *(f"flips/{pattern}" for pattern in RECORDINGS))
+"""Files of an older report that a new one may be without."""
 
 
 @dataclass(frozen=True)
@@ -41,21 +45,19 @@ class GapResults:
 
     def save(self, folder: Path | str) -> None:
         """Writes the report, tables, pictures and the recordings of drives that ended differently into a folder."""
-        out, g = Path(folder), self.gap
-        flips = out / "flips"
-        flips.mkdir(parents=True, exist_ok=True)
-        remove_recordings(flips)
-        for pair in g.pairs:
-            for side, recording in zip((g.first, g.second), pair.recordings, strict=False):
-                recording.save(measure.flip_file(flips, pair.run, pair.world_seed, side))
-        write_text(out / "gap.md", report.gap_markdown(g))
-        write_text(out / "gap.json", json.dumps(report.gap_values(g), indent=1) + "\n")
-        write_text(out / "episodes.csv", report.gap_csv(g))
-        report.draw_gap(g, out / "gap.png")
-        for name in ("faults.png", "flips.png"):
-            (out / name).unlink(missing_ok=True)
-        report.draw_faults(g, out / "faults.png")
-        report.draw_flips(g, flips, out / "flips.png")
+        g = self.gap
+        with staged(Path(folder), "gap.json", _OLD) as out:
+            flips = out / "flips"
+            flips.mkdir()
+            for pair in g.pairs:
+                for side, recording in zip((g.first, g.second), pair.recordings, strict=False):
+                    recording.save(measure.flip_file(flips, pair.run, pair.world_seed, side))
+            write_text(out / "gap.md", report.gap_markdown(g))
+            write_text(out / "episodes.csv", report.gap_csv(g))
+            report.draw_gap(g, out / "gap.png")
+            report.draw_faults(g, out / "faults.png")
+            report.draw_flips(g, flips, out / "flips.png")
+            write_text(out / "gap.json", json.dumps(report.gap_values(g), indent=1) + "\n")
 
 
 def gap(
@@ -120,5 +122,6 @@ def gap(
     shown = world.name if isinstance(world, World) else world
     results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials, conditions))
     if out is not None:
-        results.save(out)
+        with locked(Path(out)):
+            results.save(out)
     return results

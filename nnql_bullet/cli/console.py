@@ -1,10 +1,11 @@
 """Printing: lines, complaints, and the progress of long work."""
 
+import errno
 import logging
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import timedelta
 from pathlib import Path
 from time import monotonic
@@ -38,7 +39,7 @@ ESTIMATE_AFTER = 5.0
 class _Stream(Console):
     def on_broken_pipe(self) -> None:
         """Leaves the exit code to the parser."""
-        raise BrokenPipeError
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
 
 
 out = _Stream()
@@ -65,17 +66,25 @@ def streams() -> Iterator[None]:
         yield
 
 
-def give_up_output() -> int:
-    """Sends to nowhere what is still to be printed, because its reader has gone; the exit code of that."""
-    with Path(os.devnull).open("wb") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    return 128 + 13  # as if ended by SIGPIPE
-
-
 def complain(text: str) -> int:
-    """One line on standard error; the exit code of bad input."""
-    tell(f"nnql-bullet: {one_line(text)}")
+    """One line on standard error, if somebody reads it; the exit code of bad input."""
+    with suppress(OSError):
+        tell(f"nnql-bullet: {one_line(text)}")
     return 2
+
+
+def is_unread(error: OSError) -> bool:
+    """Whether it is that nobody reads what is printed any more; errors of files name the file."""
+    return error.filename is None and (isinstance(error, BrokenPipeError) or error.errno == errno.EIO)
+
+
+def give_up_output() -> int:
+    """Sends to nowhere what is still to be printed, because nobody reads it; the exit code of that."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
+    return 128 + 13  # as if ended by SIGPIPE
 
 
 def items(text: str | None) -> list[str]:

@@ -6,7 +6,7 @@ from importlib import import_module
 from inspect import getdoc
 
 from nnql_bullet import __version__
-from nnql_bullet.cli.console import complain, give_up_output, messages, say
+from nnql_bullet.cli.console import complain, give_up_output, is_unread, messages, say
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.sim.base import WorkerDied
 
@@ -47,14 +47,14 @@ def run(arguments: list[str]) -> int:
     """Parses and runs one verb; the exit code."""
     try:
         return _run(arguments)
-    except BrokenPipeError:
-        return give_up_output()
     except UserError as error:
         return complain(str(error))
     except (WorkerDied, WorkFailed) as error:
         complain(str(error))
         return 1
     except OSError as error:
+        if is_unread(error):
+            return give_up_output()
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
 
 

@@ -1,17 +1,16 @@
 """`nnql-bullet train`."""
 
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from types import FrameType, MappingProxyType
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import tyro
 
 from nnql_bullet.api import training as api
-from nnql_bullet.cli.console import complain, progress, say, tell
+from nnql_bullet.cli.console import complain, is_unread, progress, say
 from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.signals import held_back
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import load_config
@@ -19,6 +18,7 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.text import shell_line
+from nnql_bullet.work import Progress
 
 
 def train(
@@ -32,7 +32,8 @@ def train(
     """Train the vehicle, headless, and leave a run folder.
 
     The folder holds config.toml, episodes.csv, policy.safetensors, learning_curve.png and a checkpoint. The result is a
-    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from.
+    function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from;
+    SIGTERM and a closed terminal do too.
 
     Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the same with numbers set by
     evidence), q_table (a table instead of the network), genetic (a search over its weights), double_dqn (decides every
@@ -64,6 +65,7 @@ def train(
         run = load_run(resume, keys.get("episodes"))
         folder, total = resume, run.config.episodes
         if run.is_over:
+            api.resume(folder, total)  # draws the learning curve, which a run that was killed may be without
             say(f"{folder} has its {total} episodes already; give more with --episodes")
             return 0
     else:
@@ -72,14 +74,26 @@ def train(
         resolved = load_config(config or "paper", {**keys, **mix})
         folder, total = out or Path("runs") / f"{Path(config or 'paper').stem}-{resolved.seed}", resolved.episodes
     died: WorkerDied | None = None
-    with _interrupts() as interrupted, progress() as show:
+    unread = False
+    with held_back() as interrupted, progress() as show:
+
+        def shown(now: Progress) -> None:
+            nonlocal unread
+            try:
+                show(now)
+            except OSError as error:
+                if not is_unread(error):
+                    raise
+                unread = True
+
+        def stop() -> bool:
+            return unread or interrupted()
+
         try:
             if resume is not None:
-                api.resume(folder, total, workers=workers, on_progress=show, stop=interrupted)
+                api.resume(folder, total, workers=workers, on_progress=shown, stop=stop)
             else:
-                api.train(
-                    resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=show, stop=interrupted
-                )
+                api.train(resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=shown, stop=stop)
         except WorkerDied as error:
             died = error
     run = load_run(folder)
@@ -97,23 +111,3 @@ def train(
         return 1
     say(stopped)
     return 130
-
-
-@contextmanager
-def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Holds Ctrl-C and SIGTERM back until the present episode is over; a second one ends at once."""
-    asked = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-        tell("ending after this episode (once more: at once, from the last checkpoint)")
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -33,7 +33,7 @@ from nnql_bullet.evaluation.failures import (
 )
 from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
-from nnql_bullet.recording import Recording, remove_recordings
+from nnql_bullet.recording import RECORDINGS, Recording
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, Table, table
 from nnql_bullet.reports.drawing import (
     draw_drive,
@@ -47,6 +47,8 @@ from nnql_bullet.reports.drawing import (
 
 T = TypeVar("T")
 
+FILES = (*RECORDINGS, "*.png", "failures.*")
+"""Patterns of the recordings, films, pictures and reports of failures."""
 SHOWN = 12
 """Largest number of drives on a contact sheet."""
 COLUMNS = 6
@@ -179,14 +181,6 @@ def _cells(features: Features) -> dict[str, str]:
         "target at the end [m]": f"{features.target_distance:.0f}",
         "nearest ever [m]": f"{features.least_target_distance:.0f}",
     }
-
-
-def clear(folder: Path) -> None:
-    """Removes the recordings, their films, pictures and reports of failures from a folder."""
-    remove_recordings(folder)
-    for pattern in ("*.png", "failures.*"):
-        for old in folder.glob(pattern):
-            old.unlink()
 
 
 def failure_records(found: Failures) -> list[dict[str, Any]]:

@@ -43,9 +43,10 @@ class WorkerSimulator:
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of threads, and all memory
         self._pipes: list[Connection] = []
         self._processes: list[BaseProcess] = []
-        # Ctrl-C reaches every process of a terminal, but only this one should react. Children inherit blocked signals.
+        # Ctrl-C and the end of a terminal reach all its processes; only this one should react. Children inherit blocked
+        # signals.
         resource_tracker.ensure_running()  # otherwise the first child starts it, which unblocks Ctrl-C
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             for share in self._shares:
                 mine, theirs = context.Pipe()

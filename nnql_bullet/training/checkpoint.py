@@ -14,6 +14,8 @@ from nnql_bullet.files import is_file, parse_json, write_atomically
 from nnql_bullet.geometry import Array
 
 FORMAT = "nnql-bullet weights 1"
+_METADATA = "nnql-bullet"
+"""The only key of a file's metadata: the library writes several in an order that changes from run to run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class Weights:
 
 
 def save_weights(weights: Weights, path: Path) -> None:
-    """Writes the file atomically.
+    """Writes the file atomically; equal weights give equal bytes.
 
     Raises:
         OSError: If it cannot be written; an older file of that name is then untouched.
@@ -39,7 +41,8 @@ def save_weights(weights: Weights, path: Path) -> None:
         "episodes": str(weights.episodes),
         "config": json.dumps(weights.config, sort_keys=True),
     }
-    write_atomically(path, lambda temporary: _save(weights.arrays, temporary, metadata))
+    sorted_ = {_METADATA: json.dumps(metadata, sort_keys=True)}
+    write_atomically(path, lambda temporary: _save(weights.arrays, temporary, sorted_))
 
 
 def load_weights(path: Path) -> Weights:
@@ -52,7 +55,7 @@ def load_weights(path: Path) -> Weights:
         raise UserError(f"{path}: there is no such file; train first, or give another run")
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
+            metadata = _metadata(file.metadata() or {})
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (SafetensorError, OSError, ValueError) as error:
         raise UserError(f"{path}: damaged, or not a safetensors file ({error})".replace("\n", " ")) from None
@@ -65,6 +68,18 @@ def load_weights(path: Path) -> Weights:
     if not isinstance(config, dict) or episodes < 0:
         raise UserError(f"{path}: its metadata is damaged")
     return Weights(config, episodes, arrays)
+
+
+def _metadata(found: dict[str, str]) -> dict[str, str]:
+    """The metadata by their names, which version 0.1 wrote as keys of the file.
+
+    Raises:
+        ValueError: If they are damaged.
+    """
+    metadata = json.loads(found[_METADATA]) if _METADATA in found else found
+    if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
+        raise ValueError("its metadata is damaged")
+    return metadata
 
 
 def _save(arrays: dict[str, Array], path: Path, metadata: dict[str, str]) -> None:

@@ -17,6 +17,7 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
 from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, frame_width
+from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
@@ -350,7 +351,8 @@ class Learning:
         with torch.random.fork_rng(devices=[]):  # its weights are drawn, though they are replaced at once
             self.online = DuelingNetwork(options.frames * width, options.hidden)
         weights.load_state_dict(self.online, weights.state_dict(network))
-        self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
+        with without_cache_folder():
+            self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
         rows = max(options.buffer_size // vehicles, options.n_step + options.frames)
         self.replay = Replay(rows, vehicles, width, options.frames)
 

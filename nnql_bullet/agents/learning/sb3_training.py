@@ -16,6 +16,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
+from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.sb3_dqn import INPUTS, Sb3Dqn, inputs
 from nnql_bullet.agents.learning.weights import state_dict
 from nnql_bullet.env import ACTIONS, Navigation
@@ -62,7 +63,7 @@ class DqnTraining:
         vehicles = VehiclesVecEnv(self._navigation, self._world_of)
         n = vehicles.num_envs
         together = max(o.steps_per_update // n, 1)
-        with fenced(rng(self._seed, Stream.WEIGHTS)):
+        with fenced(rng(self._seed, Stream.WEIGHTS)), without_cache_folder():
             dqn = DQN(
                 "MlpPolicy",
                 vehicles,
