@@ -162,6 +162,12 @@ class Run:
         write_text(self.folder / SELECTION, "\n".join(["episodes,goals,worlds,selected", *lines, ""]))
         return best
 
+    def go_on(self) -> None:
+        """Writes what the folder lacks before it goes on: a run that was cut short in its beginning may lack files."""
+        self.save_config()
+        if self.state is None:
+            keep_sources(self.config, self.folder)
+
     def save_config(self) -> None:
         """Writes the configuration, every key resolved."""
         text = f"# Resolved by nnql-bullet {__version__}\n{write_toml(to_values(self.config))}"

@@ -125,7 +125,7 @@ def resume(
     with locked(folder):
         run = load_run(folder, episodes)
         experiment = Experiment(located(run.config, folder), agent)
-        return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.save_config)
+        return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.go_on)
 
 
 def check(config: RunConfig) -> None:
@@ -195,7 +195,8 @@ class _Session:
                         self._train(agent, trainer)
                 elif not config.training.selection:  # the run ended before its last policy was written
                     run.save_policy(agent.state_dict())
-                if run.episodes and not any(e.summary.ending == "goal" for e in run.episodes):
+                enough = hopeless or RECENT <= len(run.episodes) == config.episodes
+                if enough and not any(e.summary.ending == "goal" for e in run.episodes):
                     reason = hopeless or "look at the endings in episodes.csv"
                     _log.warning("none of %d episodes reached its target; %s", len(run.episodes), reason)
             if len(run.episodes) == config.episodes and config.training.selection:

@@ -43,7 +43,7 @@ class TestReport:
         assert [probe["name"] for probe in values["probes"]] == list(PROBES)
         text = (report / "fidelity.md").read_text()
         for probe in PROBES.values():
-            assert f"| {probe.title} | {probe.closed_form} | {probe.source} |" in text
+            assert f"| {probe.title} | {probe.closed_form} | {probe.source} |".replace("<", "&lt;") in text
         assert {path.name for path in report.iterdir()} == {
             "fidelity.md", "fidelity.json", "tolerances.png", "actions.png", "grip.png"
         }  # fmt: skip

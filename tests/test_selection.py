@@ -144,17 +144,17 @@ class TestRun:
         assert (whole / "episodes.csv").read_bytes() == (tmp_path / "18" / "episodes.csv").read_bytes()
 
     def test_what_was_selected_is_said_and_marked(self, train: Train, tmp_path: Path) -> None:
-        _, out, _ = train(tmp_path / "run", TOTAL)
+        _, _, err = train(tmp_path / "run", TOTAL)
         best = next(row for row in rows(tmp_path / "run") if row["selected"])
-        assert f"selected: what was learned after {best['episodes']} episodes, with {best['goals']} goals of 12" in out
+        assert f"selected: what was learned after {best['episodes']} episodes, with {best['goals']} goals of 12" in err
         assert load_policy(tmp_path / "run", {}).episodes == best["episodes"]
 
     def test_contact_physics_changes_nothing_about_where_it_is_tried(
         self, run_cli: Cli, selecting_config: Path, compiled_kernels: None, tmp_path: Path
     ) -> None:
-        code, out, _ = run_cli("train", "--config", selecting_config, "--episodes", 5, "--out", tmp_path / "run")
+        code, _, err = run_cli("train", "--config", selecting_config, "--episodes", 5, "--out", tmp_path / "run")
         assert code == 0
-        assert "in the kinematic model" in out
+        assert "in the kinematic model" in err
         best = next(row for row in rows(tmp_path / "run") if row["selected"])
         assert best["goals"] == driven(tmp_path / "run", None, range(99_988, 100_000)).count("goal")
 
