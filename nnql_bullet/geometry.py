@@ -139,6 +139,65 @@ def clearance(footprint: Array, boxes: Array) -> float:
 
 
 @njit()
+def _closest_in(box: Array, x: float, y: float) -> tuple[float, float]:
+    """Computes the point of a filled box that is closest to (x, y) [m]."""
+    dx, dy = x - box[0], y - box[1]
+    along = min(max(box[4] * dx + box[5] * dy, -box[2]), box[2])
+    across = min(max(box[4] * dy - box[5] * dx, -box[3]), box[3])
+    return box[0] + box[4] * along - box[5] * across, box[1] + box[5] * along + box[4] * across
+
+
+@njit()
+def _corner(box: Array, k: int) -> tuple[float, float]:
+    """Computes the corner number `k` (0 to 3, counter-clockwise) of a box [m]."""
+    along, across = box[2] * (1.0 if k in (0, 3) else -1.0), box[3] * (1.0 if k < 2 else -1.0)
+    return box[0] + box[4] * along - box[5] * across, box[1] + box[5] * along + box[4] * across
+
+
+@njit()
+def _common_point(a: Array, b: Array) -> tuple[float, float]:
+    """Finds a point of two overlapping boxes [m]: on an edge of row `a`, or the centre of row `b` if that is inside."""
+    for k in range(4):
+        (x, y), (u, v) = _corner(a, k), _corner(a, (k + 1) % 4)
+        first, last = 0.0, 1.0
+        for axis in range(2):
+            c, s = (b[4], b[5]) if axis == 0 else (-b[5], b[4])
+            begin, way = c * (x - b[0]) + s * (y - b[1]), c * (u - x) + s * (v - y)
+            half = b[2 + axis]
+            if way == 0.0:
+                if abs(begin) > half:
+                    last = -1.0
+            else:
+                one, other = (-half - begin) / way, (half - begin) / way
+                first, last = max(first, min(one, other)), min(last, max(one, other))
+        if first <= last:
+            share = 0.5 * (first + last)
+            return x + share * (u - x), y + share * (v - y)
+    return b[0], b[1]
+
+
+@njit()
+def closest_points(a: Array, b: Array) -> tuple[float, float, float, float]:
+    """Finds the closest points x, y of row `a` and x, y of row `b` (6,) of `as_rows` [m]; one point if they overlap."""
+    if _overlap_along_axes_of(a, b) and _overlap_along_axes_of(b, a):
+        x, y = _common_point(a, b)
+        return x, y, x, y
+    closest, found = np.inf, (0.0, 0.0, 0.0, 0.0)
+    for k in range(4):
+        x, y = _corner(a, k)
+        u, v = _closest_in(b, x, y)
+        squared = (x - u) ** 2 + (y - v) ** 2
+        if squared < closest:
+            closest, found = squared, (x, y, u, v)
+        u, v = _corner(b, k)
+        x, y = _closest_in(a, u, v)
+        squared = (x - u) ** 2 + (y - v) ** 2
+        if squared < closest:
+            closest, found = squared, (x, y, u, v)
+    return found
+
+
+@njit()
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
     """Computes the clearance of a vehicle at a pose [m].
 
