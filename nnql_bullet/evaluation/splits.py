@@ -29,8 +29,8 @@ _FILE = "splits.json"
 class FrozenSplits:
     """The record of the frozen splits."""
 
-    room: float
-    """Half width of the free path in every world [m]; it depends on the vehicle and decides which draws count."""
+    vehicle_width: float
+    """Width of the vehicle for which the worlds were drawn [m]; it decides which draws count."""
     hashes: Mapping[str, Mapping[str, Sequence[str]]]
     """Hash of each block, by world file and split."""
 
@@ -49,7 +49,7 @@ def split_seeds(split: SplitName, worlds: int) -> range:
 def load_frozen() -> FrozenSplits:
     """Reads the shipped hashes."""
     values = json.loads((assets.folder("worlds") / _FILE).read_text(encoding="utf-8"))
-    return FrozenSplits(values["room"], values["worlds"])
+    return FrozenSplits(values["vehicle_width"], values["worlds"])
 
 
 def block_hash(worlds: Sequence[WorldSpec]) -> str:
@@ -58,7 +58,12 @@ def block_hash(worlds: Sequence[WorldSpec]) -> str:
 
 
 def check_frozen(
-    name: str, split: SplitName, worlds: int, room: float, draw: Callable[[int], WorldSpec], frozen: FrozenSplits
+    name: str,
+    split: SplitName,
+    worlds: int,
+    vehicle_width: float,
+    draw: Callable[[int], WorldSpec],
+    frozen: FrozenSplits,
 ) -> bool:
     """Checks that a split's first worlds are the frozen ones.
 
@@ -66,17 +71,17 @@ def check_frozen(
         name: Name of the world file.
         split: The split.
         worlds: Number of worlds; whole blocks are drawn.
-        room: Half width of the free path in the worlds [m].
+        vehicle_width: Width of the vehicle for which the worlds are drawn [m].
         draw: Draws the world of a seed.
         frozen: The hashes.
 
     Returns:
-        Whether there are hashes for this world file and this half width.
+        Whether there are hashes for this world file and this vehicle.
 
     Raises:
         UserError: If the worlds are not the frozen ones.
     """
-    if name not in frozen.hashes or abs(room - frozen.room) > 1e-9:
+    if name not in frozen.hashes or abs(vehicle_width - frozen.vehicle_width) > 1e-9:
         return False
     seeds = SPLITS[split]
     for block, expected in enumerate(frozen.hashes[name][split][: -(-worlds // BLOCK)]):

@@ -9,6 +9,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows
 from nnql_bullet.jit import njit
+from nnql_bullet.worlds.passages import Passage, narrowest_passage
 
 WALL_THICKNESS = 1.0
 """[m]"""
@@ -114,6 +115,11 @@ class WorldSpec:
     def solids_at(self, time: float) -> Array:
         """The `solids` and the patrols at a time after the reset [s], as rows (n + m, 6) of a new array."""
         return np.concatenate([self.solids, as_rows(tuple(patrol.at(time) for patrol in self.patrols))])
+
+    @cached_property
+    def bottleneck(self) -> Passage:
+        """The narrowest place of the widest path from the start to the target, without patrols."""
+        return narrowest_passage(self.solids, (self.start.x, self.start.y), self.target)
 
     @property
     def cover(self) -> float:
