@@ -244,7 +244,7 @@ class TestHelp:
             ("gap", ["RUN", "--against", "--sim", "--physics", "--world", "--worlds", "--split", "--no-faults"]),
             ("report", ["RUN", "--evaluation", "--gap", "--out"]),
             ("fidelity", ["--robot", "--sim", "--physics", "--out"]),
-            ("envelope", ["--robot", "--sim", "--physics", "--workers", "--out", "ISO 3691-4"]),
+            ("envelope", ["--robot", "--sim", "--physics", "--workers", "--out", "3691-4"]),
             ("doctor", ["Check this machine"]),
         ],
     )
