@@ -18,7 +18,7 @@ from nnql_bullet import paper
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically
-from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape
 from nnql_bullet.rollout import Decision, EpisodeSummary
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
@@ -83,7 +83,7 @@ class Recording:
         return WorldSpec(
             **{
                 **kept,
-                "obstacles": tuple(OrientedBox(**box) for box in kept["obstacles"]),
+                "obstacles": tuple((Circle if "radius" in its else OrientedBox)(**its) for its in kept["obstacles"]),
                 "start": Pose(**kept["start"]),
                 "target": tuple(kept["target"]),
             },
@@ -102,8 +102,8 @@ class Recording:
         return EpisodeSummary(**self.about["summary"])
 
     @property
-    def obstacles(self) -> tuple[OrientedBox, ...]:
-        """The world's boxes that stand still."""
+    def obstacles(self) -> tuple[Shape, ...]:
+        """The world's obstacles that stand still."""
         return self.world.obstacles
 
     @property
@@ -111,7 +111,7 @@ class Recording:
         """The world's boxes that move."""
         return self.world.patrols
 
-    def boxes_at(self, time: float) -> tuple[OrientedBox, ...]:
+    def boxes_at(self, time: float) -> tuple[Shape, ...]:
         """All of them, those that move where they were then [s]."""
         return self.obstacles + tuple(patrol.at(time) for patrol in self.patrols)
 

@@ -145,5 +145,5 @@ def test_a_run_can_be_trained_in_it():
     navigation = experiment.navigation
     assert isinstance(navigation.simulator, KinematicSimulator)
     navigation.reset({0: experiment.world(0)})
-    step = navigation.step(experiment.agent.act(navigation.observation))
+    step = navigation.step(experiment.agent.act(navigation.observation, None)[0])
     assert step.motion.path_length == pytest.approx(1.0)

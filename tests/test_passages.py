@@ -5,7 +5,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import OrientedBox, Pose
+from nnql_bullet.geometry import Circle, OrientedBox, Pose, Shape
 from nnql_bullet.worlds.passages import narrowest_passage
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -14,19 +14,26 @@ CLOSE = 0.005
 
 
 def scattered(seed: int, side: float = 30.0) -> WorldSpec:
-    """A world of up to 60 boxes, which may overlap and may hold the start."""
+    """A world of up to 60 boxes and 20 circles, which may overlap and may hold the start."""
     rng = np.random.default_rng(seed)
-    boxes = tuple(
+    boxes: list[Shape] = [
         OrientedBox(*rng.uniform(0, side, 2), *rng.uniform(0.1, 2.5, 2), rng.uniform(0, np.pi))
         for _ in range(rng.integers(1, 60))
-    )
+    ]
+    boxes += [Circle(*rng.uniform(0, side, 2), rng.uniform(0.05, 1.5)) for _ in range(rng.integers(0, 20))]
     start, target = rng.uniform(1, side - 1, (2, 2)).tolist()
-    return WorldSpec("scattered", seed, side, side, boxes, Pose(*start, 0.0), tuple(target), 1.0, 1.5)
+    return WorldSpec("scattered", seed, side, side, tuple(boxes), Pose(*start, 0.0), tuple(target), 1.0, 1.5)
 
 
 def passes(world: WorldSpec, radius: float) -> bool:
     """Whether one piece of the room for the centre of a disc holds the start and the target."""
-    taken = shapely.union_all([shapely.Polygon(box.corners()) for box in world.obstacles]).buffer(radius, quad_segs=64)
+    shapes = [
+        shapely.Point(its.x, its.y).buffer(its.radius + radius, quad_segs=64)
+        if isinstance(its, Circle)
+        else shapely.Polygon(its.corners()).buffer(radius, quad_segs=64)
+        for its in world.obstacles
+    ]
+    taken = shapely.union_all(shapes)
     free = shapely.box(radius, radius, world.width - radius, world.depth - radius).difference(taken)
     ends = [shapely.Point(world.start.x, world.start.y), shapely.Point(*world.target)]
     return any(all(piece.distance(end) < 1e-9 for end in ends) for piece in shapely.get_parts(free))
@@ -67,7 +74,7 @@ def test_twenty_thousand_boxes_take_no_longer_than_their_neighbours() -> None:
     rng = np.random.default_rng(0)
     places = np.stack(np.meshgrid(np.arange(142), np.arange(142)), axis=-1).reshape(-1, 2) * 4.0 + 4.0
     rows = np.column_stack(
-        [places, *rng.uniform(0.1, 0.9, (2, len(places))), np.ones(len(places)), np.zeros(len(places))]
+        [places, *rng.uniform(0.1, 0.9, (2, len(places))), np.ones(len(places)), *np.zeros((2, len(places)))]
     )
     side = 572.0
     walls = WorldSpec("grid", 0, side, side, (), Pose(2.0, 2.0, 0.0), (570.0, 570.0), 1.0, 1.5).solids

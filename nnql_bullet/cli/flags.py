@@ -91,7 +91,8 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
 def _wrapped(text: str) -> str:
     """Paragraphs in lines that the terminal has room for."""
     width = min(shutil.get_terminal_size().columns, WIDEST)
-    return "".join(f"{textwrap.fill(paragraph, width, break_on_hyphens=False)}\n\n" for paragraph in text.strip().split("\n\n"))[:-1]
+    paragraphs = text.strip().split("\n\n")
+    return "".join(f"{textwrap.fill(its, width, break_on_hyphens=False)}\n\n" for its in paragraphs)[:-1]
 
 
 def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[[], int]]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, clearance, closest_points
+from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
 _FIRST_REACH = 4.0
@@ -38,7 +38,7 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
     """Finds the narrowest place of the widest path from the start to the target.
 
     Args:
-        shapes: Obstacles and walls, rows (n, 6) of `as_rows`; walls surround the start and the target.
+        shapes: Obstacles and walls, rows (n, 7) of `as_rows`; walls surround the start and the target.
         start: [m]
         target: [m]
     """
@@ -58,7 +58,7 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
 
 def _around(point: Point, shapes: Array) -> Passage:
     """The largest disc around a point."""
-    row = np.array([*point, 0.0, 0.0, 1.0, 0.0])
+    row = as_rows([Circle(*point, 0.0)])[0]
     return Passage(2.0 * float(clearance(row, shapes)), *point)
 
 
@@ -70,7 +70,7 @@ def _close_pairs(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64],
         Distances (k,) [m], indices (k, 2), and the closest points of both (k, 2, 2) [m].
     """
     distances, pairs, points = [], [], []
-    radii = np.hypot(shapes[:, 2], shapes[:, 3])
+    radii = np.array([reach_of(shape) for shape in shapes])
     from_left = np.argsort(shapes[:, 0] - radii)
     for place, i in enumerate(from_left):
         for j in from_left[place + 1 :]:
@@ -127,7 +127,7 @@ def _first_barrier(
         order: Indices of pairs (k,).
         pairs: Indices of shapes (k, 2).
         points: Their closest points (k, 2, 2) [m].
-        shapes: Rows (n, 6) of `as_rows`.
+        shapes: Rows (n, 7) of `as_rows`.
         ends: Start and target (2, 2) [m].
 
     Returns:

@@ -7,7 +7,7 @@ from math import ceil, floor, inf, nan, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, clearance_at, ray_distances, squared_distance
+from nnql_bullet.geometry import Array, Circle, as_rows, clearance_at, ray_distances, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -58,8 +58,7 @@ def difficulty(world: WorldSpec, vehicle_width: float) -> Difficulty:
     straight = float(np.hypot(world.target[0] - world.start.x, world.target[1] - world.start.y))
     points = _along(path, SURVEY_SPACING) if len(path) else np.zeros((0, 2))
     angles = np.arange(0.0, 2 * pi, pi / 36)
-    point = np.zeros(6)  # a footprint without extent
-    point[4] = 1.0
+    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
     closest = [clearance_at(x, y, 0.0, point, world.solids) for x, y in points.tolist()]
     seen = [float(np.mean(ray_distances((x, y), angles, world.solids, VISIBILITY_RANGE))) for x, y in points.tolist()]
     return Difficulty(
@@ -112,12 +111,12 @@ def _along(path: Array, every: float) -> Array:
 
 @njit(nogil=True)
 def _free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
-    """Marks the cells whose centres are farther than `distance` [m] from all solids, rows (n, 6) of `as_rows`."""
+    """Marks the cells whose centres are farther than `distance` [m] from all solids, rows (n, 7) of `as_rows`."""
     free = np.ones(shape, np.bool_)
     for i in range(len(solids)):
         box = solids[i]
-        across = abs(box[2] * box[4]) + abs(box[3] * box[5]) + distance
-        along = abs(box[2] * box[5]) + abs(box[3] * box[4]) + distance
+        across = abs(box[2] * box[4]) + abs(box[3] * box[5]) + box[6] + distance
+        along = abs(box[2] * box[5]) + abs(box[3] * box[4]) + box[6] + distance
         rows = max(int((box[1] - along) / side), 0), min(int((box[1] + along) / side) + 1, shape[0])
         columns = max(int((box[0] - across) / side), 0), min(int((box[0] + across) / side) + 1, shape[1])
         for row in range(rows[0], rows[1]):
