@@ -18,7 +18,7 @@ ROOM = 0.8
 """Width of the vehicle that worlds are drawn for [m]."""
 PAPERS = ("paper", "empty", "cover_2.5", "cover_7.5", "cover_10", "cover_15", "cover_20")
 """Shipped worlds that differ in nothing but their cover."""
-SHIPPED = (*PAPERS, "traps", "aisles", "moving", "poles", "cluttered")
+SHIPPED = (*PAPERS, "traps", "aisles", "moving", "poles", "cluttered", "cells", "rooms")
 MEAN_BOX = 25.0  # sides from 2 m to 8 m
 DRAWN = [("paper", 0), ("paper", 1), ("paper", 100_000), ("cover_10", 0), ("cover_10", 1), ("cover_20", 0)]
 
@@ -350,8 +350,14 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
             '[layout]\nkind = "boxes"\nboxes = [{x = 1, y = 1, length = 1, width = 1, hight = 1}]\n',
             r"unknown key 'layout\.boxes\.0\.hight'; valid keys: length, width, x, y, yaw_degrees$",
         ),
-        ('[layout]\nkind = "maze"\n', r"'layout\.kind' must be one of: aisles, boxes, poles, random_boxes, traps$"),
-        ("[layout]\ncover = 0.1\n", r"'layout\.kind' must be one of: aisles, boxes, poles, random_boxes, traps$"),
+        (
+            '[layout]\nkind = "maze"\n',
+            r"'layout\.kind' must be one of: aisles, boxes, cells, poles, random_boxes, rooms, traps$",
+        ),
+        (
+            "[layout]\ncover = 0.1\n",
+            r"'layout\.kind' must be one of: aisles, boxes, cells, poles, random_boxes, rooms, traps$",
+        ),
         ("width = 3.0\n", r"key 'layout' is missing$"),
         ('[layout]\nkind = "random_boxes"\n', r"key 'layout\.cover' is missing$"),
         ('[layout]\nkind = "random_boxes"\ncover = 0.9\n', r"'layout\.cover': input should be less than or equal"),
@@ -360,7 +366,10 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
             r"'layout': min_side 9 is above max_side 8$",
         ),
         ("base = 3\n", r"'base' must be the name of a world$"),
-        ('base = "atlantis"\n', r"there is no file 'atlantis'; give a path .* one of: aisles, cluttered, cover_10"),
+        (
+            'base = "atlantis"\n',
+            r"there is no file 'atlantis'; give a path .* one of: aisles, cells, cluttered, cover_10",
+        ),
         (
             '[layout]\nkind = "traps"\ncount = 3\nmin_depth = 20.0\n',
             r"'layout': min_depth 20 is above max_depth 15$",
