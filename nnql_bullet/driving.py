@@ -31,6 +31,7 @@ def drive(
     physics: PhysicsName = "reference",
     vehicle: str | Path | VehicleSpec | None = None,
     shield: bool = False,
+    allow_impassable: bool = False,
     conditions: Conditions | None = None,
     reward: Reward | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
@@ -53,6 +54,7 @@ def drive(
         physics: Solver settings of contact physics.
         vehicle: A shipped robot, a TOML file or a `Vehicle`; by default that of the training.
         shield: Whether to put the policy into a shield.
+        allow_impassable: Whether to drive even if the vehicle is too wide for every path to the target.
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
         changes: Nested values laid over the rest of the policy's configuration (see `config.merged`).
@@ -62,6 +64,7 @@ def drive(
     """
     asked: dict[str, Any] = {"shield": {} if shield else None, **changes}
     asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
+    asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked["robot"] = None if vehicle is None else robot_name(vehicle)
     loaded = load_policy(policy, asked)

@@ -25,9 +25,6 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
-PATH_MARGIN = 0.15
-"""Free space on either side of the vehicle's turning circle along the path in every world [m]."""
-
 
 class Experiment:
     """The objects of one run; each is made at its first use."""
@@ -46,11 +43,6 @@ class Experiment:
         self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = self._source(config.world)
-
-    @property
-    def room(self) -> float:
-        """Half width of the vehicle's free path in every world [m]."""
-        return self.vehicle.clear_radius + PATH_MARGIN
 
     def _source(self, name: str | World) -> World:
         source, sensor_height = World.load(name), self.vehicle.sensor_height
@@ -87,7 +79,7 @@ class Experiment:
         if not 0 <= seed < 2**63:
             given = f", not {seed}" if abs(seed) < 10**30 else ""
             raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
-        world = source.draw(seed, self.room)
+        world = source.draw(seed, self.vehicle.width, self.config.allow_impassable)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")

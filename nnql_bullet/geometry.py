@@ -1,5 +1,6 @@
-"""Angles, oriented boxes, distances and rays in the plane, in SI units. Angles are counter-clockwise from +x."""
+"""Angles, boxes, circles, distances and rays in the plane, in SI units. Angles are counter-clockwise from +x."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, hypot, pi, sin
 
@@ -43,6 +44,23 @@ class OrientedBox:
         return np.asarray(scaled @ np.array([[c, s], [-s, c]]) + (self.x, self.y))
 
 
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A disc in the plane: centre and radius [m]."""
+
+    x: float
+    y: float
+    radius: float
+
+    @property
+    def area(self) -> float:
+        """Area [m2]."""
+        return pi * self.radius**2
+
+
+Shape = OrientedBox | Circle
+
+
 @njit()
 def wrap_angle(angle: float) -> float:
     """Wraps an angle into (-pi, pi]."""
@@ -78,19 +96,48 @@ def moved(box: OrientedBox, pose: Pose) -> OrientedBox:
     return OrientedBox(x, y, box.half_length, box.half_width, wrap_angle(pose.yaw + box.yaw))
 
 
-def as_rows(boxes: tuple[OrientedBox, ...]) -> Array:
-    """Converts boxes to rows (n, 6) for kernels: x, y, half length, half width [m], cos yaw, sin yaw."""
-    rows = [(b.x, b.y, b.half_length, b.half_width, cos(b.yaw), sin(b.yaw)) for b in boxes]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), 6)
+COLUMNS = 7
+"""Number of columns of `as_rows`."""
+
+
+def as_rows(shapes: Sequence[Shape]) -> Array:
+    """Converts shapes to rows (n, 7) for kernels.
+
+    Returns:
+        x, y, half length, half width [m], cos yaw, sin yaw, and radius [m] of each shape: a box that is grown by the
+        radius all around. Here a box has no radius, and a circle has no length and no width.
+    """
+    rows = [
+        (s.x, s.y, 0.0, 0.0, 1.0, 0.0, s.radius)
+        if isinstance(s, Circle)
+        else (s.x, s.y, s.half_length, s.half_width, cos(s.yaw), sin(s.yaw), 0.0)
+        for s in shapes
+    ]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), COLUMNS)
 
 
 @njit()
-def squared_distance(x: float, y: float, box: Array) -> float:
-    """Computes the squared distance from a point [m] to a filled box, a row (6,) of `as_rows` [m2]; 0 inside."""
+def squared_distance(x: float, y: float, shape: Array) -> float:
+    """Computes the squared distance from a point [m] to a filled shape, a row (7,) of `as_rows` [m2]; 0 inside."""
+    squared = _squared_distance_to_box(x, y, shape)
+    if shape[6] == 0.0:
+        return squared
+    return float(max(np.sqrt(squared) - shape[6], 0.0) ** 2)
+
+
+@njit()
+def _squared_distance_to_box(x: float, y: float, box: Array) -> float:
+    """Computes the squared distance from a point [m] to the filled box of a row, without its radius [m2]; 0 inside."""
     dx, dy = x - box[0], y - box[1]
     along = max(abs(box[4] * dx + box[5] * dy) - box[2], 0.0)
     across = max(abs(box[4] * dy - box[5] * dx) - box[3], 0.0)
     return float(along * along + across * across)
+
+
+@njit()
+def reach_of(shape: Array) -> float:
+    """Computes the distance from the centre of a shape to its farthest point [m]."""
+    return float(np.hypot(shape[2], shape[3]) + shape[6])
 
 
 @njit()
@@ -101,7 +148,7 @@ def _corners_to_box(a: Array, b: Array) -> float:
         for j in (-1.0, 1.0):
             x = a[0] + i * a[2] * a[4] - j * a[3] * a[5]
             y = a[1] + i * a[2] * a[5] + j * a[3] * a[4]
-            closest = min(closest, squared_distance(x, y, b))
+            closest = min(closest, _squared_distance_to_box(x, y, b))
     return closest
 
 
@@ -116,38 +163,107 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
 
 
 @njit()
-def clearance(footprint: Array, boxes: Array) -> float:
-    """Computes the distance from a box to the nearest of several [m]: 0 if they overlap, infinite if there are none.
+def clearance(footprint: Array, shapes: Array) -> float:
+    """Computes the distance from a shape to the nearest of several [m]: 0 if they overlap, infinite if there are none.
 
     Two disjoint convex polygons are closest at a corner of one of them; the separating-axis theorem finds the overlap.
 
     Args:
-        footprint: One row (6,) of `as_rows`.
-        boxes: Rows (n, 6) of `as_rows`.
+        footprint: One row (7,) of `as_rows`.
+        shapes: Rows (n, 7) of `as_rows`.
     """
     closest = np.inf
-    reach = np.hypot(footprint[2], footprint[3])
-    for box in boxes:
-        centres = np.hypot(box[0] - footprint[0], box[1] - footprint[1])
-        if centres - reach - np.hypot(box[2], box[3]) >= closest:
+    reach = np.hypot(footprint[2], footprint[3]) + footprint[6]
+    for shape in shapes:
+        centres = np.hypot(shape[0] - footprint[0], shape[1] - footprint[1])
+        if centres - reach - np.hypot(shape[2], shape[3]) - shape[6] >= closest:
             continue
-        if _overlap_along_axes_of(footprint, box) and _overlap_along_axes_of(box, footprint):
+        if _overlap_along_axes_of(footprint, shape) and _overlap_along_axes_of(shape, footprint):
             return 0.0
-        squared = min(_corners_to_box(footprint, box), _corners_to_box(box, footprint))
-        closest = min(closest, np.sqrt(squared))
+        squared = min(_corners_to_box(footprint, shape), _corners_to_box(shape, footprint))
+        distance = np.sqrt(squared) - footprint[6] - shape[6]
+        if distance <= 0.0:
+            return 0.0
+        closest = min(closest, distance)
     return closest
 
 
 @njit()
-def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array) -> float:
+def _closest_in(box: Array, x: float, y: float) -> tuple[float, float]:
+    """Computes the point of a filled box that is closest to (x, y) [m]."""
+    dx, dy = x - box[0], y - box[1]
+    along = min(max(box[4] * dx + box[5] * dy, -box[2]), box[2])
+    across = min(max(box[4] * dy - box[5] * dx, -box[3]), box[3])
+    return box[0] + box[4] * along - box[5] * across, box[1] + box[5] * along + box[4] * across
+
+
+@njit()
+def _corner(box: Array, k: int) -> tuple[float, float]:
+    """Computes the corner number `k` (0 to 3, counter-clockwise) of a box [m]."""
+    along, across = box[2] * (1.0 if k in (0, 3) else -1.0), box[3] * (1.0 if k < 2 else -1.0)
+    return box[0] + box[4] * along - box[5] * across, box[1] + box[5] * along + box[4] * across
+
+
+@njit()
+def _common_point(a: Array, b: Array) -> tuple[float, float]:
+    """Finds a point of two overlapping boxes [m]: on an edge of row `a`, or the centre of row `b` if that is inside."""
+    for k in range(4):
+        (x, y), (u, v) = _corner(a, k), _corner(a, (k + 1) % 4)
+        first, last = 0.0, 1.0
+        for axis in range(2):
+            c, s = (b[4], b[5]) if axis == 0 else (-b[5], b[4])
+            begin, way = c * (x - b[0]) + s * (y - b[1]), c * (u - x) + s * (v - y)
+            half = b[2 + axis]
+            if way == 0.0:
+                if abs(begin) > half:
+                    last = -1.0
+            else:
+                one, other = (-half - begin) / way, (half - begin) / way
+                first, last = max(first, min(one, other)), min(last, max(one, other))
+        if first <= last:
+            share = 0.5 * (first + last)
+            return x + share * (u - x), y + share * (v - y)
+    return b[0], b[1]
+
+
+@njit()
+def closest_points(a: Array, b: Array) -> tuple[float, float, float, float]:
+    """Finds the closest points x, y of row `a` and x, y of row `b` (7,) of `as_rows` [m]; one point if they overlap."""
+    if _overlap_along_axes_of(a, b) and _overlap_along_axes_of(b, a):
+        x, y = _common_point(a, b)
+        return x, y, x, y
+    closest, found = np.inf, (0.0, 0.0, 0.0, 0.0)
+    for k in range(4):
+        x, y = _corner(a, k)
+        u, v = _closest_in(b, x, y)
+        squared = (x - u) ** 2 + (y - v) ** 2
+        if squared < closest:
+            closest, found = squared, (x, y, u, v)
+        u, v = _corner(b, k)
+        x, y = _closest_in(a, u, v)
+        squared = (x - u) ** 2 + (y - v) ** 2
+        if squared < closest:
+            closest, found = squared, (x, y, u, v)
+    radii = a[6] + b[6]
+    if radii == 0.0:
+        return found
+    x, y, u, v = found
+    apart = np.sqrt(closest)
+    # From the boxes to the edges of the shapes around them, or to one point if these overlap.
+    one, other = (a[6] / apart, b[6] / apart) if apart > radii else (a[6] / radii, b[6] / radii)
+    return x + one * (u - x), y + one * (v - y), u + other * (x - u), v + other * (y - v)
+
+
+@njit()
+def clearance_at(x: float, y: float, yaw: float, footprint: Array, shapes: Array) -> float:
     """Computes the clearance of a vehicle at a pose [m].
 
     Args:
         x: [m]
         y: [m]
         yaw: [rad]
-        footprint: Row (6,) of `as_rows`, in the vehicle's frame.
-        boxes: Rows (n, 6) of `as_rows`.
+        footprint: Row (7,) of `as_rows`, in the vehicle's frame.
+        shapes: Rows (n, 7) of `as_rows`.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     row = (  # a tuple needs no allocation
@@ -157,22 +273,47 @@ def clearance_at(x: float, y: float, yaw: float, footprint: Array, boxes: Array)
         footprint[3],
         c * footprint[4] - s * footprint[5],
         s * footprint[4] + c * footprint[5],
+        footprint[6],
     )
-    return float(clearance(row, boxes))  # type: ignore[arg-type]
+    return float(clearance(row, shapes))  # type: ignore[arg-type]
 
 
-def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sensor_range: float) -> Array:
-    """Computes the distances at which rays meet a box, by the slab method (Kay and Kajiya, SIGGRAPH 1986).
+@njit()
+def meet_circle(x: float, y: float, radius: float, directions: Array, distances: Array) -> None:
+    """Shortens rays from the origin that meet a circle.
+
+    Args:
+        x: x of the circle's centre, from the rays' origin [m].
+        y: y of the circle's centre, from the rays' origin [m].
+        radius: Radius of the circle [m].
+        directions: Vectors (m, 2) [m]; a distance counts them.
+        distances: Array to shorten (m,); 1 is the length of a ray's direction.
+    """
+    for i in range(len(directions)):
+        ux, uy = directions[i, 0], directions[i, 1]
+        squared = ux * ux + uy * uy
+        inside = squared * radius * radius - (ux * y - uy * x) ** 2
+        if inside >= 0.0:
+            nearest, chord = ux * x + uy * y, np.sqrt(inside)
+            if nearest + chord >= 0.0:
+                distances[i] = min(distances[i], max((nearest - chord) / squared, 0.0))
+
+
+def ray_distances(origin: tuple[float, float], angles: Array, shapes: Array, sensor_range: float) -> Array:
+    """Computes the distances at which rays meet a shape.
+
+    Boxes by the slab method (Kay and Kajiya, SIGGRAPH 1986), circles by the quadratic equation of the distance.
 
     Args:
         origin: Origin of the rays [m].
         angles: Directions of the rays in the world (m,) [rad].
-        boxes: Rows (n, 6) of `as_rows`.
+        shapes: Rows (n, 7) of `as_rows`.
         sensor_range: Length of a ray that meets nothing [m].
 
     Returns:
-        Distances (m,) [m]; 0 for an origin inside a box.
+        Distances (m,) [m]; 0 for an origin inside a shape.
     """
+    boxes, circles = shapes[shapes[:, 6] == 0.0], shapes[shapes[:, 6] > 0.0]
     c, s = boxes[:, 4], boxes[:, 5]
     dx, dy = origin[0] - boxes[:, 0], origin[1] - boxes[:, 1]
     start = np.stack([c * dx + s * dy, c * dy - s * dx])  # (2, n) in the frame of each box
@@ -185,4 +326,10 @@ def ray_distances(origin: tuple[float, float], angles: Array, boxes: Array, sens
     enter = np.nanmax(np.minimum(first, second), axis=0, initial=0.0)
     leave = np.nanmin(np.maximum(first, second), axis=0, initial=sensor_range)
     hit = np.where(enter <= leave, enter, sensor_range)
-    return np.min(hit, axis=1, initial=sensor_range)  # type: ignore[no-any-return]
+    away = circles[:, :2] - origin
+    nearest = ux * away[:, 0] + uy * away[:, 1]  # along the ray to its point nearest to the centre (m, k)
+    inside = circles[:, 6] ** 2 - (ux * away[:, 1] - uy * away[:, 0]) ** 2
+    chord = np.sqrt(np.maximum(inside, 0.0))
+    met = (inside >= 0.0) & (nearest + chord >= 0.0)
+    round_hit = np.where(met, np.maximum(nearest - chord, 0.0), sensor_range)
+    return np.min(np.concatenate([hit, round_hit], axis=1), axis=1, initial=sensor_range)  # type: ignore[no-any-return]

@@ -22,7 +22,7 @@ from nnql_bullet import paper
 from nnql_bullet.env import MANOEUVRES, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, parse_json, write_atomically
-from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape
 from nnql_bullet.rollout import Decision, EpisodeSummary
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Sample
@@ -95,7 +95,7 @@ class Recording:
         return WorldSpec(
             **{
                 **kept,
-                "obstacles": tuple(OrientedBox(**box) for box in kept["obstacles"]),
+                "obstacles": tuple((Circle if "radius" in its else OrientedBox)(**its) for its in kept["obstacles"]),
                 "start": Pose(**kept["start"]),
                 "target": tuple(kept["target"]),
             },
@@ -114,8 +114,8 @@ class Recording:
         return EpisodeSummary(**self.about["summary"])
 
     @property
-    def obstacles(self) -> tuple[OrientedBox, ...]:
-        """The world's boxes that stand still."""
+    def obstacles(self) -> tuple[Shape, ...]:
+        """The world's obstacles that stand still."""
         return self.world.obstacles
 
     @property
@@ -123,7 +123,7 @@ class Recording:
         """The world's boxes that move."""
         return self.world.patrols
 
-    def boxes_at(self, time: float) -> tuple[OrientedBox, ...]:
+    def boxes_at(self, time: float) -> tuple[Shape, ...]:
         """All of them, those that move where they were then [s]."""
         return self.obstacles + tuple(patrol.at(time) for patrol in self.patrols)
 

@@ -101,6 +101,8 @@ class RunConfig:
     """Number of training episodes."""
     world: WorldLike = "paper"
     """A shipped world, a path to a TOML file, or a `World`."""
+    allow_impassable: bool = False
+    """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
     robot: str = "tricycle"
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"

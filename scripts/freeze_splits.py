@@ -44,8 +44,8 @@ def main() -> None:
     changed = [name for name in names if name in known and known[name] != found[name]]
     if changed and not a.replace:
         sys.exit(f"these worlds are not what they were: {', '.join(changed)}; if that is meant, give --replace")
-    room = Experiment(RunConfig()).room
-    write_text(FILE, json.dumps({"room": room, "worlds": found}, indent=1) + "\n")
+    width = Experiment(RunConfig()).vehicle.width
+    write_text(FILE, json.dumps({"vehicle_width": width, "worlds": found}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -409,10 +409,10 @@ def world(boxes: str, start: str = "[5.0, 5.0]", target: str = "[25.0, 25.0]") -
 
 BAR = "{x = 15.0, y = 15.0, length = 41.0, width = 1.0, yaw_degrees = -45.0}"
 BAD_WORLDS = {
-    "walled off": (world(BAR), ["no path", "1.58"]),
-    "start in a box": (world("{x = 5.0, y = 5.0, length = 2.0, width = 2.0}"), ["start (5, 5)", "inside a box"]),
-    "target in a box": (world("{x = 25.0, y = 25.0, length = 2.0, width = 2.0}"), ["target (25, 25)", "inside a box"]),
-    "start too near": (world("{x = 6.2, y = 5.0, length = 1.0, width = 1.0}"), ["start (5, 5)", "0.70 m"]),
+    "walled off": (world(BAR), ["narrows to 0.", "needs 0.75 m"]),
+    "start in a box": (world("{x = 5.0, y = 5.0, length = 2.0, width = 2.0}"), ["narrows to 0.00 m at its start"]),
+    "target in a box": (world("{x = 25.0, y = 25.0, length = 2.0, width = 2.0}"), ["narrows to 0.00 m at its target"]),
+    "start too near": (world("{x = 5.8, y = 5.0, length = 1.0, width = 1.0}"), ["narrows to 0.60 m at its start"]),
     "start outside": (world("", start="[-5.0, 5.0]"), ["start (-5, 5)", "outside the arena"]),
     "target outside": (world("", target="[25.0, 250.0]"), ["target (25, 250)", "outside the arena"]),
     "unknown key": ("widht = 30.0\n" + world(""), ["unknown key 'widht'", "width"]),

@@ -217,7 +217,7 @@ def test_preset_paper_is_the_defaults():
     [
         (
             {"episode": 3},
-            "unknown key 'episode' (did you mean 'episodes'?); valid keys: agent, conditions, drive,",
+            "unknown key 'episode' (did you mean 'episodes'?); valid keys: agent, allow_impassable, conditions, drive,",
         ),
         ({"task": {"front": 3}}, "unknown key 'task.front'; valid keys: closer, front_distance, front_side_distance,"),
         (

@@ -49,7 +49,9 @@ def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) 
         setting=KINEMATIC,
         policies=[policy(name, method) for name, method in methods.items()],
         tiers=list(tiers.values()),
-        difficulties={name: [Difficulty(0.05, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for name, its in tiers.items()},
+        difficulties={
+            its.name: [Difficulty(0.05, 3.0, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for its in tiers.values()
+        },
         drives={key: [summary(names[letter]) for letter in letters] for key, letters in endings.items()},
     )
 

@@ -189,7 +189,7 @@ class TestOwnWorld:
     def test_default_room_is_that_of_the_shipped_vehicle(self) -> None:
         world = nb.World.load("traps")
         assert world.draw(5).digest == Experiment(RunConfig(world="traps")).world(5).digest
-        assert all(world.draw(seed) == world.draw(seed, Experiment(RunConfig()).room) for seed in range(20))
+        assert all(world.draw(seed) == world.draw(seed, Experiment(RunConfig()).vehicle.width) for seed in range(20))
 
     def test_mistakes_are_named(self) -> None:
         with pytest.raises(nb.UserError, match=r"'layout\.boxes\.0\.width'"):

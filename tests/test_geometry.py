@@ -1,4 +1,4 @@
-from math import cos, hypot, inf, isclose, nextafter, pi, radians, sin
+from math import cos, hypot, inf, isclose, nextafter, pi, radians, sin, sqrt
 
 import numpy as np
 import pytest
@@ -8,17 +8,20 @@ from hypothesis import strategies as st
 from shapely import affinity
 
 from nnql_bullet.geometry import (
+    Circle,
     OrientedBox,
     Pose,
     as_rows,
     bearing,
     clearance,
+    closest_points,
     distance,
     moved,
     ray_distances,
     squared_distance,
     wrap_angle,
 )
+from nnql_bullet.sim.kinematic import cast_rays
 
 RANGE = 10.0
 
@@ -159,7 +162,7 @@ def test_clearance_in_an_empty_world_is_infinite():
 
 
 def test_no_boxes_are_an_array_of_no_rows():
-    assert as_rows(()).shape == (0, 6)
+    assert as_rows(()).shape == (0, 7)
 
 
 @given(coordinates, coordinates, st.lists(angles, min_size=1, max_size=12), several_boxes)
@@ -230,3 +233,50 @@ def test_the_nearest_of_several_boxes_stops_a_ray():
 
 def test_a_box_beyond_the_range_is_not_seen():
     assert ray_distances((0, 0), np.array([0.0]), as_rows((OrientedBox(12, 0, 1, 1),)), RANGE).tolist() == [RANGE]
+
+
+class TestCircles:
+    """Shapely's circles are polygons of 4000 corners; a vehicle, rays and the closest points see the same."""
+
+    @staticmethod
+    def scene(seed):
+        rng = np.random.default_rng(seed)
+        shapes = [OrientedBox(*rng.uniform(0, 20, 2), *rng.uniform(0.1, 2, 2), rng.uniform(0, 3)) for _ in range(4)]
+        shapes += [Circle(*rng.uniform(0, 20, 2), rng.uniform(0.01, 1.5)) for _ in range(8)]
+        areas = [
+            shapely.Point(s.x, s.y).buffer(s.radius, quad_segs=1000) if isinstance(s, Circle) else polygon(s)
+            for s in shapes
+        ]
+        return rng, shapes, areas
+
+    @pytest.mark.parametrize("seed", range(10))
+    def test_distances_are_shapelys(self, seed):
+        rng, shapes, areas = self.scene(seed)
+        rows = as_rows(shapes)
+        footprint = OrientedBox(*rng.uniform(0, 20, 2), 0.55, 0.33, rng.uniform(0, 3))
+        expected = [polygon(footprint).distance(area) for area in areas]
+        assert clearance(as_rows((footprint,))[0], rows) == pytest.approx(min(expected), abs=1e-5)
+        x, y = rng.uniform(0, 20, 2)
+        far = [shapely.Point(x, y).distance(area) for area in areas]
+        assert [sqrt(squared_distance(x, y, row)) for row in rows] == pytest.approx(far, abs=1e-5)
+        for i, j in rng.integers(0, len(shapes), (20, 2)):
+            if i != j:
+                ax, ay, bx, by = closest_points(rows[i], rows[j])
+                assert np.hypot(ax - bx, ay - by) == pytest.approx(areas[i].distance(areas[j]), abs=1e-5)
+                assert areas[i].distance(shapely.Point(ax, ay)) < 1e-5
+                assert areas[j].distance(shapely.Point(bx, by)) < 1e-5
+
+    @pytest.mark.parametrize("seed", range(10))
+    def test_rays_end_where_shapely_says_in_both_kernels(self, seed):
+        rng, shapes, areas = self.scene(seed)
+        (x, y), angles = rng.uniform(0, 20, 2), rng.uniform(-pi, pi, 40)
+        found = ray_distances((x, y), angles, as_rows(shapes), 10.0)
+        everything = shapely.union_all(areas)
+        for angle, reading in zip(angles, found, strict=True):
+            ray = shapely.LineString([(x, y), (x + 10 * cos(angle), y + 10 * sin(angle))])
+            hit = ray.intersection(everything)
+            assert reading == pytest.approx(10.0 if hit.is_empty else shapely.Point(x, y).distance(hit), abs=1e-3)
+        cast = np.empty(len(angles))
+        directions = np.column_stack([np.cos(angles - 0.3), np.sin(angles - 0.3)])
+        cast_rays(x, y, 0.3, directions, as_rows(shapes), 10.0, cast)
+        assert cast == pytest.approx(found, abs=1e-9)

@@ -19,7 +19,8 @@ from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, moved, placed, ray_distances
+from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.base import Motion, Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -165,6 +166,19 @@ class TestOneVehicle:
         assert (motion.touching, motion.at_target) == (False, True)
         assert motion.duration == pytest.approx(0.25, abs=0.02)
         assert motion.clearance > 0.0
+
+    def test_poles_are_seen_and_touched_where_they_stand(self, simulator: Alone, world_of: WorldOf) -> None:
+        rng = np.random.default_rng(0)
+        poles = [Circle(*place, radius) for *place, radius in rng.uniform((90, 90, 0.02), (110, 110, 0.6), (40, 3))]
+        world = world_of(*(its for its in poles if hypot(its.x - 100, its.y - 100) > its.radius + 1.5))
+        simulator.reset(world)
+        eye = placed(simulator.pose, *load_vehicle("tricycle").sensor[:2])
+        expected = ray_distances(eye, ray_angles() + simulator.pose.yaw, world.solids, 10.0)
+        assert simulator.rays == pytest.approx(expected, abs=2e-3)
+        simulator.reset(world_of(Circle(101.5, 100.02, 0.02)))
+        motion = simulator.advance(0.0)
+        assert (motion.touching, motion.clearance) == (True, 0.0)
+        assert motion.pose.x == pytest.approx(101.48 - 0.9, abs=0.03)  # the footprint ends 0.9 m ahead of the axle
 
     @pytest.mark.parametrize("wall", ["left", "right", "top", "bottom"])
     def test_the_arena_is_walled_in(self, simulator: Alone, world_of: WorldOf, wall: str) -> None:

@@ -27,7 +27,7 @@ def test_the_first_worlds_are_what_they_were() -> None:
     for name in SHIPPED:
         experiment = Experiment(RunConfig(world=name))
         for split in SPLITS:
-            assert check_frozen(name, split, 1, experiment.room, experiment.world, frozen)
+            assert check_frozen(name, split, 1, experiment.vehicle.width, experiment.world, frozen)
 
 
 def test_splits_are_disjoint_and_training_draws_from_neither() -> None:
@@ -44,9 +44,9 @@ def test_a_changed_generator_is_refused() -> None:
         return replace(world, target_radius=2.5) if seed == 30 else world
 
     frozen = load_frozen()
-    assert check_frozen("paper", "validation", BLOCK, experiment.room, draw, frozen)  # type: ignore[arg-type]
+    assert check_frozen("paper", "validation", BLOCK, experiment.vehicle.width, draw, frozen)  # type: ignore[arg-type]
     with pytest.raises(UserError, match="worlds 25 to 49 are not the frozen ones, so figures would not compare"):
-        check_frozen("paper", "validation", BLOCK + 1, experiment.room, draw, frozen)  # type: ignore[arg-type]
+        check_frozen("paper", "validation", BLOCK + 1, experiment.vehicle.width, draw, frozen)  # type: ignore[arg-type]
 
 
 def test_the_hash_of_a_block_tells_its_worlds_and_their_order() -> None:
@@ -58,8 +58,8 @@ def test_the_hash_of_a_block_tells_its_worlds_and_their_order() -> None:
 def test_a_users_world_and_another_vehicle_have_nothing_to_compare_with() -> None:
     experiment = Experiment(RunConfig(world="paper"))
     frozen = load_frozen()
-    assert not check_frozen("my/world.toml", "test", 5, experiment.room, experiment.world, frozen)
-    assert not check_frozen("paper", "test", 5, experiment.room + 0.1, experiment.world, frozen)
+    assert not check_frozen("my/world.toml", "test", 5, experiment.vehicle.width, experiment.world, frozen)
+    assert not check_frozen("paper", "test", 5, experiment.vehicle.width + 0.1, experiment.world, frozen)
 
 
 def test_as_many_worlds_as_are_frozen_can_be_had() -> None:

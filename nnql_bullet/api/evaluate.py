@@ -132,6 +132,7 @@ def evaluate(
     physics: PhysicsName = "reference",
     conditions: Conditions | None = None,
     shield: bool = False,
+    allow_impassable: bool = False,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     address: str | None = None,
@@ -158,6 +159,7 @@ def evaluate(
         physics: Solver settings of contact physics.
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
+        allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
         executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
             more. A script that starts processes needs `if __name__ == "__main__":`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
@@ -175,7 +177,7 @@ def evaluate(
         raise UserError(f"clips must not be negative, not {clips}")
     if out is not None and clips:
         check_encoder()
-    setting = Setting(split, simulator, physics, conditions)
+    setting = Setting(split, simulator, physics, conditions, allow_impassable)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
     if out is not None and Path(out).exists() and not Path(out).is_dir():

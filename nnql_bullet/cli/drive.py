@@ -30,6 +30,7 @@ def drive(
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
+    allow_impassable: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     video: bool = False,
     gui: bool = False,
@@ -64,6 +65,7 @@ def drive(
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Take the best action that leaves room to stop; else brake, and turn on the spot.
+        allow_impassable: Drive even if the vehicle is too wide for every path to the target.
         out: Folder for trajectory.npz and .png; films of another drive in it are removed. Default
             RUN/drives/WORLD-SEED or runs/RULE/drives/WORLD-SEED.
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
@@ -84,6 +86,7 @@ def drive(
         simulator=sim,
         physics=physics,
         shield=in_shield,
+        allow_impassable=allow_impassable,
         conditions=asked,
         changes=keys,
     )

@@ -31,6 +31,7 @@ def evaluate(
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
+    allow_impassable: bool = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     executor: ExecutorKind = "processes",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
@@ -64,6 +65,7 @@ def evaluate(
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
+        allow_impassable: Take worlds as they are drawn, even if the vehicle is too wide for every path.
         workers: Pieces at a time; default one a core. They do not change the result.
         executor: Where pieces run; inline is this process.
         address: A running Ray cluster; without it Ray is started on this machine.
@@ -84,6 +86,7 @@ def evaluate(
                 physics=physics,
                 conditions=conditions_of(conditions),
                 shield=shield,
+                allow_impassable=allow_impassable,
                 executor=executor,
                 workers=workers,
                 address=address,

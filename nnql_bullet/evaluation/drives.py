@@ -72,11 +72,18 @@ class Setting:
     physics: PhysicsName
     conditions: Conditions | None = None
     """Conditions that replace each policy's own; None keeps those."""
+    allow_impassable: bool = False
+    """Whether worlds are taken as they are drawn, even if the vehicle is too wide for every path."""
 
     @property
     def changes(self) -> dict[str, Any]:
         """Changes to a policy's configuration."""
-        return {"simulator": self.simulator, "physics": self.physics, "conditions": self.conditions}
+        return {
+            "simulator": self.simulator,
+            "physics": self.physics,
+            "conditions": self.conditions,
+            "allow_impassable": self.allow_impassable,
+        }
 
     @property
     def title(self) -> str:
@@ -89,7 +96,8 @@ class Setting:
     def flags(self) -> list[str]:
         """Flags of the setting on a command line, without the split."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
-        return ["--sim", self.simulator, *physics, *flags({"conditions": self.conditions})]
+        impassable = ["--allow-impassable"] if self.allow_impassable else []
+        return ["--sim", self.simulator, *physics, *impassable, *flags({"conditions": self.conditions})]
 
 
 def check_setting(policy: Policy, setting: Setting) -> None:
@@ -133,7 +141,9 @@ def draw_tiers(
         if world.name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{world.name}'; give each once")
         named = "" if isinstance(file, World) else file
-        checked = check_frozen(named, setting.split, worlds, policy.room, experiment.world, frozen)
+        checked = not setting.allow_impassable and check_frozen(
+            named, setting.split, worlds, policy.vehicle_width, experiment.world, frozen
+        )
         seeds = distinct(all_seeds, experiment, policies)
         digests = tuple(experiment.world(seed).digest for seed in seeds)
         cover = world.layout.cover if isinstance(world.layout, RandomBoxes) and not world.patrols else None
@@ -198,14 +208,14 @@ class SurveyTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("survey", self.policy.room, *self.tier.drawn(self.first))
+        return part_name("survey", self.policy.vehicle_width, *self.tier.drawn(self.first))
 
 
 def survey(task: SurveyTask) -> list[Difficulty]:
     """Measures the difficulty of each world of a piece."""
     experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     seeds = task.tier.block(task.first)
-    return [difficulty(experiment.world(seed), experiment.room) for seed in seeds]
+    return [difficulty(experiment.world(seed), experiment.vehicle.width) for seed in seeds]
 
 
 def survey_tasks(policy: Policy, tiers: Sequence[Tier], setting: Setting) -> list[SurveyTask]:

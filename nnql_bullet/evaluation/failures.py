@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, OrientedBox, Pose, bearing, moved
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, bearing, closest_points, moved
 from nnql_bullet.recording import Recording
 from nnql_bullet.worlds.spec import track_velocities
 
@@ -159,21 +159,34 @@ def _contact(recording: Recording) -> Contact:
     )
 
 
-def _surface(footprint: OrientedBox, box: OrientedBox) -> tuple[float, Array]:
-    """Finds the side across which a footprint and a box are farthest apart (separating-axis theorem).
+def _surface(footprint: OrientedBox, solid: Shape) -> tuple[float, Array]:
+    """Finds the side across which a footprint and a solid are farthest apart (separating-axis theorem).
 
     Returns:
         Their distance along the normal of that side, negative where they overlap [m], and the normal (2,) from the
-        footprint to the box.
+        footprint to the solid.
     """
+    if isinstance(solid, Circle):
+        x, y, _, _ = closest_points(as_rows([footprint])[0], as_rows([Circle(solid.x, solid.y, 0.0)])[0])
+        normal = np.array([solid.x - x, solid.y - y])
+        if (apart := float(np.hypot(*normal))) > 0.0:
+            return apart - solid.radius, normal / apart
+        box = OrientedBox(solid.x, solid.y, solid.radius, solid.radius, footprint.yaw)  # its centre is inside
+    else:
+        box = solid
     yaws = [yaw + quarter * pi / 2 for yaw in (footprint.yaw, box.yaw) for quarter in range(4)]
     normals = np.column_stack([np.cos(yaws), np.sin(yaws)])  # (8, 2)
     apart = (normals @ box.corners().T).min(axis=1) - (normals @ footprint.corners().T).max(axis=1)
     return float(apart.max()), normals[np.argmax(apart)]
 
 
-def _place(footprint: OrientedBox, box: OrientedBox, normal: Array) -> tuple[float, float]:
-    """Finds x, y of the middle of the contact between a footprint and a box: a corner or a common piece of a side."""
+def _place(footprint: OrientedBox, box: Shape, normal: Array) -> tuple[float, float]:
+    """Finds x, y of the middle of the contact between a footprint and a box: a corner or a common piece of a side.
+
+    It touches a circle at one point.
+    """
+    if isinstance(box, Circle):
+        return box.x - box.radius * float(normal[0]), box.y - box.radius * float(normal[1])
     sideways = np.array([-normal[1], normal[0]])
     nearest = [_foremost(footprint.corners(), normal), _foremost(box.corners(), -normal)]
     ranges = np.array([[np.min(its @ sideways), np.max(its @ sideways)] for its in nearest])

@@ -143,6 +143,43 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Quarter:
+    """Success in a quarter of a tier's worlds that have similar bottlenecks."""
+
+    world: str
+    """Name of the tier."""
+    narrowest: float
+    """Smallest bottleneck [m]."""
+    widest: float
+    """Largest bottleneck [m]."""
+    worlds: int
+    """Number of worlds."""
+    success: dict[str, Estimate]
+    """Proportion of drives that reach the target, by method."""
+
+
+def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
+    """Computes success in each quarter of every tier, from the narrowest bottlenecks to the widest.
+
+    A tier whose worlds are fewer than four, or have the same bottleneck, has no quarters.
+    """
+    e, found = evaluation, []
+    for tier in e.tiers:
+        widths = np.array([its.bottleneck for its in e.difficulties[tier.name]])
+        if len(widths) < 4 or np.ptp(widths) == 0.0:
+            continue
+        for quarter in np.array_split(np.argsort(widths, kind="stable"), 4):
+            success = {}
+            for method in e.methods:
+                drives = [e.drives[policy.name, tier.name] for policy in e.of_method(method)]
+                endings = [its[k].ending for its in drives for k in quarter.tolist()]
+                success[method] = proportion(endings.count("goal"), len(endings))
+            narrowest, widest = widths[quarter[[0, -1]]].tolist()
+            found.append(Quarter(tier.name, narrowest, widest, len(quarter), success))
+    return found
+
+
 def _success(summaries: Sequence[EpisodeSummary]) -> float:
     return fmean(summary.ending == "goal" for summary in summaries)
 

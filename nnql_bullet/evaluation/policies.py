@@ -42,8 +42,8 @@ class Policy:
     """Number of learned values: weights, or entries of a table; 0 for rules."""
     about: str
     """One sentence about the agent."""
-    room: float
-    """Half width of its vehicle's free path in every world [m]."""
+    vehicle_width: float
+    """Width of its vehicle [m]."""
     fingerprint: str
     """Hash of the learned values and of the configuration for driving."""
     shielded: bool = False
@@ -91,7 +91,9 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
     for policy, experiment in zip(several, experiments, strict=True):
         if isinstance(policy, LoadedPolicy) and fingerprint(experiment) != fingerprint(policy.experiment):
             raise UserError(f"{policy.name}: is not what is saved there; load it again, without changes")
-    odd = [path for path, its in zip(given, experiments, strict=True) if its.room != experiments[0].room]
+    odd = [
+        path for path, its in zip(given, experiments, strict=True) if its.vehicle.width != experiments[0].vehicle.width
+    ]
     if odd:
         raise UserError(
             f"{given[0]} and {odd[0]} drive vehicles of different size, so worlds differ; evaluate them apart"
@@ -116,7 +118,7 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
             episodes=its.episodes,
             learned=sum(values.size for values in _learned(agent).values()),
             about=(getdoc(type(agent.given if isinstance(agent, Custom) else agent)) or "").partition("\n")[0],
-            room=experiment.room,
+            vehicle_width=experiment.vehicle.width,
             fingerprint=fingerprint(experiment),
             custom=agent if isinstance(agent, Custom) else None,
         )

@@ -64,7 +64,8 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
     try:
         values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else Conditions(**values["conditions"])
-        setting = Setting(values["split"], values["simulator"], values["physics"], conditions)
+        impassable = bool(values.get("allow_impassable", False))
+        setting = Setting(values["split"], values["simulator"], values["physics"], conditions, impassable)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(

@@ -32,8 +32,8 @@ _FILE = "splits.json"
 class FrozenSplits:
     """The record of the frozen splits."""
 
-    room: float
-    """Half width of the free path in every world [m]; it depends on the vehicle and decides which draws count."""
+    vehicle_width: float
+    """Width of the vehicle for which the worlds were drawn [m]; it decides which draws count."""
     hashes: Mapping[str, Mapping[str, Sequence[str]]]
     """Hash of each block, by world file and split."""
 
@@ -58,7 +58,8 @@ def load_frozen(path: Path | None = None) -> FrozenSplits:
     file = path or assets.folder("worlds") / _FILE
     try:
         values = read_json(file)
-        return TypeAdapter(FrozenSplits).validate_python({"room": values["room"], "hashes": values["worlds"]})
+        found = {"vehicle_width": values["vehicle_width"], "hashes": values["worlds"]}
+        return TypeAdapter(FrozenSplits).validate_python(found)
     except (ValidationError, TypeError, KeyError):
         raise UserError(f"{file}: damaged; install the program anew") from None
 
@@ -69,7 +70,12 @@ def block_hash(worlds: Sequence[WorldSpec]) -> str:
 
 
 def check_frozen(
-    name: str, split: SplitName, worlds: int, room: float, draw: Callable[[int], WorldSpec], frozen: FrozenSplits
+    name: str,
+    split: SplitName,
+    worlds: int,
+    vehicle_width: float,
+    draw: Callable[[int], WorldSpec],
+    frozen: FrozenSplits,
 ) -> bool:
     """Checks that a split's first worlds are the frozen ones.
 
@@ -77,17 +83,17 @@ def check_frozen(
         name: Name of the world file.
         split: The split.
         worlds: Number of worlds; whole blocks are drawn.
-        room: Half width of the free path in the worlds [m].
+        vehicle_width: Width of the vehicle for which the worlds are drawn [m].
         draw: Draws the world of a seed.
         frozen: The hashes.
 
     Returns:
-        Whether there are hashes for this world file and this half width.
+        Whether there are hashes for this world file and this vehicle.
 
     Raises:
         UserError: If the worlds are not the frozen ones.
     """
-    if name not in frozen.hashes or abs(room - frozen.room) > 1e-9:
+    if name not in frozen.hashes or abs(vehicle_width - frozen.vehicle_width) > 1e-9:
         return False
     seeds = SPLITS[split]
     for block, expected in enumerate(frozen.hashes[name][split][: -(-worlds // BLOCK)]):

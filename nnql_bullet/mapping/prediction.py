@@ -33,7 +33,7 @@ def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
     Args:
         poses: Poses of each vehicle, in its present frame (n, m, k, 3).
         points: Points of each vehicle's scan, in its present frame (n, r, 2) [m]; NaN for none.
-        footprint: A row (6,) of `geometry.as_rows`, in the vehicle's frame.
+        footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
     """
     clearances = np.empty(poses.shape[:-1])
     for i in range(len(poses)):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, OrientedBox, as_rows, squared_distance
+from nnql_bullet.geometry import Array, OrientedBox, as_rows, reach_of, squared_distance
 from nnql_bullet.render.shading import LEAN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.visuals import Kind, Shape
@@ -46,7 +46,7 @@ class Boxes(NamedTuple):
     """Boxes on the ground, and a grid that lists the boxes near each cell."""
 
     rows: Array
-    """Rows of `as_rows` (n + m, 6): n standing boxes, then m moving ones."""
+    """Rows of `as_rows` (n + m, 7): n standing boxes or circles, then m moving boxes."""
     height: float
     """Height of all boxes [m]."""
     still: int
@@ -225,7 +225,7 @@ def _find_near(place: Vector, boxes: Boxes, near: NDArray[np.int64]) -> int:
             count += 1
     for k in range(boxes.still, len(boxes.rows)):
         dx, dy = place[0] - boxes.rows[k, 0], place[1] - boxes.rows[k, 1]
-        if np.hypot(dx, dy) < REACH + np.hypot(boxes.rows[k, 2], boxes.rows[k, 3]):
+        if np.hypot(dx, dy) < REACH + reach_of(boxes.rows[k]):
             near[count] = k
             count += 1
     return count
@@ -308,8 +308,14 @@ def _past_vehicle(place: Vector, normal: Vector, parts: Parts, first: int, every
 
 @kernel
 def _distance_to_box(place: Vector, ux: float, uy: float, rows: Array, k: int) -> float:
-    """Computes the distance along a level ray to box k [m]; `FAR` if the ray misses it."""
+    """Computes the distance along a level ray to box or circle k [m]; `FAR` if the ray misses it."""
     dx, dy, c, s = place[0] - rows[k, 0], place[1] - rows[k, 1], rows[k, 4], rows[k, 5]
+    if rows[k, 6] > 0.0:
+        nearest, inside = -(dx * ux + dy * uy), rows[k, 6] ** 2 - (dx * uy - dy * ux) ** 2
+        if inside <= 0.0 or nearest + np.sqrt(inside) <= 0.0:
+            return FAR
+        enter = max(nearest - np.sqrt(inside), 0.0)
+        return enter if enter < REACH else FAR
     enter, leave = _between_planes(0.0, REACH, c * dx + s * dy, c * ux + s * uy, rows[k, 2])
     enter, leave = _between_planes(enter, leave, c * dy - s * dx, c * uy - s * ux, rows[k, 3])
     return enter if enter < leave else FAR

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.types import Bytes, Vector
@@ -95,8 +95,8 @@ def _vector(array: Array) -> Vector:
 
 @kernel
 def shadow_reach(box: Array, height: float) -> float:
-    """Computes the largest distance of a shadow from the middle of its box (6,) [m]."""
-    return float(np.hypot(box[2], box[3]) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
+    """Computes the largest distance of a shadow from the middle of its box, a row (7,) of `as_rows` [m]."""
+    return float(reach_of(box) + height * np.hypot(LEAN[0], LEAN[1]) + 2 * SOFTNESS)
 
 
 @kernel
@@ -106,7 +106,7 @@ def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
     Args:
         layer: Layer of shadows (rows, columns).
         cell: Side of a cell [m].
-        box: Row (6,) of `as_rows`.
+        box: Row (7,) of `as_rows`.
         height: Height of the box [m].
     """
     reach = shadow_reach(box, height)
@@ -170,7 +170,7 @@ def shade(
         inks: Colours of the ground.
         cells: Map of the ground (rows, columns). The bytes of a cell, from the lowest, hold its cover by shadow, by
             the path in safe states and by the path in non-safe states.
-        casters: Moving bodies that cast shadows (k, 8): rows of `as_rows`, height and `shadow_reach` [m].
+        casters: Moving bodies that cast shadows (k, 9): rows of `as_rows`, height and `shadow_reach` [m].
         sectors: Free distance [m] and colour of each sector (8, 4).
 
     Returns:
@@ -386,9 +386,9 @@ def _floor(
         colour = _mix(colour, inks.target, 0.9 * _inside(0.25 - off, soft))
     dark, safe, non_safe = _look_up(x, y, along_x, along_y, fine, coarse, ground.cell, cells)
     for k in range(len(casters)):
-        dx, dy, reach = x - casters[k, 0], y - casters[k, 1], casters[k, 7]
+        dx, dy, reach = x - casters[k, 0], y - casters[k, 1], casters[k, 8]
         if dx * dx + dy * dy < reach * reach:
-            dark = max(dark, _shadow(x, y, casters[k], casters[k, 6]))
+            dark = max(dark, _shadow(x, y, casters[k], casters[k, 7]))
     colour = _mix(colour, (0.0, 0.0, 0.0), 0.42 * dark)
     return _mix(_mix(colour, inks.safe, 0.85 * safe), inks.non_safe, 0.85 * non_safe)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.colours import SOLID_BOX, SOLID_MOVING, SOLID_WALL, unit_rgb
-from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.geometry import Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
@@ -70,8 +70,12 @@ class BulletRenderer:
         self.scene = BulletScene(kind)
         world = recording.world
         self._height = world.obstacle_height
-        for box in world.obstacles:
-            self._add_box(box, BOX)
+        for its in world.obstacles:
+            if isinstance(its, Circle):
+                pole = self.scene.add_disc(its.radius, self._height / 2, BOX)
+                self.scene.place(pole, its.x, its.y, self._height / 2, 0.0)
+            else:
+                self._add_box(its, BOX)
         for wall in world.walls:
             self._add_box(wall, WALL)
         self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]

@@ -11,7 +11,7 @@ import pyvista
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkFloatArray, vtkLogger, vtkUnsignedCharArray
 
-from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.geometry import Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.light import SAMPLES, light_in_pixels, placed_parts, standing_boxes, with_movers
@@ -50,9 +50,13 @@ class VtkRenderer:
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # VTK reports each display that it tries
         self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
         self._plotter.disable_anti_aliasing()  # a pixel has one depth
-        for boxes, colour in ((world.obstacles, BOX), (world.walls, WALL)):
-            for box in boxes:
-                self._add_box(box, colour)
+        for solids, colour in ((world.obstacles, BOX), (world.walls, WALL)):
+            for its in solids:
+                if isinstance(its, Circle):
+                    pole = self._add(_cylinder(its.radius, self._height / 2), colour)
+                    pole.user_matrix = upright(its.x, its.y, self._height / 2, 0.0)
+                else:
+                    self._add_box(its, colour)
         self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
         self._parts = [self._add(_mesh(shape), shape.colour) for shape in self._visuals.shapes]
 
@@ -105,8 +109,13 @@ def _mesh(shape: Shape) -> Any:
     if shape.kind == "box":
         return _cuboid(x, y, z)
     if shape.kind == "cylinder":
-        return pyvista.Cylinder(direction=(0, 0, 1), radius=x, height=2 * z, resolution=FACETS)
+        return _cylinder(x, z)
     return pyvista.Sphere(radius=x, theta_resolution=FACETS, phi_resolution=FACETS // 2)
+
+
+def _cylinder(radius: float, half_height: float) -> Any:
+    """Makes an upright cylinder around the origin [m]."""
+    return pyvista.Cylinder(direction=(0, 0, 1), radius=radius, height=2 * half_height, resolution=FACETS)
 
 
 def _cuboid(x: float, y: float, z: float) -> Any:

@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon
+from matplotlib.patches import Circle as Disc
+from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
 from nnql_bullet import colours
@@ -34,7 +35,7 @@ from nnql_bullet.colours import (
 )
 from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.files import write_atomically
-from nnql_bullet.geometry import Array, OrientedBox, Pose, moved
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, moved
 from nnql_bullet.recording import Recording
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -135,15 +136,17 @@ def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     """
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
-    for box in world.obstacles:
-        axes.add_patch(Polygon(box.corners(), fc=BOX, ec=BOX_EDGE, lw=0.8))
+    for its in world.obstacles:
+        outline = Disc((its.x, its.y), its.radius) if isinstance(its, Circle) else Polygon(its.corners())
+        outline.set(facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8)
+        axes.add_patch(outline)
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
         for box in (patrol.box, at_end):
             axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
         axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
-    axes.add_patch(Circle(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
+    axes.add_patch(Disc(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
     axes.plot(*world.target, "+", color=COLLISION, ms=7)
     axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator
 from nnql_bullet import __version__
 from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.drives import FilmTask
-from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Row
+from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Quarter, Row, by_bottleneck
 from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.document import Commands, Picture, Report, Section, table
@@ -133,23 +133,34 @@ def evaluation_report(
         QUALITY,
         [quality_row(row, named[row.world]) for row in rows],
         "Outcomes are over all drives, with Wilson intervals. SPL is success weighted by path length (arXiv "
-        "1807.06757), against the shortest path of a disc as large as the circle around the vehicle; path ratio, time "
-        "and clearance are means over the drives that arrive, the rest over all.",
+        "1807.06757), against the shortest path of a disc as wide as the vehicle; path ratio, time and clearance are "
+        "means over the drives that arrive, the rest over all.",
     )
     methods = table(
         ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
         [_method_row(e, method) for method in e.methods],
     )
+    quarters = by_bottleneck(e)
     worlds = table(
-        ("worlds", "seeds", "cover %", "shortest path [m]", "tortuosity", "closest obstacle [m]", "visibility [m]"),
+        (
+            "worlds",
+            "seeds",
+            "cover %",
+            "bottleneck [m]",
+            "shortest path [m]",
+            "tortuosity",
+            "closest obstacle [m]",
+            "visibility [m]",
+        ),
         [_difficulty_row(e, tier.name) for tier in e.tiers],
-        note="Means; the last three along the shortest path.",
+        note="Means; the last three along the shortest path. The bottleneck is the narrowest place of the widest path.",
     )
     return Report(
         "Methods through the same worlds",
         (
             Section("", lead),
             Section("Quality", (quality,)),
+            *((_bottleneck_section(quarters, e.methods, named),) if quarters else ()),
             *((_shield_section(rows, named),) if e.shielded else ()),
             Section("The methods", (methods,)),
             Section("The worlds", (worlds,)),
@@ -157,6 +168,19 @@ def evaluation_report(
             *((_failure_section(films),) if films else ()),
         ),
     )
+
+
+def _bottleneck_section(quarters: Sequence[Quarter], methods: Sequence[str], named: Mapping[str, str]) -> Section:
+    """Returns the section that shows success where the narrowest passages are narrow and where they are wide."""
+    cells = [
+        (named[q.world], f"{q.narrowest:.2f} to {q.widest:.2f}", q.worlds, *(q.success[method] for method in methods))
+        for q in quarters
+    ]
+    caption = (
+        "Success in percent in quarters of the worlds, by the narrowest place of the widest path to the target; Wilson "
+        "95 % intervals over drives."
+    )
+    return Section("By bottleneck", (table(("worlds", "bottleneck [m]", "number", *methods), cells, caption),))
 
 
 def _comparison_section(e: Evaluation, comparisons: Sequence[Comparison], named: Mapping[str, str]) -> Section:
@@ -221,10 +245,11 @@ def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
         tier.title,
         f"{tier.seeds[0]} to {tier.seeds[-1]}",
         f"{100 * fmean(world.cover for world in worlds):.1f}",
-        f"{fmean(world.shortest_path for world in worlds):.1f}",
-        f"{fmean(world.tortuosity for world in worlds):.3f}",
-        f"{fmean(world.closest_obstacle for world in worlds):.2f}",
-        f"{fmean(world.visibility for world in worlds):.1f}",
+        f"{fmean(world.bottleneck for world in worlds):.2f}",
+        _or_none(fmean(world.shortest_path for world in worlds), ".1f"),
+        _or_none(fmean(world.tortuosity for world in worlds), ".3f"),
+        _or_none(fmean(world.closest_obstacle for world in worlds), ".2f"),
+        _or_none(fmean(world.visibility for world in worlds), ".1f"),
     )
 
 
@@ -240,6 +265,7 @@ def evaluation_values(
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
+        "allow_impassable": e.setting.allow_impassable,
         "endings": list(ENDINGS),
         "policies": [policy.values for policy in e.policies],
         "tiers": [
@@ -250,13 +276,14 @@ def evaluation_values(
                 "cover": tier.cover,
                 "frozen": tier.frozen,
                 "worlds": [
-                    {"seed": seed, "digest": digest, **asdict(its)}
+                    {"seed": seed, "digest": digest, **finite(asdict(its))}
                     for seed, digest, its in zip(tier.seeds, tier.digests, e.difficulties[tier.name], strict=True)
                 ],
             }
             for tier in e.tiers
         ],
         "rows": [finite(asdict(row)) for row in rows],
+        "by_bottleneck": [asdict(quarter) for quarter in by_bottleneck(e)],
         "comparisons": [asdict(comparison) for comparison in comparisons],
         "report": asdict(evaluation_report(evaluation, rows, comparisons, films)),
         "failures": [
@@ -307,7 +334,8 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
                 values = asdict(summary)
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
-                records.append({**where, **values, **terms, "shortest_path": difficulty.shortest_path})
+                its = {"bottleneck": difficulty.bottleneck, "shortest_path": difficulty.shortest_path}
+                records.append({**where, **values, **terms, **its})
     return records
 
 

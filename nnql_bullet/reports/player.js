@@ -70,6 +70,7 @@ const draw = (canvas, drive, i, x, y, half) => {
 
   shape(() => context.rect(0, 0, ...drive.arena), colour("shade"), colour("soft"), 2);
   for (const one of drive.boxes) shape(box(one), colour("box"), colour("soft"));
+  for (const one of drive.circles) shape(() => context.arc(...one, 0, 2 * Math.PI), colour("box"), colour("soft"));
   for (const patrol of drive.patrols) {
     shape(() => (context.moveTo(patrol.box[0], patrol.box[1]), context.lineTo(...patrol.end)), null, colour("moving"));
     shape(box(patrolAt(patrol, timeOf(drive, i))), colour("moving"), colour("soft"));

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.geometry import Array, Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.worlds.spec import Patrol
 
@@ -37,7 +37,8 @@ def _values(recording: Recording, title: str) -> dict[str, Any]:
         "ending": recording.about["ending"],
         "arena": [world.width, world.depth],
         "target": [*world.target, world.target_radius],
-        "boxes": [_box(box) for box in world.obstacles],
+        "boxes": [_box(its) for its in world.obstacles if isinstance(its, OrientedBox)],
+        "circles": [_rounded(its.x, its.y, its.radius) for its in world.obstacles if isinstance(its, Circle)],
         "patrols": [_track(patrol, times) for patrol in world.patrols],
         "footprint": _box(recording.footprint),
         "sensor": _rounded(*recording.about["vehicle"]["sensor"][:2]),

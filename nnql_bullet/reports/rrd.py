@@ -27,7 +27,7 @@ from nnql_bullet import paper
 from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
 from nnql_bullet.env import STOP
 from nnql_bullet.files import write_atomically
-from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.geometry import Array, Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
 from nnql_bullet.sensing import ray_angles
@@ -85,7 +85,18 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
     """Logs static bodies, then moving boxes at the samples."""
     world = recording.world
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    stream.log("world/boxes", _boxes(world.obstacles, world.obstacle_height, BOX), static=True)
+    boxes = [its for its in world.obstacles if isinstance(its, OrientedBox)]
+    stream.log("world/boxes", _boxes(boxes, world.obstacle_height, BOX), static=True)
+    circles = [its for its in world.obstacles if isinstance(its, Circle)]
+    poles = rr.Cylinders3D(
+        lengths=[world.obstacle_height] * len(circles),
+        radii=[its.radius for its in circles],
+        centers=[(its.x, its.y, world.obstacle_height / 2) for its in circles],
+        colors=_rgba(BOX),
+        fill_mode="solid",
+    )
+    if circles:
+        stream.log("world/circles", poles, static=True)
     stream.log("world/walls", _boxes(world.walls, world.obstacle_height, TIMEOUT), static=True)
     disc = rr.Cylinders3D(
         lengths=[0.02],
@@ -100,8 +111,7 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
     )
     times = np.append(0.0, recording.sample_time)
     for number, patrol in enumerate(world.patrols):
-        boxes = [patrol.at(time) for time in times.tolist()]
-        places = np.array([(box.x, box.y, box.yaw) for box in boxes])
+        places = np.array([(box.x, box.y, box.yaw) for box in map(patrol.at, times.tolist())])
         shape = OrientedBox(0.0, 0.0, patrol.box.half_length, patrol.box.half_width)
         entity = f"world/patrols/{number}"
         stream.log(entity, _boxes([shape], world.obstacle_height, MOVING), static=True)

@@ -21,7 +21,7 @@ import numpy as np
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
 from nnql_bullet.machine import open_streams
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
@@ -93,7 +93,7 @@ with silenced():  # it prints its build time
             "it, conda install -c conda-forge pybullet"
         ) from None
 
-CHASSIS, OBSTACLE, WHEEL, GROUND = 1, 2, 4, 8
+CHASSIS, OBSTACLE, WHEEL, GROUND, POLE = 1, 2, 4, 8, 16
 """Collision groups, one bit each."""
 
 SHAPES_PER_COMPOUND = 16
@@ -296,8 +296,12 @@ class BulletEngine(ContactEngine):
         if ground:
             self._add_ground()
         solids = world.obstacles + world.walls
-        for first in range(0, len(solids), SHAPES_PER_COMPOUND):
-            self._add_solids(solids[first : first + SHAPES_PER_COMPOUND], world.obstacle_height)
+        circles = tuple(its for its in solids if isinstance(its, Circle))
+        boxes = tuple(its for its in solids if isinstance(its, OrientedBox))
+        for shapes, group in ((boxes, OBSTACLE), (circles, POLE)):
+            for first in range(0, len(shapes), SHAPES_PER_COMPOUND):
+                self._add_solids(shapes[first : first + SHAPES_PER_COMPOUND], world.obstacle_height, group)
+        self._circles = as_rows(circles)
         self._half_height = world.obstacle_height / 2
         self._patrols = [self._add_patrol(patrol.box) for patrol in world.patrols]
         self._add_vehicle(pose, speed, height)
@@ -318,20 +322,24 @@ class BulletEngine(ContactEngine):
         bullet.changeDynamics(ground, -1, lateralFriction=1.0, physicsClientId=self.client)
         bullet.setCollisionFilterGroupMask(ground, -1, GROUND, WHEEL, self.client)
 
-    def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
-        """Adds static boxes as one body of compound shapes, which costs the solver less than many bodies.
+    def _add_solids(self, solids: tuple[Shape, ...], height: float, group: int) -> None:
+        """Adds static boxes or upright cylinders as one compound body, which costs the solver less than many bodies.
 
         Like the ground it is a plain rigid body ("maximal coordinates"), which costs less than a multibody.
         """
+        rows, kind = as_rows(solids).tolist(), bullet.GEOM_CYLINDER if group == POLE else bullet.GEOM_BOX
+        half_yaws = [0.0 if isinstance(its, Circle) else its.yaw / 2 for its in solids]
         shape = bullet.createCollisionShapeArray(
-            shapeTypes=[bullet.GEOM_BOX] * len(boxes),
-            halfExtents=[[box.half_length, box.half_width, height / 2] for box in boxes],
-            collisionFramePositions=[[box.x, box.y, height / 2] for box in boxes],
-            collisionFrameOrientations=[[0.0, 0.0, sin(box.yaw / 2), cos(box.yaw / 2)] for box in boxes],
+            shapeTypes=[kind] * len(rows),
+            halfExtents=[[*row[2:4], height / 2] for row in rows],
+            radii=[row[6] for row in rows],
+            lengths=[height] * len(rows),
+            collisionFramePositions=[[*row[:2], height / 2] for row in rows],
+            collisionFrameOrientations=[[0.0, 0.0, sin(its), cos(its)] for its in half_yaws],
             physicsClientId=self.client,
         )
         body = bullet.createMultiBody(0.0, shape, useMaximalCoordinates=True, physicsClientId=self.client)
-        bullet.setCollisionFilterGroupMask(body, -1, OBSTACLE, CHASSIS, self.client)
+        bullet.setCollisionFilterGroupMask(body, -1, group, CHASSIS, self.client)
 
     def _add_patrol(self, box: OrientedBox) -> tuple[int, Quaternion]:
         """Adds a moving box; returns the engine's number of it, and its orientation.
@@ -369,7 +377,7 @@ class BulletEngine(ContactEngine):
         for link in range(-1, len(infos)):
             # Damping, which applies to the whole body, needs a separate call; so does friction.
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
-            group, mask = (CHASSIS, OBSTACLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
+            group, mask = (CHASSIS, OBSTACLE | POLE) if link == -1 else (WHEEL, GROUND) if link in wheels else (0, 0)
             bullet.setCollisionFilterGroupMask(self.body, link, group, mask, self.client)
         # By default the engine limits joints to 100 rad/s; a small caster would drag at high speed.
         bullet.changeDynamics(self.body, -1, maxJointVelocity=FASTEST_JOINT, physicsClientId=self.client)
@@ -444,7 +452,13 @@ class BulletEngine(ContactEngine):
 
     def _cast(self, begins: Array, ends: Array) -> Array:
         hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
-        return np.array(hit_fractions(hits)) * paper.SENSOR_RANGE
+        fractions = np.array(hit_fractions(hits))
+        if len(self._circles):  # the engine finds cylinders by iteration, not exactly
+            x, y = self._circles[:, 0] - begins[0, 0], self._circles[:, 1] - begins[0, 1]
+            radii, directions = self._circles[:, 6], (ends - begins)[:, :2]
+            for i in np.flatnonzero(np.hypot(x, y) - radii < paper.SENSOR_RANGE):
+                meet_circle(x[i], y[i], radii[i], directions, fractions)
+        return fractions * paper.SENSOR_RANGE
 
     def _link_height(self, joint: int) -> float:
         return LinkState(*bullet.getLinkState(self.body, joint, physicsClientId=self.client)).position[2]

@@ -258,8 +258,8 @@ def _look_and_command(
         command: Index of the next command.
         speeds: Filled with left and right wheel speeds (k, 2) [rad/s] of the commands until the next look.
         episode: An `_Episode` as a record (1,).
-        footprint: A row (6,) of `as_rows`.
-        solids: Rows (n, 6) of `as_rows`, as they are now.
+        footprint: A row (7,) of `as_rows`.
+        solids: Rows (n, 7) of `as_rows`, as they are now.
 
     Returns:
         Whether contact is possible before the next look, whether the target is reached, and the number of commands

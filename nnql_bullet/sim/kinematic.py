@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
+from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, meet_circle, squared_distance, wrap_angle
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.sensing import RAYS, ray_angles
@@ -47,7 +47,7 @@ class _Constants(NamedTuple):
     acceleration: float
     """Limit on the acceleration [m/s2]."""
     footprint: Array
-    """A row of `as_rows` (6,)."""
+    """A row of `as_rows` (7,)."""
     farthest: float
     """Largest distance of a point of the footprint from the axle's centre [m]."""
     sensor: Array
@@ -68,7 +68,7 @@ class _State(NamedTuple):
     clearance: Array
     """Clearance at `pose` (n,) [m]."""
     solids: Array
-    """Rows of each world (n, most, 6): obstacles and walls, patrols (both as in `as_rows`), and the patrols' tracks."""
+    """Rows of each world (n, most, 7): obstacles and walls, patrols (both as in `as_rows`), and the patrols' tracks."""
     counts: NDArray[np.int64]
     """Number of solids, of patrols among them, and of wheel commands since the reset (n, 3). They share an array, as
     solids and tracks do, because each argument of a kernel costs time."""
@@ -88,7 +88,7 @@ class _Period(NamedTuple):
     path: Array
     """Poses at the same times (n, k + 1, 3)."""
     near: Array
-    """Work space for the solids that may come close, and their tracks (n, most, 6)."""
+    """Work space for the solids that may come close, and their tracks (n, most, 7)."""
     commands: NDArray[np.int64]
     """Number of executed commands (n,)."""
     path_length: Array
@@ -148,7 +148,7 @@ class KinematicSimulator:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        rows = {i: np.concatenate([world.solids_at(0.0), world.tracks]) for i, world in worlds.items()}
+        rows = {i: np.concatenate([world.solids_at(0.0), _padded(world.tracks)]) for i, world in worlds.items()}
         self._make_room(max((len(some) for some in rows.values()), default=0))
         state = self._state
         for i, world in worlds.items():
@@ -225,10 +225,15 @@ class KinematicSimulator:
         """Enlarges the arrays to at least `most` rows for each world."""
         room = self._state.solids.shape[1]
         if most > room:
-            grown = np.zeros((self.size, most, 6))
+            grown = np.zeros((self.size, most, COLUMNS))
             grown[:, :room] = self._state.solids
             self._state = self._state._replace(solids=grown)
-            self._period = self._period._replace(near=np.zeros((self.size, most, 6)))
+            self._period = self._period._replace(near=np.zeros((self.size, most, COLUMNS)))
+
+
+def _padded(tracks: Array) -> Array:
+    """Adds a column to tracks (n, 6), so that they may stand among rows of `as_rows`."""
+    return np.column_stack([tracks, np.zeros(len(tracks))])
 
 
 def _empty_state(size: int) -> _State:
@@ -237,7 +242,7 @@ def _empty_state(size: int) -> _State:
         yaw_rate=np.zeros(size),
         speed=np.zeros(size),
         clearance=np.zeros(size),
-        solids=np.zeros((size, 0, 6)),
+        solids=np.zeros((size, 0, COLUMNS)),
         counts=np.zeros((size, 3), np.int64),
         target=np.zeros((size, 3)),
     )
@@ -249,7 +254,7 @@ def _empty_period(size: int, commands: int) -> _Period:
         headings=np.zeros((size, commands + 1)),
         speeds=np.zeros((size, commands + 1)),
         path=np.zeros((size, commands + 1, 3)),
-        near=np.zeros((size, 0, 6)),
+        near=np.zeros((size, 0, COLUMNS)),
         commands=np.zeros(size, np.int64),
         path_length=np.zeros(size),
         clearance=np.zeros(size),
@@ -365,12 +370,12 @@ def _near(i: int, travel: float, constants: _Constants, state: _State, period: _
     count, moving = 0, 0
     for j in range(solids):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
-            for column in range(6):  # numba takes seconds to compile the assignment of a row
+            for column in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
                 near[count, column] = state.solids[i, j, column]
             count += 1
     for j in range(solids - patrols, solids):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
-            for column in range(6):
+            for column in range(COLUMNS):
                 near[count + moving, column] = state.solids[i, j + patrols, column]
             moving += 1
     return near[:count], near[count : count + moving]
@@ -397,8 +402,8 @@ def _follow(
         target: x, y, radius [m].
         clearance: Clearance at the path's start [m].
         hop: Largest change of the clearance from one pose to the next [m].
-        footprint: A row (6,) in the vehicle's frame.
-        solids: Rows (n, 6) of `as_rows`; the last m are patrols, which this moves.
+        footprint: A row (7,) in the vehicle's frame.
+        solids: Rows (n, 7) of `as_rows`; the last m are patrols, which this moves.
         tracks: Tracks of the patrols (m, 6).
         clock: Number of commands up to the path's start.
 
@@ -443,23 +448,27 @@ def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> 
 
 @njit()
 def cast_rays(
-    x: float, y: float, yaw: float, directions: Array, boxes: Array, sensor_range: float, distances: Array
+    x: float, y: float, yaw: float, directions: Array, shapes: Array, sensor_range: float, distances: Array
 ) -> None:
-    """Computes the distances at which rays meet a box: `geometry.ray_distances` as a kernel, one box at a time.
+    """Computes the distances at which rays meet a shape: `geometry.ray_distances` as a kernel, shape by shape.
 
     Args:
         x: x of the rays' origin [m].
         y: y of the rays' origin [m].
         yaw: Yaw of the frame of the directions [rad].
         directions: Unit vectors (m, 2).
-        boxes: Rows (n, 6) of `geometry.as_rows`.
+        shapes: Rows (n, 7) of `geometry.as_rows`.
         sensor_range: Length of a ray that meets nothing [m].
         distances: Array to fill (m,) [m].
     """
     distances[:] = sensor_range
     c, s = np.cos(yaw), np.sin(yaw)
-    for box in boxes:
+    for box in shapes:
         if squared_distance(x, y, box) >= sensor_range * sensor_range:
+            continue
+        if box[6] > 0.0:
+            dx, dy = box[0] - x, box[1] - y
+            meet_circle(c * dx + s * dy, c * dy - s * dx, box[6], directions, distances)
             continue
         dx, dy = x - box[0], y - box[1]
         start_x, start_y = box[4] * dx + box[5] * dy, box[4] * dy - box[5] * dx

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.geometry import Array, Circle, Pose, Shape
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import ContactEngine
@@ -368,8 +368,8 @@ def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
 
 
 def _add_solids(spec: Any, world: WorldSpec) -> None:
-    for box in world.obstacles + world.walls:
-        _add_box(spec.worldbody, box, world.obstacle_height / 2, pos=[box.x, box.y, world.obstacle_height / 2])
+    for solid in world.obstacles + world.walls:
+        _add_solid(spec.worldbody, solid, world.obstacle_height / 2, pos=[solid.x, solid.y, world.obstacle_height / 2])
 
 
 def _add_patrols(spec: Any, world: WorldSpec) -> None:
@@ -377,16 +377,20 @@ def _add_patrols(spec: Any, world: WorldSpec) -> None:
     half_height = world.obstacle_height / 2
     for patrol in world.patrols:
         body = spec.worldbody.add_body(mocap=True, pos=[patrol.box.x, patrol.box.y, half_height])
-        _add_box(body, patrol.box, half_height, pos=[0.0, 0.0, 0.0])
+        _add_solid(body, patrol.box, half_height, pos=[0.0, 0.0, 0.0])
 
 
-def _add_box(body: Any, box: OrientedBox, half_height: float, pos: list[float]) -> None:
-    """Adds a box to a body, with the contacts of an obstacle."""
+def _add_solid(body: Any, solid: Shape, half_height: float, pos: list[float]) -> None:
+    """Adds a box or an upright cylinder to a body, with the contacts of an obstacle."""
+    if isinstance(solid, Circle):
+        kind, size, yaw = mujoco.mjtGeom.mjGEOM_CYLINDER, [solid.radius, half_height, 0.0], 0.0
+    else:
+        kind, size, yaw = mujoco.mjtGeom.mjGEOM_BOX, [solid.half_length, solid.half_width, half_height], solid.yaw
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[box.half_length, box.half_width, half_height],
+        type=kind,
+        size=size,
         pos=pos,
-        quat=[cos(box.yaw / 2), 0.0, 0.0, sin(box.yaw / 2)],
+        quat=[cos(yaw / 2), 0.0, 0.0, sin(yaw / 2)],
         contype=0,
         conaffinity=CHASSIS,
         group=OBSTACLE,

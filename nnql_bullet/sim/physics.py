@@ -54,9 +54,9 @@ class VehiclePhysics(ABC):
     _tracks: Array
     """Tracks of the patrols: rows (m, 6) of `WorldSpec.tracks`."""
     _solids: Array
-    """Obstacles, walls and patrols at the present time: rows (n, 6) of `geometry.as_rows`."""
+    """Obstacles, walls and patrols at the present time: rows (n, 7) of `geometry.as_rows`."""
     _movers: Array
-    """Rows of the patrols: a view into `_solids` (m, 6)."""
+    """Rows of the patrols: a view into `_solids` (m, 7)."""
 
     def __init__(self, vehicle: VehicleSpec, time_step: float) -> None:
         self.vehicle = vehicle

@@ -1,7 +1,6 @@
 """The vehicle: its dimensions, masses, limits and friction, as its URDF and TOML describe them."""
 
 from dataclasses import dataclass, replace
-from math import hypot
 from pathlib import Path
 
 from nnql_bullet.config import options
@@ -147,6 +146,6 @@ class VehicleSpec:
         return replace(self, contact=replace(self.contact, wheel_friction=friction))
 
     @property
-    def clear_radius(self) -> float:
-        """Radius of the smallest circle around the footprint [m]."""
-        return hypot(self.footprint.half_length, self.footprint.half_width)
+    def width(self) -> float:
+        """Width of the footprint [m]."""
+        return 2 * self.footprint.half_width

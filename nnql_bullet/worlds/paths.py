@@ -2,20 +2,18 @@
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from math import pi
+from math import ceil, floor, inf, nan, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
-from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, clearance_at, ray_distances, squared_distance
+from nnql_bullet.geometry import Array, Circle, as_rows, clearance_at, ray_distances, squared_distance
 from nnql_bullet.jit import njit
-from nnql_bullet.worlds.grid import GRID_CELL, Cell, centre_distance, ends_of, grown_boxes, is_inside, shape_of
 from nnql_bullet.worlds.spec import WorldSpec
 
-CHECK_SPACING = GRID_CELL / 4
-"""Distance between the checked points of a straight line [m]; the cell of each point must be free."""
+GRID_CELL = 0.1
+"""Side of a cell of the grid [m]; larger in arenas of more than `MOST_CELLS` cells."""
+MOST_CELLS = 4_000_000
 SURVEY_SPACING = 2.0
 """Distance along the path between measurements of its surroundings [m]."""
 SIGHT_BOXES = 200
@@ -23,19 +21,24 @@ SIGHT_BOXES = 200
 VISIBILITY_RANGE = 100.0
 """Length of a ray that meets nothing [m]; in the paper's arena every ray meets a wall."""
 
+Cell = tuple[int, int]
+"""Row along y, column along x."""
+
 
 @dataclass(frozen=True, slots=True)
 class Difficulty:
     """Measures of a world's difficulty, which do not depend on a policy.
 
     The last three are means along the shortest path, after Perille, Truong, Xiao and Stone, Benchmarking Metric Ground
-    Navigation (SSRR 2020).
+    Navigation (SSRR 2020); NaN without a path.
     """
 
     cover: float
-    """Share of the arena's area under boxes."""
+    """Share of the arena's area under obstacles."""
+    bottleneck: float
+    """Width of the narrowest place of the widest path [m]."""
     shortest_path: float
-    """Length of a disc's shortest path from the start to the edge of the target [m]."""
+    """Length of the vehicle's shortest path from the start to the edge of the target [m]; infinite without a path."""
     tortuosity: float
     """Length of the shortest path over the straight distance."""
     closest_obstacle: float
@@ -44,33 +47,35 @@ class Difficulty:
     """Mean length of rays in all directions [m]."""
 
 
-def difficulty(world: WorldSpec, clearance: float) -> Difficulty:
-    """Measures the difficulty of a world for a disc of radius `clearance` [m].
+def difficulty(world: WorldSpec, vehicle_width: float) -> Difficulty:
+    """Measures the difficulty of a world.
 
-    Raises:
-        UserError: If there is no path to the target.
+    Args:
+        world: The world.
+        vehicle_width: Diameter of the disc whose shortest path is measured, or that of the bottleneck if that is
+            narrower [m].
     """
-    path = shortest_path(world, clearance)
-    length = path_length(path)
-    straight = float(np.hypot(*(path[-1] - path[0])))
-    points = _along(path, SURVEY_SPACING)
+    path = shortest_path(world, min(vehicle_width, world.bottleneck.width) / 2)
+    length = path_length(path) if len(path) else inf
+    straight = float(np.hypot(world.target[0] - world.start.x, world.target[1] - world.start.y))
+    points = _along(path, SURVEY_SPACING) if len(path) else np.zeros((0, 2))
     angles = np.arange(0.0, 2 * pi, pi / 36)
-    point = np.zeros(6)  # a footprint without extent
-    point[4] = 1.0
+    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
     closest = [clearance_at(x, y, 0.0, point, world.solids) for x, y in points.tolist()]
     seen = [float(np.mean(_sight(x, y, angles, world.solids))) for x, y in points.tolist()]
     return Difficulty(
         cover=world.cover,
+        bottleneck=world.bottleneck.width,
         shortest_path=length - world.target_radius,
         tortuosity=length / straight,
-        closest_obstacle=float(np.mean(closest)),
-        visibility=float(np.mean(seen)),
+        closest_obstacle=float(np.mean(closest)) if closest else nan,
+        visibility=float(np.mean(seen)) if seen else nan,
     )
 
 
 def _sight(x: float, y: float, angles: Array, solids: Array) -> Array:
     """Lengths of rays (m,) from a point [m], the nearest boxes first: those behind what all rays meet are left out."""
-    nearest = np.hypot(solids[:, 0] - x, solids[:, 1] - y) - np.hypot(solids[:, 2], solids[:, 3])
+    nearest = np.hypot(solids[:, 0] - x, solids[:, 1] - y) - np.hypot(solids[:, 2], solids[:, 3]) - solids[:, 6]
     order = np.argsort(nearest)
     lengths = np.full(len(angles), VISIBILITY_RANGE)
     for first in range(0, len(order), SIGHT_BOXES):
@@ -81,25 +86,29 @@ def _sight(x: float, y: float, angles: Array, solids: Array) -> Array:
     return lengths
 
 
-def shortest_path(world: WorldSpec, clearance: float) -> Array:
-    """Finds the shortest path from start to target over free cells (see `grid.is_solvable`).
+def shortest_path(world: WorldSpec, radius: float) -> Array:
+    """Finds the shortest path of a disc from the start to the target.
 
-    Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A* whose paths may run at any angle.
+    A cell of a grid is free if its centre is at least `radius`, less half a cell's diagonal, away from everything; so
+    where a disc of this radius passes, free cells are connected. Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A*
+    whose paths may run at any angle, searches them.
 
     Returns:
-        Corners of the straight pieces of the path (k, 2) [m].
-
-    Raises:
-        UserError: If there is no path.
+        Corners of the straight pieces of the path (k, 2) [m]; none if there is no path.
     """
-    shape, (begin, end) = shape_of(world), ends_of(world)
-    free = _free_cells(world, shape, clearance)
-    inside = is_inside(begin, shape) and is_inside(end, shape)
-    cells = _theta_star(begin, end, free) if inside and free[begin] and free[end] else np.zeros((0, 2), np.int64)
-    if len(cells) == 0:
-        raise UserError(f"world '{world.name}', seed {world.seed}: there is no way to the target; move its boxes apart")
-    path = np.asarray((cells[:, ::-1] + 0.5) * GRID_CELL)
-    path[0], path[-1] = (world.start.x, world.start.y), world.target
+    side = max(GRID_CELL, sqrt(world.width * world.depth / MOST_CELLS))
+    shape = ceil(world.depth / side), ceil(world.width / side)
+    ends = (world.start.x, world.start.y), world.target
+    begin, end = ((floor(y / side), floor(x / side)) for x, y in ends)
+    if not all(0 <= row < shape[0] and 0 <= column < shape[1] for row, column in (begin, end)):
+        return np.zeros((0, 2))
+    free = _free_cells(shape, side, world.solids, max(radius - side / sqrt(2), 0.0))
+    cells = _theta_star(begin, end, free) if free[begin] and free[end] else np.zeros((0, 2), np.int64)
+    path = np.asarray((cells[:, ::-1] + 0.5) * side)
+    if len(path) == 1:  # both ends are in one cell
+        return np.array(ends)
+    if len(path):
+        path[0], path[-1] = ends
     return path
 
 
@@ -115,41 +124,44 @@ def _along(path: Array, every: float) -> Array:
     return np.stack([np.interp(at, ends, path[:, axis]) for axis in (0, 1)], axis=1)
 
 
-def _free_cells(world: WorldSpec, shape: Cell, clearance: float) -> NDArray[np.bool_]:
-    """Marks the free cells, by the exact distance transform of the occupied and wall cells."""
-    taken = np.ones((shape[0] + 2, shape[1] + 2), np.bool_)
-    taken[1:-1, 1:-1] = _taken_cells(shape, grown_boxes(world))
-    distance = np.asarray(distance_transform_edt(~taken, sampling=GRID_CELL))
-    return np.asarray(distance[1:-1, 1:-1] >= centre_distance(clearance))
-
-
 @njit(nogil=True)
-def _taken_cells(shape: Cell, boxes: Array) -> NDArray[np.bool_]:
-    """Marks the cells whose centres are in a box."""
-    taken = np.zeros(shape, np.bool_)
-    for i in range(len(boxes)):
-        box = boxes[i]
-        reach = np.hypot(box[2], box[3])
-        rows = max(int((box[1] - reach) / GRID_CELL), 0), min(int((box[1] + reach) / GRID_CELL) + 1, shape[0])
-        columns = max(int((box[0] - reach) / GRID_CELL), 0), min(int((box[0] + reach) / GRID_CELL) + 1, shape[1])
+def _free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
+    """Marks the cells whose centres are farther than `distance` [m] from all solids, rows (n, 7) of `as_rows`."""
+    free = np.ones(shape, np.bool_)
+    for i in range(len(solids)):
+        box = solids[i]
+        across = abs(box[2] * box[4]) + abs(box[3] * box[5]) + box[6] + distance
+        along = abs(box[2] * box[5]) + abs(box[3] * box[4]) + box[6] + distance
+        rows = max(int((box[1] - along) / side), 0), min(int((box[1] + along) / side) + 1, shape[0])
+        columns = max(int((box[0] - across) / side), 0), min(int((box[0] + across) / side) + 1, shape[1])
         for row in range(rows[0], rows[1]):
             for column in range(columns[0], columns[1]):
-                if squared_distance((column + 0.5) * GRID_CELL, (row + 0.5) * GRID_CELL, box) == 0.0:
-                    taken[row, column] = True
-    return taken
+                x, y = (column + 0.5) * side, (row + 0.5) * side
+                if squared_distance(x, y, box) <= distance * distance:
+                    free[row, column] = False
+    return free
 
 
 @njit(nogil=True)
 def _is_clear(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> bool:
-    """Whether the straight line between the centres of two cells crosses free cells only."""
-    rows, columns = end[0] - begin[0], end[1] - begin[1]
-    pieces = int(np.hypot(rows, columns) * GRID_CELL / CHECK_SPACING) + 1
-    for k in range(1, pieces):
-        row = int(np.floor(begin[0] + 0.5 + rows * k / pieces))
-        column = int(np.floor(begin[1] + 0.5 + columns * k / pieces))
+    """Whether the straight line between the centres of two cells crosses free cells only.
+
+    It goes from cell to cell (Amanatides and Woo, Eurographics 1987), by a neighbour on one side through a corner.
+    """
+    rows, columns = abs(end[0] - begin[0]), abs(end[1] - begin[1])
+    down, right = (1 if end[0] > begin[0] else -1), (1 if end[1] > begin[1] else -1)
+    row, column = begin
+    balance = columns - rows  # positive: the side of the cell is met before its top or bottom
+    for _ in range(rows + columns):
         if not free[row, column]:
             return False
-    return True
+        if balance >= 0:
+            column += right
+            balance -= 2 * rows
+        else:
+            row += down
+            balance += 2 * columns
+    return bool(free[row, column])
 
 
 @njit(nogil=True)
@@ -174,8 +186,8 @@ def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.i
         parent = parents[cell][0], parents[cell][1]
         if not _is_clear(parent, cell, free):  # lazy: the line is checked only now
             length[cell] = np.inf
-            for row in range(cell[0] - 1, cell[0] + 2):
-                for column in range(cell[1] - 1, cell[1] + 2):
+            for row in range(max(cell[0] - 1, 0), min(cell[0] + 2, free.shape[0])):
+                for column in range(max(cell[1] - 1, 0), min(cell[1] + 2, free.shape[1])):
                     if closed[row, column]:
                         candidate = length[row, column] + _apart((row, column), cell)
                         if candidate < length[cell]:
@@ -185,9 +197,8 @@ def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.i
         closed[cell] = True
         if cell == end:
             break
-        # A free cell is not at the edge, because the clearance is more than a cell.
-        for row in range(cell[0] - 1, cell[0] + 2):
-            for column in range(cell[1] - 1, cell[1] + 2):
+        for row in range(max(cell[0] - 1, 0), min(cell[0] + 2, free.shape[0])):
+            for column in range(max(cell[1] - 1, 0), min(cell[1] + 2, free.shape[1])):
                 if free[row, column] and not closed[row, column]:
                     candidate = length[parent] + _apart(parent, (row, column))
                     if candidate < length[row, column]:

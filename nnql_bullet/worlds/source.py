@@ -12,10 +12,9 @@ from nnql_bullet import assets, paper
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
-from nnql_bullet.geometry import OrientedBox, Pose, as_rows, bearing, clearance
+from nnql_bullet.geometry import Pose, bearing
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Extent, Number
-from nnql_bullet.worlds.grid import is_solvable
+from nnql_bullet.types import Extent, NonNegative, Number
 from nnql_bullet.worlds.layouts import AnyLayout, Arena
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
@@ -28,8 +27,8 @@ FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
 """Suffixes of maps and worlds of other programs."""
 MOST_NAME = 100
 """Longest name of a world."""
-ROOM = 0.7888466169590319
-"""Default half width of the free path in every world [m]; it fits the shipped vehicle."""
+WIDTH = 0.65
+"""Width of the shipped vehicle [m]."""
 
 
 @options
@@ -65,6 +64,8 @@ class World:
     """Distance from the rear-axle centre at which the target is reached [m]."""
     obstacle_height: Extent = 1.5
     """Height of boxes and walls [m]."""
+    clearance: NonNegative = 0.1
+    """How much wider than the vehicle the narrowest passage is at least [m]."""
 
     def __post_init__(self) -> None:
         """Refuses a name that no file could be named for, and a target that is reached at the start."""
@@ -115,26 +116,39 @@ class World:
 
         draw_map(self.draw(seed), Path(path))
 
-    def draw(self, seed: int, room: float = ROOM) -> WorldSpec:
-        """Draws the world of a seed, with a path of half width `room` [m] from start to target.
+    def draw(self, seed: int, vehicle_width: float = WIDTH, allow_impassable: bool = False) -> WorldSpec:
+        """Draws the world of a seed, whose widest path is wider than the vehicle by `clearance` everywhere.
 
         A random layout is drawn again until it leaves such a path. The result depends on the arguments alone. Patrols
         are drawn last, so they do not change the other obstacles; they may cross the path.
 
+        Args:
+            seed: The seed.
+            vehicle_width: [m]
+            allow_impassable: Whether to take the first draw, however narrow its path is.
+
         Raises:
-            UserError: If there is no path, or the start or the target is too close to an obstacle, or there is no room
-                for the patrols.
+            UserError: If the path is too narrow, an end is outside the arena, or there is no room for the patrols.
         """
-        for attempt in range(MOST_ATTEMPTS if self.layout.is_random else 1):
+        for name, (x, y) in (("start", self.start), ("target", self.target)):
+            if not (0 < x < self.width and 0 < y < self.depth):
+                raise UserError(f"world '{self.name}': its {name} ({x:g}, {y:g}) is outside the arena; move it inside")
+        attempts = MOST_ATTEMPTS if self.layout.is_random else 1
+        for attempt in range(attempts):
             world = self._attempt(seed, attempt)
-            if is_solvable(world, room):
+            if allow_impassable or world.bottleneck.width >= vehicle_width + self.clearance:
                 return self._with_patrols(world)
-            if attempt == 0:  # no draw of boxes mends ends that walls are too near to
-                self._check_ends(replace(world, obstacles=()), room)
-        self._check_ends(world, room)
-        random = self.layout.is_random
-        again = f" in {MOST_ATTEMPTS} attempts; have its layout leave more room" if random else "; move its boxes apart"
-        raise UserError(f"world '{self.name}', seed {seed}: no path {2 * room:.2f} m wide to the target{again}")
+            if attempt == 0 and replace(world, obstacles=()).bottleneck.width < vehicle_width + self.clearance:
+                attempts = 1  # no draw of obstacles mends ends that walls are too near to
+                break
+        found, again = world.bottleneck, f" in {attempts} attempts" if attempts > 1 else ""
+        end = {self.start: "its start, ", self.target: "its target, "}.get((found.x, found.y), "")
+        raise UserError(
+            f"world '{self.name}', seed {seed}: its widest path narrows to {found.width:.2f} m at {end}({found.x:.2f}, "
+            f"{found.y:.2f}){again}; the vehicle needs {vehicle_width + self.clearance:.2f} m (its width of "
+            f"{vehicle_width:g} m and 'clearance', {self.clearance:g} m): move obstacles apart, lower 'clearance', or "
+            "allow impassable worlds"
+        )
 
     def _attempt(self, seed: int, attempt: int) -> WorldSpec:
         arena = Arena(self.width, self.depth, (self.start, self.target))
@@ -156,16 +170,6 @@ class World:
     def _with_patrols(self, world: WorldSpec) -> WorldSpec:
         patrols = self.patrols
         return replace(world, patrols=patrols.draw(world, rng(world.seed, Stream.PATROLS))) if patrols else world
-
-    def _check_ends(self, world: WorldSpec, room: float) -> None:
-        """Raises UserError if the start or the target is outside the arena or too close to an obstacle."""
-        for key, (x, y) in (("start", self.start), ("target", self.target)):
-            if not (0 < x < world.width and 0 < y < world.depth):
-                raise UserError(f"world '{self.name}': its {key} ({x:g}, {y:g}) is outside the arena; move it inside")
-            free = clearance(as_rows((OrientedBox(x, y, 0.0, 0.0),))[0], world.solids)
-            if free <= room:
-                what = "inside a box" if free == 0 else f"{free:.2f} m from a box or wall, too near for the vehicle"
-                raise UserError(f"world '{self.name}', seed {world.seed}: its {key} ({x:g}, {y:g}) is {what}; move one")
 
 
 WorldLike = Annotated[

@@ -7,8 +7,9 @@ from math import hypot
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows
 from nnql_bullet.jit import njit
+from nnql_bullet.worlds.passages import Passage, narrowest_passage
 
 WALL_THICKNESS = 1.0
 """[m]"""
@@ -56,7 +57,7 @@ def follow_tracks(tracks: Array, time: float, boxes: Array) -> None:
     Args:
         tracks: Rows (m, 6) of `WorldSpec.tracks`.
         time: Time since the reset [s].
-        boxes: Rows (m, 6) of `as_rows`, whose centres are overwritten.
+        boxes: Rows (m, 7) of `as_rows`, whose centres are overwritten.
     """
     for i in range(len(tracks)):
         share = there_and_back(tracks[i, 5] + tracks[i, 4] * time)
@@ -83,7 +84,7 @@ class WorldSpec:
     seed: int
     width: float
     depth: float
-    obstacles: tuple[OrientedBox, ...]
+    obstacles: tuple[Shape, ...]
     start: Pose
     target: tuple[float, float]
     target_radius: float
@@ -103,7 +104,7 @@ class WorldSpec:
 
     @cached_property
     def solids(self) -> Array:
-        """Obstacles and walls as the rows (n, 6) of `geometry.as_rows`."""
+        """Obstacles and walls as the rows (n, 7) of `geometry.as_rows`."""
         return as_rows(self.obstacles + self.walls)
 
     @cached_property
@@ -112,20 +113,28 @@ class WorldSpec:
         return np.array([patrol.track for patrol in self.patrols], dtype=np.float64).reshape(len(self.patrols), 6)
 
     def solids_at(self, time: float) -> Array:
-        """The `solids` and the patrols at a time after the reset [s], as rows (n + m, 6) of a new array."""
+        """The `solids` and the patrols at a time after the reset [s], as rows (n + m, 7) of a new array."""
         return np.concatenate([self.solids, as_rows(tuple(patrol.at(time) for patrol in self.patrols))])
+
+    @cached_property
+    def bottleneck(self) -> Passage:
+        """The narrowest place of the widest path from the start to the target, without patrols."""
+        return narrowest_passage(self.solids, (self.start.x, self.start.y), self.target)
 
     @property
     def cover(self) -> float:
         """Share of the arena's area under obstacles, if they do not overlap."""
-        return sum(box.area for box in self.obstacles) / (self.width * self.depth)
+        return sum(shape.area for shape in self.obstacles) / (self.width * self.depth)
 
     @cached_property
     def digest(self) -> str:
         """Hash of the world without its name and seed; it is the same on every machine."""
         numbers = [self.width, self.depth, self.start.x, self.start.y, self.start.yaw, *self.target, self.target_radius]
-        for box in self.obstacles:
-            numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw]
+        for shape in self.obstacles:
+            if isinstance(shape, Circle):
+                numbers += [shape.x, shape.y, -shape.radius]
+            else:
+                numbers += [shape.x, shape.y, shape.half_length, shape.half_width, shape.yaw]
         for patrol in self.patrols:
             box = patrol.box
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw, *patrol.end, patrol.speed, patrol.phase]

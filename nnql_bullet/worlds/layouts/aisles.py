@@ -119,7 +119,7 @@ def _box(along_x: Span, along_y: Span) -> OrientedBox:
 
 
 def _stands_across(rows: Array, arena: Arena) -> bool:
-    """Whether a box of rows (n, 6) of `as_rows` stands across the straight line from start to target."""
+    """Whether a box of rows (n, 7) of `as_rows` stands across the straight line from start to target."""
     (x, y), (target_x, target_y) = arena.keep_free
     length = hypot(target_x - x, target_y - y)
     toward = bearing(Pose(x, y, 0.0), target_x, target_y)

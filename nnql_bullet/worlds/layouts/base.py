@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, OrientedBox, squared_distance
+from nnql_bullet.geometry import Array, OrientedBox, Shape, squared_distance
 from nnql_bullet.jit import njit
 
 MOST_BOXES = 100_000
@@ -36,7 +36,7 @@ class Layout(Protocol):
     def is_random(self) -> bool:
         """Whether each draw gives another world."""
 
-    def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
+    def place(self, arena: Arena, rng: np.random.Generator) -> tuple[Shape, ...]:
         """Places the obstacles of one world, drawn from `rng` alone.
 
         Raises:
@@ -49,13 +49,13 @@ def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) 
     """Whether a box is inside the arena and far enough from some points.
 
     Args:
-        row: The box, a row (6,) of `as_rows`.
+        row: The box, a row (7,) of `as_rows`.
         size: Width and depth of the arena (2,) [m].
         keep_free: The points (n, 2) [m].
         clear_radius: Smallest distance of the box from the points [m].
     """
-    across = abs(row[2] * row[4]) + abs(row[3] * row[5])
-    along = abs(row[2] * row[5]) + abs(row[3] * row[4])
+    across = abs(row[2] * row[4]) + abs(row[3] * row[5]) + row[6]
+    along = abs(row[2] * row[5]) + abs(row[3] * row[4]) + row[6]
     if row[0] < across or row[0] > size[0] - across or row[1] < along or row[1] > size[1] - along:
         return False
     nearest = np.inf

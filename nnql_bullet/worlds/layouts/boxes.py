@@ -1,4 +1,4 @@
-"""A fixed layout: the world file lists all boxes."""
+"""A fixed layout: the world file lists all boxes and circles."""
 
 from math import radians
 from typing import Annotated, ClassVar, Literal
@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from nnql_bullet.config import options
-from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.geometry import Circle, OrientedBox, Shape
 from nnql_bullet.types import Extent, Number
 from nnql_bullet.worlds.layouts.base import MOST_BOXES, Arena
 
@@ -24,14 +24,25 @@ class Box:
 
 
 @options
+class Disc:
+    """A circle: its centre and radius [m]."""
+
+    x: Number
+    y: Number
+    radius: Extent
+
+
+@options
 class Boxes:
     """Options of a fixed layout."""
 
     is_random: ClassVar[bool] = False
     kind: Literal["boxes"]
-    boxes: Annotated[tuple[Box, ...], Field(max_length=MOST_BOXES)]
+    boxes: Annotated[tuple[Box, ...], Field(max_length=MOST_BOXES)] = ()
+    circles: Annotated[tuple[Disc, ...], Field(max_length=MOST_BOXES)] = ()
 
-    def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
-        """The boxes of the world file."""
+    def place(self, arena: Arena, rng: np.random.Generator) -> tuple[Shape, ...]:
+        """The boxes and circles of the world file."""
         del arena, rng
-        return tuple(OrientedBox(b.x, b.y, b.length / 2, b.width / 2, radians(b.yaw_degrees)) for b in self.boxes)
+        boxes = [OrientedBox(b.x, b.y, b.length / 2, b.width / 2, radians(b.yaw_degrees)) for b in self.boxes]
+        return *boxes, *(Circle(c.x, c.y, c.radius) for c in self.circles)

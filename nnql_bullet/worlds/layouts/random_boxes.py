@@ -9,7 +9,7 @@ from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, OrientedBox, clearance
+from nnql_bullet.geometry import COLUMNS, Array, OrientedBox, clearance
 from nnql_bullet.jit import njit
 from nnql_bullet.types import Extent, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room
@@ -81,16 +81,16 @@ class RandomBoxes:
 
 
 def _rows(candidates: Array) -> Array:
-    """Candidates as the rows (n, 6) of `geometry.as_rows`."""
+    """Candidates as the rows (n, 7) of `geometry.as_rows`."""
     yaw = candidates[:, 4]
-    return np.column_stack([candidates[:, :4], np.cos(yaw), np.sin(yaw)])
+    return np.column_stack([candidates[:, :4], np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])
 
 
 @njit(nogil=True)
 def _chosen(
     rows: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float
 ) -> tuple[NDArray[np.int64], float]:
-    """Chooses boxes (n, 6) in their order until their area is `wanted` [m2].
+    """Chooses boxes (n, 7) in their order until their area is `wanted` [m2].
 
     Returns:
         Indices of the chosen boxes, and their area [m2].
@@ -102,7 +102,7 @@ def _chosen(
         if area >= wanted:
             break
         if leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], placed[:count]) > 0:
-            for j in range(6):  # numba takes seconds to compile the assignment of a row
+            for j in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
                 placed[count, j] = rows[i, j]
             chosen[count] = i
             area += 4.0 * rows[i, 2] * rows[i, 3]

@@ -7,7 +7,7 @@ import numpy as np
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance, moved
+from nnql_bullet.geometry import COLUMNS, OrientedBox, Pose, as_rows, clearance, moved
 from nnql_bullet.types import Extent, Few, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena, leaves_room, rounded
 
@@ -53,7 +53,7 @@ class Traps:
             UserError: If the arena has no room for them.
         """
         size, keep_free = arena.limits
-        outlines, boxes = np.empty((0, 6)), list[OrientedBox]()
+        outlines, boxes = np.empty((0, COLUMNS)), list[OrientedBox]()
         for _ in range(MOST_TRIES):
             outline, *walls = self._anywhere(arena, rng) if boxes else self._across(arena, rng)
             row = as_rows((outline,))
