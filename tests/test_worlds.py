@@ -248,9 +248,9 @@ def test_random_world_too_crowded_to_cross_is_refused_after_many_attempts():
     source = source_of(width=16.0, depth=16.0, start=[3, 3], target=[13, 13], layout=layout)
     with pytest.raises(
         UserError,
-        match=rf"seed 0: its widest path narrows to .* in {MOST_ATTEMPTS} attempts; the vehicle needs 6\.10 m",
+        match=rf"seed 0: its widest path narrows to .* in {MOST_ATTEMPTS} attempts; the vehicle needs 5\.60 m",
     ):
-        source.draw(0, 6.0)
+        source.draw(0, 5.5)
 
 
 def test_layout_without_room_for_its_cover_is_refused():
