@@ -76,6 +76,18 @@ def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return t.active & (t.discount_t == 0.0), t.active & (t.ending == ENDINGS.index("timeout"))
 
 
+def _checked(actions: Any, size: int) -> NDArray[np.int64]:
+    """The actions (size,) as an array.
+
+    Raises:
+        UserError: If they are not such actions.
+    """
+    array = np.asarray(actions)
+    if array.shape != (size,) or array.dtype.kind not in "iu" or not ((array >= 0) & (array < ACTIONS)).all():
+        raise UserError(f"give {size} whole numbers from 0 to {ACTIONS - 1} as actions, not {actions}")
+    return array.astype(np.int64)
+
+
 def _draw_seed(generator: np.random.Generator) -> int:
     return int(generator.integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop))
 
@@ -112,8 +124,12 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         return self._vector(), {"world_seed": world.seed}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Carries out one decision."""
-        t = self._navigation.step(np.array([action]))
+        """Carries out one decision.
+
+        Raises:
+            UserError: If there is no such action.
+        """
+        t = self._navigation.step(_checked([action], 1))
         terminated, truncated = _over(t)
         info = {name: values.item() for name, values in _infos(t).items()}
         return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
@@ -202,9 +218,13 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
     def step(
         self, actions: NDArray[np.int64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Carries out one decision of each vehicle."""
+        """Carries out one decision of each vehicle.
+
+        Raises:
+            UserError: If these are not an action for each vehicle.
+        """
         begun, active = self._over.copy(), ~self._over
-        t = self._navigation.step(np.asarray(actions), None if active.all() else active)
+        t = self._navigation.step(_checked(actions, self.num_envs), None if active.all() else active)
         terminated, truncated = _over(t)
         named = _infos(t)
         if not active.all():

@@ -139,7 +139,7 @@ class TestWay:
     def test_what_moves_is_not_what_stands(self, world_of: WorldOf) -> None:
         patrol = Patrol(OrientedBox(10.0, 10.0, 1.0, 1.0), (20.0, 10.0), 1.0, 0.0)
         world = with_patrols(world_of(OrientedBox(50.0, 50.0, 1.0, 1.0)), patrol)
-        assert world.solids.shape == (5, 6)
+        assert world.solids.shape == (5, 7)
         assert world.tracks.shape == (1, 6)
         assert world_of().tracks.shape == (0, 6)
         assert world.cover == world_of(*world.obstacles).cover

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import OrientedBox, Pose, ray_distances
+from nnql_bullet.geometry import OrientedBox, Pose, as_rows, ray_distances
 from nnql_bullet.recording import Recording
 from nnql_bullet.sensing import ray_angles
 from nnql_bullet.worlds.spec import Patrol
@@ -36,7 +36,7 @@ def drive() -> Recording:
         return np.column_stack([5.0 + 4.0 * np.sin(angle), 9.0 - 4.0 * np.cos(angle), angle])
 
     box = OrientedBox(12.0, 6.0, 1.0, 2.0, 0.3)
-    row = np.array([[box.x, box.y, box.half_length, box.half_width, np.cos(box.yaw), np.sin(box.yaw)]])
+    row = as_rows([box])
     state_pose = poses(state_time)
     rays = np.array(
         [

@@ -30,7 +30,7 @@ from nnql_bullet.env import (
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import Array, OrientedBox, Pose, ray_distances, wrap_angle
+from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, ray_distances, wrap_angle
 from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
 from nnql_bullet.mapping.sector_faults import completed, contradictions
@@ -139,8 +139,7 @@ def drive(
 def rays_from(pose: Pose, *boxes: OrientedBox) -> Array:
     """What the rays read there, by the slab method."""
     x, y = pose.x + cos(pose.yaw) * SENSOR[0], pose.y + sin(pose.yaw) * SENSOR[0]
-    rows = np.array([(b.x, b.y, b.half_length, b.half_width, cos(b.yaw), sin(b.yaw)) for b in boxes]).reshape(-1, 6)
-    return ray_distances((x, y), ray_angles() + pose.yaw, rows, paper.SENSOR_RANGE)
+    return ray_distances((x, y), ray_angles() + pose.yaw, as_rows(boxes), paper.SENSOR_RANGE)
 
 
 class TestWhatPasses:

@@ -163,6 +163,21 @@ class TestWhatItIs:
             TricycleVectorEnv(2, **changes)
 
 
+class TestActions:
+    @pytest.mark.parametrize("actions", [[0], [0, 0, 6], [0, -1, 0], [0.0, 1.0, 2.7], ["0", "1", "2"], [[0, 0, 0]], 0])
+    def test_what_are_none_is_refused(self, kinematic_ones: Env, actions: Any) -> None:
+        kinematic_ones.reset(seed=0)
+        with pytest.raises(UserError, match="give 3 whole numbers from 0 to 5 as actions"):
+            kinematic_ones.step(np.array(actions))
+
+    @pytest.mark.parametrize("action", [6, -1, 2.7, "1", None, [0, 1]])
+    def test_nor_is_one_by_the_single_environment(self, action: Any) -> None:
+        with closing(gymnasium.make(NAME, simulator="kinematic", world=WORLD)) as env:
+            env.reset(seed=0)
+            with pytest.raises((UserError, ValueError)):
+                env.unwrapped.step(action)
+
+
 class TestEpisodes:
     def test_a_vehicle_whose_time_is_up_is_put_into_its_next_world_by_the_step_after(self) -> None:
         config = RunConfig(task=TaskOptions(max_steps=4), simulator="kinematic", world="empty")

@@ -11,6 +11,7 @@ import trimesh
 from nnql_bullet import assets
 from nnql_bullet.errors import UserError
 from nnql_bullet.vehicle.urdf import load_vehicle
+from nnql_bullet.worlds.source import WIDTH
 
 ROBOTS = assets.folder("robots")
 URDF = (ROBOTS / "tricycle.urdf").read_text(encoding="utf-8")
@@ -206,8 +207,8 @@ def test_footprint_holds_the_caster_however_it_swivels(vehicle):
     assert reach <= vehicle.footprint.half_width
 
 
-def test_clear_radius_is_the_half_diagonal_of_the_footprint(vehicle):
-    assert vehicle.clear_radius == pytest.approx(np.hypot(1.10, 0.65) / 2)
+def test_width_is_that_of_the_footprint(vehicle):
+    assert vehicle.width == pytest.approx(0.65) == WIDTH
 
 
 def test_sensor_stands_above_the_chassis_at_the_head_of_the_mast(vehicle):

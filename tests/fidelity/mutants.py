@@ -14,7 +14,7 @@ import numpy as np
 import pybullet
 
 from nnql_bullet.fidelity.probe import Bench
-from nnql_bullet.geometry import Array, OrientedBox, Pose
+from nnql_bullet.geometry import Array, Pose, Shape
 from nnql_bullet.sim.bullet import GROUND, PHYSICS, WHEEL, BulletEngine, Physics
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import JointNames, VehicleSpec
@@ -258,8 +258,8 @@ class Bouncing(BulletEngine):
 
 
 class NoObstacles(BulletEngine):
-    def _add_solids(self, boxes: tuple[OrientedBox, ...], height: float) -> None:
-        del boxes, height
+    def _add_solids(self, solids: tuple[Shape, ...], height: float, group: int) -> None:
+        del solids, height, group
 
 
 class WearingTyres(BulletEngine):
