@@ -23,8 +23,9 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.video import write_video
 from nnql_bullet.reports.drawing import picture
-from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet, silenced
+from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet
 from nnql_bullet.sim.bullet_scene import works
+from nnql_bullet.sim.c_library import silenced
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -91,7 +92,8 @@ if len(sys.argv) > 2:
     for stream in map(int, sys.argv[2].split(",")):
         os.close(stream)
 before = {fd: os.path.exists(f"/proc/self/fd/{fd}") for fd in range(3)}
-from nnql_bullet.sim.bullet import silenced, bullet
+from nnql_bullet.sim.bullet import bullet
+from nnql_bullet.sim.c_library import silenced
 with silenced():
     bullet.disconnect(bullet.connect(bullet.DIRECT))
     os.system("echo lost")

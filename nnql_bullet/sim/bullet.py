@@ -4,9 +4,6 @@ Collision groups separate the contacts: the wheels, which are spheres with one c
 ground; the chassis, a box over the whole footprint, touches only obstacles and walls; rays meet only these.
 """
 
-import ctypes
-import locale
-import os
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,7 +19,6 @@ from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
-from nnql_bullet.machine import open_streams
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
     DynamicsInfo,
@@ -32,6 +28,7 @@ from nnql_bullet.sim.bullet_state import (
     contact_force,
     hit_fractions,
 )
+from nnql_bullet.sim.c_library import decimal_points, silenced
 from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
 from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
@@ -39,50 +36,6 @@ from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities
-
-_C = ctypes.CDLL(None)
-_C.newlocale.restype = _C.uselocale.restype = ctypes.c_void_p
-_C.newlocale.argtypes = ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p
-_C.uselocale.argtypes = (ctypes.c_void_p,)
-_C_LOCALE = _C.newlocale(1 << locale.LC_NUMERIC, b"C", None)
-
-
-@contextmanager
-def silenced() -> Iterator[None]:
-    """Discards what C code prints in the meantime, in any thread; standard streams may be closed."""
-    with open_streams():
-        kept, nowhere = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
-        try:
-            _C.fflush(None)  # what was printed before
-            for stream in (1, 2):
-                os.dup2(nowhere, stream)
-            yield
-        finally:
-            _C.fflush(None)  # what is still buffered
-            for stream, its in zip((1, 2), kept, strict=True):
-                os.dup2(its, stream)
-            for its in (*kept, nowhere):
-                os.close(its)
-
-
-@contextmanager
-def decimal_points(every_thread: bool = False) -> Iterator[None]:
-    """Lets the engine read numbers with decimal points, whatever the locale; it reads them by C's `atof`.
-
-    Args:
-        every_thread: Also in the threads of the engine's own that a window has. Locales have to be set in the whole
-            process for that; otherwise only this thread is concerned.
-    """
-    before, in_process = _C.uselocale(_C_LOCALE), locale.setlocale(locale.LC_NUMERIC)
-    if every_thread:
-        locale.setlocale(locale.LC_NUMERIC, "C")
-    try:
-        yield
-    finally:
-        if every_thread:
-            locale.setlocale(locale.LC_NUMERIC, in_process)
-        _C.uselocale(before)
-
 
 with silenced():  # it prints its build time
     try:

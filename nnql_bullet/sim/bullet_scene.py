@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.machine import may_start_processes
-from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, decimal_points, load_text, silenced
+from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
+from nnql_bullet.sim.c_library import decimal_points, silenced
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.description import parse, text_of
 
