@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -118,6 +118,15 @@ def distinct(seeds: range, experiment: Experiment, policies: Sequence[Policy]) -
     return seeds if any(experiment.world(seed).digest != first for seed in seeds[1:]) else seeds[:1]
 
 
+def _cover_of(world: World) -> float | None:
+    """The cover of a world that differs from the paper's in that alone; None for other kinds."""
+    layout = world.layout
+    alike = isinstance(layout, RandomBoxes) and replace(layout, cover=0.0) == RandomBoxes(
+        kind="random_boxes", cover=0.0
+    )
+    return layout.cover if isinstance(layout, RandomBoxes) and alike and not world.patrols else None
+
+
 def draw_tiers(
     given: Sequence[str | Path | World], setting: Setting, worlds: int, policies: Sequence[Policy]
 ) -> list[Tier]:
@@ -146,7 +155,7 @@ def draw_tiers(
         )
         seeds = distinct(all_seeds, experiment, policies)
         digests = tuple(experiment.world(seed).digest for seed in seeds)
-        cover = world.layout.cover if isinstance(world.layout, RandomBoxes) and not world.patrols else None
+        cover = _cover_of(world)
         code = file if isinstance(file, World) else None
         tiers.append(Tier(named or world.name, world.name, cover, seeds, digests, checked, code))
     return tiers
