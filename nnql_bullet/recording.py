@@ -274,7 +274,7 @@ def _check(recording: Recording) -> None:
         raise ValueError("a state or the ending is unknown")
     if (np.diff(recording.state_time) < 0).any() or (np.diff(recording.sample_time) < 0).any():
         raise ValueError("time must not go back")
-    world, _ = recording.world, recording.summary if "summary" in about else None
+    world, _, _ = recording.world, recording.footprint, recording.summary if "summary" in about else None
     if not (0 < world.width < inf and 0 < world.depth < inf and np.isfinite(world.solids_at(0.0)).all()):
         raise ValueError("the world must be finite")
 
