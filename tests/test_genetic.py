@@ -136,7 +136,8 @@ class TestNetworks:
     @pytest.mark.parametrize("change", [{"2.bias": np.zeros(6)}, {"2.bias": np.full(5, np.nan)}, {"more": np.zeros(1)}])
     def test_what_are_no_such_weights_is_refused(self, change: Arrays) -> None:
         agent = Genetic(GeneticOptions(), 3)
-        with pytest.raises(UserError, match=r"8-6-5|is not finite"):
+        finite = all(np.isfinite(value).all() for value in change.values())
+        with pytest.raises(UserError, match="8-6-5" if finite else "is not finite"):
             agent.load_state_dict(agent.state_dict() | change)
 
 

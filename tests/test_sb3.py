@@ -125,7 +125,8 @@ class TestNetwork:
     )
     def test_what_are_no_such_weights_is_refused(self, change: Arrays) -> None:
         agent = Sb3Dqn(SMALL, 0)
-        with pytest.raises(UserError, match=r"11-16-12-6|is not finite"):
+        finite = all(np.isfinite(value).all() for value in change.values())
+        with pytest.raises(UserError, match="11-16-12-6" if finite else "is not finite"):
             agent.load_state_dict(agent.state_dict() | change)
 
     @pytest.mark.parametrize(

@@ -64,7 +64,6 @@ STRAIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
 
-
 MANY_SHAPES = 256
 """Number from which shapes are sorted by place; few are taken in their order."""
 
@@ -144,7 +143,6 @@ class BulletEngine(ContactEngine):
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
         super().__init__(vehicle, drive, physics.time_step)
         self.physics = physics
-        self._stepping = False
         self.client = bullet.connect(bullet.DIRECT)
         if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")
@@ -182,16 +180,11 @@ class BulletEngine(ContactEngine):
 
         With the default a rolling wheel keeps old contacts, which cost the solver time.
         """
-        if self._stepping:
-            yield
-            return
-        self._stepping = True
         _STEPPING.enter(self.client)
         try:
             yield
         finally:
             _STEPPING.leave(self.client)
-            self._stepping = False
 
     # Quantities for probes
 
@@ -487,8 +480,6 @@ __all__ = [
     "BulletEngine",
     "Physics",
     "bullet",
-    "decimal_points",
     "has_numpy",
     "load_text",
-    "silenced",
 ]

@@ -216,7 +216,7 @@ class ContactEngine(VehiclePhysics):
         for number, pair in enumerate(speeds, 1):
             self._command(pair)
             for _ in range(self._steps_per_command):
-                self.step()
+                self._step_and_move()
                 if look:
                     look()
                 if near and self.touching():

@@ -82,12 +82,11 @@ class VehiclePhysics(ABC):
     def run(self, seconds: float) -> None:
         """Runs physics steps for a time [s], rounded to whole steps."""
         for _ in range(round(seconds / self.time_step)):
-            self.step()
+            self._step_and_move()
 
     def step(self) -> None:
         """Runs one physics step, then moves the patrols."""
-        self._step()
-        self._move_patrols()
+        self._step_and_move()
 
     def command_wheels(self, left: float, right: float) -> None:
         """Sets the wheel speeds [rad/s] that the motors hold within the torque limit, until the next command."""
@@ -207,6 +206,10 @@ class VehiclePhysics(ABC):
     @abstractmethod
     def _cast(self, begins: Array, ends: Array) -> Array:
         """Computes the distances (n,) [m] at which rays from `begins` to `ends` (n, 3) meet an obstacle or wall."""
+
+    def _step_and_move(self) -> None:
+        self._step()
+        self._move_patrols()
 
     def _move_patrols(self) -> None:
         """Moves the patrols to their positions at the present time."""
