@@ -42,9 +42,14 @@ class Experiment:
         self.config = config
         self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
-        self.worlds = self._source(config.world)
+        self.worlds = self.kind(config.world)
 
-    def _source(self, name: str | World) -> World:
+    def kind(self, name: str | World) -> World:
+        """Reads a kind of worlds for this vehicle.
+
+        Raises:
+            UserError: If it cannot be read, or its obstacles do not reach up to the vehicle's sensor.
+        """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
         if source.obstacle_height <= sensor_height:
             raise UserError(
@@ -59,7 +64,7 @@ class Experiment:
         Raises:
             UserError: If there is none, or the vehicle would stand in an obstacle at its start.
         """
-        return self._drawn(self.worlds, seed)
+        return self.draw(self.worlds, seed)
 
     @cached_property
     def selection_worlds(self) -> list[WorldSpec]:
@@ -72,10 +77,15 @@ class Experiment:
         if selection is None:
             return []
         names = selection.worlds or self.config.training.worlds or (self.config.world,)
-        sources = [self._source(name) for name in dict.fromkeys(names)]
-        return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
+        sources = [self.kind(name) for name in dict.fromkeys(names)]
+        return [self.draw(source, seed) for source in sources for seed in selection.seeds]
 
-    def _drawn(self, source: World, seed: int) -> WorldSpec:
+    def draw(self, source: World, seed: int) -> WorldSpec:
+        """Draws the world of a seed, of a kind that `kind` read.
+
+        Raises:
+            UserError: See `world`.
+        """
         if not 0 <= seed < 2**63:
             given = f", not {seed}" if abs(seed) < 10**30 else ""
             raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
@@ -89,7 +99,7 @@ class Experiment:
         """Draws the world of a training episode."""
         sources, seed = self.training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
-        return turned(self._drawn(source, seed), self.config.training.domain_randomization)
+        return turned(self.draw(source, seed), self.config.training.domain_randomization)
 
     @cached_property
     def training_sources(self) -> list[World]:
@@ -98,7 +108,7 @@ class Experiment:
         Raises:
             UserError: If one cannot be read.
         """
-        return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
+        return [self.kind(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:

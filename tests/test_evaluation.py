@@ -13,10 +13,11 @@ from PIL import Image
 from scipy.stats import binom
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
+from nnql_bullet.evaluation.drives import Drawn, DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, part_name
 from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.evaluation.splits import Draws
 from nnql_bullet.recording import load_recording
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions
@@ -26,7 +27,7 @@ from nnql_bullet.worlds.paths import Difficulty
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
 
-KINEMATIC = Setting("validation", "kinematic", "reference")
+KINEMATIC = Setting("kinematic", "reference")
 
 
 def policy(name: str, method: str, seed: int = 0) -> Policy:
@@ -38,7 +39,7 @@ def summary(ending: str, path_length: float = 100.0, seed: int = 0) -> EpisodeSu
 
 
 def tier(name: str, worlds: int, cover: float | None = None) -> Tier:
-    return Tier(name, name, cover, range(worlds), tuple(f"d{k}" for k in range(worlds)), True)
+    return Tier(name, name, cover, tuple(Drawn(name, k, f"{name}-{k}") for k in range(worlds)), True)
 
 
 def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) -> Evaluation:
@@ -46,11 +47,13 @@ def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) 
     names = {"g": "goal", "c": "collision", "t": "timeout"}
     tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
     return Evaluation(
+        asked=list(tiers),
+        draws=Draws(range(9), None),
         setting=KINEMATIC,
         policies=[policy(name, method) for name, method in methods.items()],
         tiers=list(tiers.values()),
         difficulties={
-            its.name: [Difficulty(0.05, 3.0, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for its in tiers.values()
+            its.name: [Difficulty(0.05, 3.0, 80.0, 1.0, 5.0, 20.0)] * len(its.worlds) for its in tiers.values()
         },
         drives={key: [summary(names[letter]) for letter in letters] for key, letters in endings.items()},
     )
@@ -183,7 +186,7 @@ class TestParts:
             Parts(tmp_path).load("x", EpisodeSummary)
 
     def test_names_change_with_whatever_the_result_depends_on(self) -> None:
-        one, other = tier("t", 30), replace(tier("t", 30), digests=tuple(f"e{k}" for k in range(30)))
+        one, other = tier("t", 30), tier("u", 30)
         tasks = [
             DriveTask(policy("a", "a"), one, KINEMATIC, 0),
             DriveTask(policy("b", "b"), one, KINEMATIC, 0),
@@ -202,18 +205,20 @@ class TestParts:
 def test_pieces_are_all_worlds_once() -> None:
     tiers = [tier("one", 60), tier("two", 25)]
     tasks = drive_tasks([policy("a", "a"), policy("b", "b")], tiers, KINEMATIC)
-    driven = [(task.policy.name, task.tier.name, seed) for task in tasks for seed in task.tier.block(task.first)]
-    assert sorted(driven) == sorted((name, t.name, seed) for name in "ab" for t in tiers for seed in t.seeds)
+    driven = [(task.policy.name, task.tier.name, world.seed) for task in tasks for world in task.tier.block(task.first)]
+    assert sorted(driven) == sorted(
+        (name, t.name, seed) for name in "ab" for t in tiers for seed in range(len(t.worlds))
+    )
     assert sum(task.size for task in tasks) == len(driven)
 
 
 def test_the_kinematic_model_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
     (its,) = open_policies([tiny_run])
-    (small,) = draw_tiers([str(small_world)], KINEMATIC, 3, [its])
+    (small,), _ = draw_tiers([small_world], Draws(range(3), None), KINEMATIC, [its])
     together = drive(DriveTask(its, small, KINEMATIC, 0))
     assert [s.world_seed for s in together] == [0, 1, 2]
     for k in range(3):
-        alone = replace(small, seeds=small.seeds[k : k + 1], digests=small.digests[k : k + 1])
+        alone = replace(small, worlds=small.worlds[k : k + 1])
         assert drive(DriveTask(its, alone, KINEMATIC, 0)) == together[k : k + 1]
 
 

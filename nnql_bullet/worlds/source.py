@@ -77,6 +77,11 @@ class World:
                 f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
             )
 
+    @property
+    def is_random(self) -> bool:
+        """Whether seeds give different worlds."""
+        return self.layout.is_random or self.patrols is not None
+
     @staticmethod
     def load(name: "str | Path | World") -> "World":
         """Reads a shipped world or a TOML file; a `World` is returned as it is.
