@@ -75,15 +75,17 @@ class Evaluation:
     def counted(self, policy: Policy, tier: Tier) -> list[int]:
         """Returns the places of those worlds of a tier whose drives count for a policy.
 
-        Of drives through equal worlds that are equal to the last bit only the first counts: nothing in them was random,
-        so the others are copies.
+        Copies of a drive do not count: of drives through equal worlds, from one seed or equal to the last bit whatever
+        their seeds, the first does.
         """
         drives: dict[str, list[EpisodeSummary]] = {}
         for world, summary in zip(tier.worlds, self.drives[policy.name, tier.name], strict=True):
             drives.setdefault(world.digest, []).append(replace(summary, world_seed=0))
-        copied = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
-        first = {world.digest: place for place, world in reversed(list(enumerate(tier.worlds)))}
-        return [p for p, world in enumerate(tier.worlds) if world.digest not in copied or first[world.digest] == p]
+        fixed = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
+        first: dict[tuple[str, int], int] = {}
+        for place, world in enumerate(tier.worlds):
+            first.setdefault((world.digest, -1 if world.digest in fixed else world.seed), place)
+        return list(first.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,20 +189,24 @@ class Quarter:
 def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
     """Computes success in each quarter of every tier, from the narrowest bottlenecks to the widest.
 
-    A tier whose worlds are fewer than four, or have the same bottleneck, has no quarters.
+    Equal worlds count once. A tier whose worlds are fewer than four, or have the same bottleneck, has no quarters.
     """
     e, found = evaluation, []
     for tier in e.tiers:
-        widths = np.array([its.bottleneck for its in e.difficulties[tier.name]])
+        kinds = {
+            world.digest: its.bottleneck for world, its in zip(tier.worlds, e.difficulties[tier.name], strict=True)
+        }
+        digests, widths = np.array(list(kinds)), np.array(list(kinds.values()))
         if len(widths) < 4 or np.ptp(widths) == 0.0:
             continue
         for quarter in np.array_split(np.argsort(widths, kind="stable"), 4):
-            success = {}
+            its_worlds, success = set(digests[quarter].tolist()), {}
             for method in e.methods:
                 endings = [
                     e.drives[policy.name, tier.name][place].ending
                     for policy in e.of_method(method)
-                    for place in sorted(set(e.counted(policy, tier)) & set(quarter.tolist()))
+                    for place in e.counted(policy, tier)
+                    if tier.worlds[place].digest in its_worlds
                 ]
                 success[method] = proportion(endings.count("goal"), len(endings))
             narrowest, widest = widths[quarter[[0, -1]]].tolist()

@@ -238,10 +238,10 @@ def counted(e: Evaluation) -> str:
         return f"1 drive{each} (nothing is random)"
     remarks = [f"1 drive of {', '.join(fixed)}: nothing is random"] if fixed else []
     remarks += [
-        f"1 drive of {policy.name} in {tier.title}: nothing in it is random"
+        f"{number} of {policy.name} in {tier.title} count: the others are copies, as nothing in them is random"
         for policy in e.policies
         for tier in e.tiers
-        if drives[policy.name, tier.title] == 1 < len(tier.worlds) and tier.title not in fixed
+        if (number := drives[policy.name, tier.title]) < len(tier.worlds) and tier.title not in fixed
     ]
     worlds = f"{most} world{'s' * (most > 1)}{each}"
     return f"{worlds} ({'; '.join(remarks)})" if remarks else worlds
