@@ -47,7 +47,7 @@ def exact_length(world: WorldSpec, clearance: float) -> float:
 
 
 def test_with_nothing_in_the_way_it_is_straight() -> None:
-    path = shortest_path(world_with(), CLEARANCE)
+    path, _ = shortest_path(world_with(), CLEARANCE)
     assert path.tolist() == [[3, 3], [27, 26]]
     assert path_length(path) == pytest.approx(hypot(24, 23))
 
@@ -55,7 +55,7 @@ def test_with_nothing_in_the_way_it_is_straight() -> None:
 def test_it_is_as_long_as_that_of_the_visibility_graph_and_keeps_the_disc_off_everything() -> None:
     lengths, play = [], GRID_CELL / sqrt(2)  # a free cell may be nearer to things by this
     for world in map(scattered, range(8)):
-        path = shortest_path(world, CLEARANCE)
+        path, _ = shortest_path(world, CLEARANCE)
         if world.bottleneck.width < 2 * (CLEARANCE - play) - GRID_CELL:
             assert len(path) == 0
             continue
@@ -74,7 +74,7 @@ def test_it_is_as_long_as_that_of_the_visibility_graph_and_keeps_the_disc_off_ev
 @pytest.mark.parametrize("world", [world_with(OrientedBox(15, 15, 0.5, 15)), world_with(target=(31.0, 5.0))])
 def test_without_a_path_there_are_no_corners_and_difficulty_says_so(world: WorldSpec) -> None:
     """A wall across, and a target outside."""
-    assert len(shortest_path(world, CLEARANCE)) == 0
+    assert len(shortest_path(world, CLEARANCE)[0]) == 0
     found = difficulty(world, 2 * CLEARANCE)
     assert (found.bottleneck, found.shortest_path) == (0.0, inf)
     assert isnan(found.closest_obstacle)
@@ -85,7 +85,7 @@ def test_a_passage_that_a_disc_just_fits_is_taken() -> None:
         walls = [OrientedBox(15, 15 + side * (10 + gap / 2), 0.5, 10) for side in (-1, 1)]
         world = world_with(*walls, start=Pose(5, 15, 0), target=(25, 15))
         assert world.bottleneck.width == pytest.approx(gap)
-        assert path_length(shortest_path(world, gap / 2)) == pytest.approx(20.0, abs=0.05)
+        assert shortest_path(world, gap / 2)[1] == pytest.approx(20.0, abs=0.05)
 
 
 class TestDifficulty:

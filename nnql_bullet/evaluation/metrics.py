@@ -193,10 +193,9 @@ def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
     """
     e, found = evaluation, []
     for tier in e.tiers:
-        kinds = {
-            world.digest: its.bottleneck for world, its in zip(tier.worlds, e.difficulties[tier.name], strict=True)
-        }
-        digests, widths = np.array(list(kinds)), np.array(list(kinds.values()))
+        surveyed = zip(tier.worlds, e.difficulties[tier.name], strict=True)
+        by_digest = {world.digest: its.bottleneck for world, its in surveyed}
+        digests, widths = np.array(list(by_digest)), np.array(list(by_digest.values()))
         if len(widths) < 4 or np.ptp(widths) == 0.0:
             continue
         for quarter in np.array_split(np.argsort(widths, kind="stable"), 4):

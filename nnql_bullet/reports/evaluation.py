@@ -238,7 +238,7 @@ def counted(e: Evaluation) -> str:
         return f"1 drive{each} (nothing is random)"
     remarks = [f"1 drive of {', '.join(fixed)}: nothing is random"] if fixed else []
     remarks += [
-        f"{number} of {policy.name} in {tier.title} count: the others are copies, as nothing in them is random"
+        f"{number} of {policy.name} in {tier.title} count, the others are copies"
         for policy in e.policies
         for tier in e.tiers
         if (number := drives[policy.name, tier.title]) < len(tier.worlds) and tier.title not in fixed
