@@ -1,5 +1,6 @@
 """Shortest paths against a visibility graph around obstacles that Shapely has grown, and what worlds are like."""
 
+from dataclasses import replace
 from math import hypot, inf, isnan, sqrt
 
 import numpy as np
@@ -110,3 +111,13 @@ class TestDifficulty:
         shortest, longest = exact_length(world, CLEARANCE - play), exact_length(world, CLEARANCE + play)
         assert shortest / 10 <= found.tortuosity <= longest / 10
         assert found.cover == pytest.approx(4 * 0.2 * 10 / SIDE**2)
+
+
+@pytest.mark.parametrize(("radius", "expected"), [(1.5, 1.3), (0.5, None)])
+def test_a_target_is_reached_at_its_edge_even_through_a_wall(radius: float, expected: float | None) -> None:
+    """The wall between start and target is thinner than the target's radius; else the way leads round its end."""
+    wall = OrientedBox(5.0, 10.0, 0.1, 10.0)
+    world = replace(world_with(wall, start=Pose(3, 3, 0), target=(5.8, 3.0)), target_radius=radius)
+    if expected is None:
+        expected = exact_length(world, 0.3) - radius
+    assert difficulty(world, 0.6).shortest_path == pytest.approx(expected, abs=0.2)

@@ -124,10 +124,13 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Description) -> Vehicle
 
 def _check_joints(urdf: Description, names: dict[str, str]) -> Iterator[str]:
     """Checks that the joints with a role, and no others, move, and move as their role needs it."""
+    if missing := {field: joint for field, joint in names.items() if joint not in urdf.joints}:
+        there = ", ".join(urdf.joints)
+        for field, joint in missing.items():
+            yield f"has no joint '{joint}' (joints.{field}); its joints are: {there}"
+        return
     for field, joint in names.items():
-        if joint not in urdf.joints:
-            yield f"has no joint '{joint}' (joints.{field}); its joints are: {', '.join(urdf.joints)}"
-        elif (kind := urdf.joints[joint].kind) != "continuous":
+        if (kind := urdf.joints[joint].kind) != "continuous":
             yield f"joint '{joint}' is {kind}; make it continuous (joints.{field}: {KIND})"
     if len(set(names.values())) < len(names):
         yield f"[joints] in the TOML names one joint twice: {', '.join(names.values())}"
@@ -135,7 +138,7 @@ def _check_joints(urdf: Description, names: dict[str, str]) -> Iterator[str]:
         if each.kind != "fixed" and each.name not in names.values():
             yield (f"joint '{each.name}' is {each.kind}, and [joints] names no role for it; make it fixed ({KIND})")
     for field, joint in names.items():
-        if joint not in urdf.joints or urdf.joints[joint].kind != "continuous":
+        if urdf.joints[joint].kind != "continuous":
             continue
         child = urdf.joints[joint].child
         expected = [joint, names["swivel"]] if field == "caster_roll" else [joint]

@@ -13,7 +13,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Circle, Shape, as_rows, squared_distance
 from nnql_bullet.worlds.spec import WorldSpec
 
-MOST_GROWTH = 0.15
+MOST_GROWTH = 0.2
 """How much wider than wanted a bottleneck may be before obstacles grow [m]."""
 LITTLE_GROWTH = 0.03
 """Where it is this near no denser layout is looked for [m]."""

@@ -23,6 +23,8 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_NARROWINGS = 50
+"""Largest number of random layouts that are narrowed to the bottleneck of a seed."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
 FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
@@ -172,12 +174,12 @@ class World:
     def _as_narrow_as_drawn(self, layout: Densifiable, seed: int, width: float, most: float) -> WorldSpec:
         """Draws the bottleneck of a seed, and a world that has it."""
         wanted = width + round(float(rng(seed, Stream.BOTTLENECK).uniform(self.clearance, most)), 3)
-        for attempt in range(MOST_ATTEMPTS):
+        for attempt in range(MOST_NARROWINGS):
             world = as_narrow_as(wanted, lambda share: self._attempt(seed, attempt, layout.denser(share)))  # noqa: B023
             if world is not None:
                 return world
         raise UserError(
-            f"world '{self.name}', seed {seed}: in {MOST_ATTEMPTS} attempts none had a bottleneck of {wanted:.2f} m; "
+            f"world '{self.name}', seed {seed}: in {MOST_NARROWINGS} attempts none had a bottleneck of {wanted:.2f} m; "
             "make the layout sparser, or smaller obstacles possible, or change 'clearance' and 'max_clearance'"
         )
 
