@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import COLUMNS, Array, OrientedBox, Shape, clearance, squared_distance
+from nnql_bullet.geometry import COLUMNS, Array, OrientedBox, Shape, clearance, reach_of, squared_distance
 from nnql_bullet.jit import njit
 
 MOST_BOXES = 100_000
@@ -100,13 +100,25 @@ def placed(
     for i in range(len(rows)):
         if amount >= wanted:
             break
-        if leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], there[:count]) > spacing:
+        if leaves_room(rows[i], size, keep_free, clear_radius) and _is_apart(rows[i], there[:count], spacing):
             for j in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
                 there[count, j] = rows[i, j]
             chosen[count] = i
             amount += amounts[i]
             count += 1
     return chosen[:count], amount
+
+
+@njit(nogil=True)
+def _is_apart(row: Array, others: Array, spacing: float) -> bool:
+    """Whether a shape is farther than `spacing` [m] from others; it measures only those whose circles are as near."""
+    reach = reach_of(row) + spacing + 1e-9
+    for k in range(len(others)):
+        far = reach + reach_of(others[k])
+        dx, dy = row[0] - others[k, 0], row[1] - others[k, 1]
+        if dx * dx + dy * dy < far * far and clearance(row, others[k : k + 1]) <= spacing:
+            return False
+    return True
 
 
 def rounded(box: OrientedBox) -> OrientedBox:

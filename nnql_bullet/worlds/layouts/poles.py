@@ -49,7 +49,7 @@ class Poles:
             UserError: If the arena has no room for them.
         """
         size, keep_free = arena.limits
-        candidates = self._draw(arena, rng, 2 * self.count)
+        candidates = self._draw(arena, rng, self.count + self.count // 2)
         while True:
             rows = np.zeros((len(candidates), COLUMNS))
             rows[:, [0, 1, 6]], rows[:, 4] = candidates, 1.0
