@@ -351,6 +351,15 @@ def test_a_bottleneck_that_no_density_gives_is_refused():
         source.draw(0, 0.65)
 
 
+def test_a_layout_that_cannot_be_dense_enough_is_refused_at_once():
+    layout = {"kind": "poles", "count": 1, "spacing": 4.0}
+    source = source_of(layout=layout, max_clearance=0.2, width=16.0, depth=16.0, start=[3, 3], target=[13, 13])
+    with pytest.raises(
+        UserError, match=r"layout: as dense as it can be, its bottleneck is \d\.\d\d m and not 0\.\d\d m"
+    ):
+        source.draw(0, 0.65)
+
+
 def test_every_shipped_world_is_tested():
     assert sorted(SHIPPED) == sorted(path.stem for path in assets.folder("worlds").glob("*.toml"))
 

@@ -36,8 +36,12 @@ def as_narrow_as(wanted: float, draw: Callable[[float], WorldSpec]) -> WorldSpec
 
     Returns:
         The world; None if the layout comes from wider to narrower in too large a step, or is too narrow as it is.
+
+    Raises:
+        UserError: If no density makes the layout so narrow, or the layout has no room as it is.
     """
     nearest: WorldSpec | None = None
+    passed = False  # whether some density gave a narrower bottleneck
     below, above, share = 0.0, inf, 0.0  # densities that give a wider and a narrower bottleneck, and the next one
     while above - below > SMALLEST_STEP and share <= 1.0:
         try:
@@ -54,11 +58,17 @@ def as_narrow_as(wanted: float, draw: Callable[[float], WorldSpec]) -> WorldSpec
         elif share == 0.0:
             return None
         else:
-            above = share
+            above, passed = share, passed or left > -inf
         share = (below + above) / 2 if above < inf else max(2 * below, FIRST_SHARE)
-    if nearest is None or nearest.bottleneck.width - wanted > MOST_GROWTH:
-        return None
-    return _grown(nearest, wanted)
+    left = inf if nearest is None else nearest.bottleneck.width - wanted
+    if left <= MOST_GROWTH and nearest is not None:
+        return _grown(nearest, wanted)
+    if not passed:
+        raise UserError(
+            f"layout: as dense as it can be, its bottleneck is {wanted + left:.2f} m and not {wanted:.2f} m; let "
+            "obstacles be larger or closer, or the arena smaller, or raise 'clearance'"
+        )
+    return None
 
 
 def _grown(world: WorldSpec, wanted: float) -> WorldSpec | None:
