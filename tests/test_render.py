@@ -425,7 +425,9 @@ def test_the_doctor_casts_rays_from_a_sensor_off_the_middle(monkeypatch: pytest.
     class Aside(Experiment):
         def __init__(self, config: RunConfig) -> None:
             super().__init__(config)
-            self.vehicle = replace(self.vehicle, sensor=(self.vehicle.sensor[0], 0.3, self.vehicle.sensor[2]))
+            ahead, _, up = self.vehicle.sensor.position
+            aside = replace(self.vehicle.sensor, position=(ahead, 0.3, up))
+            self.vehicle = replace(self.vehicle, sensor=aside)
 
     monkeypatch.setattr(diagnosis, "Experiment", Aside)
     assert diagnosis.check_rays().ok

@@ -76,11 +76,11 @@ def perceived(
             else before.evidence + contradictions(rays[i], expected, origin, sensor.range)
         )
         evidence = np.where(silent_sectors(rays[i], sensor.range), evidence, 0.0)
-        scan = LastScan(points, np.where(sensor.seen, rays[i], np.nan), target, before.moved, evidence)
+        scan = LastScan(points, rays[i], target, before.moved, evidence)
         if scan.dead.any():
             rays[i], remembered = completed(rays[i], scan.dead, expected, origin, sensor.range)
             scan = replace(scan, points=np.where(np.isnan(remembered), points, remembered))
-        scans.append(scan)
+        scans.append(replace(scan, rays=np.where(sensor.seen, rays[i], np.nan)))
     readings = readings_of(rays, task)
     unsafe = (o.state_property == StateProperty.SAFE) & ~is_safe(readings, task) & (readings < o.readings).any(axis=-1)
     state = np.where(unsafe, StateProperty.NON_SAFE, o.state_property)
