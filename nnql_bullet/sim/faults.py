@@ -11,6 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sensing import first_ray
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.types import NonNegative
 from nnql_bullet.worlds.spec import WorldSpec
@@ -41,7 +42,8 @@ def degraded(
         seen = np.where(distances < sensor_range, noisy, distances)
     if faults.dead_sector is not None:
         seen = seen.copy()
-        seen.reshape(paper.SECTORS, -1)[faults.dead_sector] = sensor_range
+        first, end = (first_ray(sector, len(seen)) for sector in (faults.dead_sector, faults.dead_sector + 1))
+        seen[first:end] = sensor_range
     return seen
 
 
