@@ -17,6 +17,7 @@ from nnql_bullet.evaluation.drives import (
     drive,
     drive_tasks,
     film,
+    has_chance,
     survey,
     survey_tasks,
 )
@@ -197,7 +198,8 @@ def evaluate(
     with locked(folder):
         parts = Parts(folder / "parts" if folder else None)
         difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
-        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused)
+        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes))
+        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
         results = EvaluationResults(evaluation)
         if folder:
             results.save(folder, clips, where, on_progress)

@@ -38,6 +38,8 @@ class Evaluation:
     """Summaries in the order of a tier's worlds, by the names of the policy and the tier."""
     refused: Sequence[Refused] = ()
     """Files that nothing drove through."""
+    random: frozenset[str] = frozenset()
+    """Names of policies that draw random numbers, or whose sensors do."""
 
     @property
     def title(self) -> str:
@@ -75,13 +77,14 @@ class Evaluation:
     def counted(self, policy: Policy, tier: Tier) -> list[int]:
         """Returns the places of those worlds of a tier whose drives count for a policy.
 
-        Copies of a drive do not count: of drives through equal worlds, from one seed or equal to the last bit whatever
-        their seeds, the first does.
+        Copies of a drive do not count. Of drives through equal worlds the first of each seed does; and only the first
+        of all if they are equal to the last bit, unless the policy draws random numbers.
         """
         drives: dict[str, list[EpisodeSummary]] = {}
         for world, summary in zip(tier.worlds, self.drives[policy.name, tier.name], strict=True):
             drives.setdefault(world.digest, []).append(replace(summary, world_seed=0))
-        fixed = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
+        alike = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
+        fixed = alike if policy.name not in self.random else set()
         first: dict[tuple[str, int], int] = {}
         for place, world in enumerate(tier.worlds):
             first.setdefault((world.digest, -1 if world.digest in fixed else world.seed), place)
