@@ -9,6 +9,7 @@ from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import docstring_parser
+import numpy as np
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -57,7 +58,7 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """
     try:
         # Strict reading of JSON accepts an integer for a float and an array for a tuple, which TOML users write.
-        return TypeAdapter(cls).validate_json(json.dumps(values, default=str))
+        return TypeAdapter(cls).validate_json(json.dumps(values, default=_plain_value))
     except ValidationError as error:
         raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
     except RecursionError:
@@ -252,6 +253,11 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
     if mistake["type"] == "json_invalid":
         return str(mistake["ctx"]["error"])
     return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shortened(mistake['input'])}"
+
+
+def _plain_value(value: Any) -> Any:
+    """What JSON has no type for: a number or an array of NumPy as Python's own, and all else as text."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
 def _reason(error: Exception) -> str:

@@ -144,7 +144,9 @@ class Experiment:
     @cached_property
     def agent(self) -> Policy:
         """The given agent, or the untrained one that the configuration describes."""
-        return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
+        if self._given is not None:
+            return self._given
+        return self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Policy:
@@ -157,9 +159,11 @@ class Experiment:
         """The agent, as one that can be trained.
 
         Raises:
-            UserError: If it is a rule.
+            UserError: If it is a rule, or the given agent lacks methods.
         """
         if not isinstance(self.agent, Trainable):
+            if self._given is not None:
+                raise UserError(f"a {type(self._given).__name__} cannot learn: it is no training.base.Trainable")
             raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 

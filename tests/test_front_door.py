@@ -85,6 +85,44 @@ def test_every_function_has_an_example() -> None:
     assert set(nb.__all__) - set(EXAMPLES) == WITHOUT_EXAMPLE
 
 
+class TestArguments:
+    @pytest.mark.parametrize(
+        ("name", "arguments", "said"),
+        [
+            ("train", {"out": 1.5}, "'out' must be a path or text or None, not a value of type float"),
+            ("train", {"workers": True}, "'workers' must be a whole number or None"),
+            ("train", {"overwrite": "no"}, "'overwrite' must be True or False, not 'no'"),
+            ("train", {"config": 10**5000}, "'config' must be text or a path or a RunConfig"),
+            ("train", {"on_progress": 3}, "'on_progress' must be a function or None"),
+            ("train", {"reward": ["speed"]}, "'reward' must be a Sequence or a function or None"),
+            ("train", {"agent": 0}, "a int cannot learn"),
+            ("train", {"agent": "vfh"}, "a str cannot learn"),
+            ("resume", {"folder": None}, "'folder' must be a path or text"),
+            ("drive", {"policy": "vfh", "seed": "1"}, "'seed' must be a whole number, not '1'"),
+            ("drive", {"policy": "vfh", "changes": [1]}, "'changes' must be a Mapping"),
+            ("evaluate", {"policies": "vfh", "worlds": "traps"}, "'worlds' must be a Sequence, not 'traps'"),
+            ("evaluate", {"policies": "vfh", "n_worlds": 2.0}, "'n_worlds' must be a whole number"),
+            ("gap", {"policies": "vfh", "split": "tests"}, "'split' must be 'validation' or 'test', not 'tests'"),
+            ("ablate", {"only": "hysteresis"}, "'only' must be a Sequence or None"),
+            ("make_env", {"n_envs": "2"}, "'n_envs' must be a whole number or None, not '2'"),
+        ],
+    )
+    def test_of_a_wrong_type_are_refused_before_anything_is_done(
+        self, here: Path, name: str, arguments: dict[str, Any], said: str
+    ) -> None:
+        with pytest.raises(nb.UserError) as caught:
+            getattr(nb, name)(**arguments)
+        assert str(caught.value).startswith(said)
+        assert not list(here.iterdir())
+
+    def test_may_be_numbers_of_numpy(self, here: Path) -> None:
+        task = {"max_steps": np.int16(3), "hysteresis": np.float32(0.5)}
+        few: dict[str, Any] = {"vehicles": np.int64(2), "seed": np.uint8(1), "episodes": np.int64(2), "task": task}
+        run = nb.train(simulator="kinematic", workers=np.int64(1), out="run", **few)
+        assert (run.config.seed, run.config.vehicles, run.config.task.hysteresis) == (1, 2, 0.5)
+        assert nb.drive("vfh", simulator="kinematic", seed=np.int64(3)).world.seed == 3
+
+
 class Constant:
     """Always does the same."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.ablation import Budget, Counts, Entry, entries, task_of, train_and_test
 from nnql_bullet.evaluation.parts import Parts, run_kept
@@ -53,6 +54,7 @@ class AblationResults:
             write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
 
 
+@checked
 def ablate(
     preset: str = "paper",
     *,

@@ -1,0 +1,73 @@
+"""Checks what a caller gives to a function of the library, before the function does anything."""
+
+import inspect
+from collections.abc import Callable, Iterable
+from functools import wraps
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from nnql_bullet.errors import UserError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_WORDS: dict[Any, str] = {
+    NoneType: "None",
+    bool: "True or False",
+    int: "a whole number",
+    str: "text",
+    Path: "a path",
+    Callable: "a function",
+}
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Lets a function refuse arguments that are not of the types in its signature.
+
+    A number of NumPy becomes one of Python. Protocols are not checked: who uses such an object says what it lacks.
+
+    Raises:
+        UserError: (The function.) If an argument is of another type.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = signature.bind(*args, **kwargs)
+        hints = get_type_hints(function)
+        for name, value in given.arguments.items():
+            plain = given.arguments[name] = value.item() if isinstance(value, np.generic) else value
+            if signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD and not _fits(plain, hints[name]):
+                shown = f"'{plain}'" if isinstance(plain, str) else f"a value of type {type(plain).__name__}"
+                raise UserError(f"'{name}' must be {_text(hints[name])}, not {shown}")
+        return function(*given.args, **given.kwargs)
+
+    return call
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    kind, parts = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if kind is Literal:
+        return any(type(value) is type(part) and value == part for part in parts)
+    if kind is Any or getattr(kind, "_is_protocol", False):
+        return True
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if not isinstance(value, kind) or (isinstance(value, str | bytes) and kind is not str):
+        return False
+    return not (issubclass(kind, Iterable) and len(parts) == 1) or all(_fits(one, parts[0]) for one in value)
+
+
+def _text(hint: Any) -> str:
+    """Says what fits, in words."""
+    kind, parts = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return " or ".join(dict.fromkeys(map(_text, parts)))
+    if kind is Literal:
+        return " or ".join(f"'{part}'" for part in parts)
+    return _WORDS.get(kind, f"a {getattr(kind, '__name__', kind)}")
