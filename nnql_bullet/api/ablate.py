@@ -20,6 +20,9 @@ from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.work import OnProgress
 
+MOST_SEEDS = 1000
+"""Most trainings of each variant."""
+
 
 @dataclass(frozen=True)
 class AblationResults:
@@ -98,8 +101,8 @@ def ablate(
         WorkFailed: If a training fails.
     """
     split_seeds("validation", n_worlds)
-    if seeds is not None and seeds < 1:
-        raise UserError(f"seeds must be at least 1, not {seeds}")
+    if seeds is not None and not 1 <= seeds <= MOST_SEEDS:
+        raise UserError(f"seeds must be from 1 to {MOST_SEEDS}, not {seeds}")
     study = _study(preset, only)
     budget = Budget(
         simulator=simulator,
