@@ -35,9 +35,9 @@ def options(cls: type[T]) -> type[T]:
     init: Callable[..., None] = made.__init__
 
     @wraps(init)
-    def checked_init(self: T, **values: Any) -> None:
+    def checked_init(self: T, *unnamed: Any, **values: Any) -> None:
         try:
-            init(self, **{name: _plain_number(value) for name, value in values.items()})
+            init(self, *unnamed, **{name: _plain_number(value) for name, value in values.items()})
         except ValidationError as error:
             raise UserError(f"{cls.__name__}: {_first_mistake(made, error)}") from None
 
