@@ -233,9 +233,7 @@ class TestOwnPolicy:
         with pytest.raises(nb.UserError, match=r"no policy: it has no method act\(observations\)"):
             nb.drive(object(), simulator="kinematic")  # type: ignore[arg-type]
 
-    @pytest.mark.parametrize(
-        "given", [None, "x", [np.nan], [1.5], [-1], [6], [2**70], [0, 0], [[0]], 0, [True]]
-    )
+    @pytest.mark.parametrize("given", [None, "x", [np.nan], [1.5], [-1], [6], [2**70], [0, 0], [[0]], 0, [True]])
     def test_has_to_give_actions(self, given: Any) -> None:
         class Wrong:
             def act(self, observations: Any) -> Any:
