@@ -29,7 +29,7 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.files import write_text
+from nnql_bullet.files import plain_file, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
@@ -356,7 +356,7 @@ def _as_csv(episodes: list[TrainingEpisode]) -> str:
 def _read_csv(path: Path) -> list[TrainingEpisode]:
     known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return"}
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with plain_file(path).open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             others = [name for name in rows.fieldnames or () if name not in known]
             terms = [name for name in others if name in REWARD_TERMS or name.startswith(_REWARD)]
