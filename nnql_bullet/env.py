@@ -40,6 +40,21 @@ LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], 2)
 
 
+def as_actions(given: object, size: int) -> NDArray[np.int64]:
+    """Actions (n,) that a caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are not such actions.
+    """
+    try:
+        actions = np.asarray(given)
+    except ValueError:  # of lists of several lengths
+        actions = np.empty(())
+    if actions.shape != (size,) or actions.dtype.kind not in "iu" or not ((actions >= 0) & (actions < ACTIONS)).all():
+        raise UserError(f"give {size} whole numbers from 0 to {ACTIONS - 1} as actions, not {given}")
+    return actions.astype(np.int64)
+
+
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
     """Heading changes (...) [rad] of actions (...): a turn of the paper, or toward the target up to the largest."""
     toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
@@ -115,6 +130,18 @@ class Transition:
 Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
 """A reward in place of the paper's: terms whose sum it is, or a function that gives the rewards (n,) of the transitions
 of n vehicles. Beside a function, the terms stay the paper's."""
+
+
+def _as_rewards(given: object, size: int) -> Array:
+    """Rewards (n,) that a function of the caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are no finite numbers.
+    """
+    rewards = np.asarray(given)
+    if rewards.shape != (size,) or rewards.dtype.kind not in "fiub" or not np.isfinite(rewards).all():
+        raise UserError(f"the reward must be {size} finite numbers, one for each vehicle, not {given}")
+    return rewards.astype(np.float64)
 
 
 class Navigation:
@@ -213,7 +240,7 @@ class Navigation:
             active=active,
             term_names=self.term_names,
         )
-        return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
+        return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(actions)))
 
     def _observed(
         self,

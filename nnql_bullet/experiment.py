@@ -86,9 +86,6 @@ class Experiment:
         Raises:
             UserError: See `world`.
         """
-        if not 0 <= seed < 2**63:
-            given = f", not {seed}" if abs(seed) < 10**30 else ""
-            raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
         world = source.draw(seed, self.vehicle.width, self.config.allow_impassable)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
@@ -154,7 +151,9 @@ class Experiment:
     @cached_property
     def agent(self) -> Policy:
         """The given agent, or the untrained one that the configuration describes."""
-        return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
+        if self._given is not None:
+            return self._given
+        return self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Policy:
@@ -167,9 +166,11 @@ class Experiment:
         """The agent, as one that can be trained.
 
         Raises:
-            UserError: If it is a rule.
+            UserError: If it is a rule, or the given agent lacks methods.
         """
         if not isinstance(self.agent, Trainable):
+            if self._given is not None:
+                raise UserError(f"a {type(self._given).__name__} cannot learn: it is no training.base.Trainable")
             raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 

@@ -28,7 +28,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Reward, Transition, as_numbers
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Reward, Transition, as_actions, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
@@ -76,18 +76,6 @@ def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return t.active & (t.discount_t == 0.0), t.active & (t.ending == ENDINGS.index("timeout"))
 
 
-def _checked(actions: Any, size: int) -> NDArray[np.int64]:
-    """The actions (size,) as an array.
-
-    Raises:
-        UserError: If they are not such actions.
-    """
-    array = np.asarray(actions)
-    if array.shape != (size,) or array.dtype.kind not in "iu" or not ((array >= 0) & (array < ACTIONS)).all():
-        raise UserError(f"give {size} whole numbers from 0 to {ACTIONS - 1} as actions, not {actions}")
-    return array.astype(np.int64)
-
-
 def _draw_seed(generator: np.random.Generator) -> int:
     return int(generator.integers(TRAINING_WORLDS.start, TRAINING_WORLDS.stop))
 
@@ -129,7 +117,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         Raises:
             UserError: If there is no such action.
         """
-        t = self._navigation.step(_checked([action], 1))
+        t = self._navigation.step(as_actions([action], 1))
         terminated, truncated = _over(t)
         info = {name: values.item() for name, values in _infos(t).items()}
         return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
@@ -224,7 +212,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             UserError: If these are not an action for each vehicle.
         """
         begun, active = self._over.copy(), ~self._over
-        t = self._navigation.step(_checked(actions, self.num_envs), None if active.all() else active)
+        t = self._navigation.step(as_actions(actions, self.num_envs), None if active.all() else active)
         terminated, truncated = _over(t)
         named = _infos(t)
         if not active.all():

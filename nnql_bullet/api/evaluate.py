@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import (
     FilmTask,
@@ -123,6 +124,7 @@ class EvaluationResults:
         return values
 
 
+@checked
 def evaluate(
     policies: PolicyLike | Sequence[PolicyLike],
     *,

@@ -7,6 +7,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
@@ -59,6 +60,7 @@ class FidelityResults:
             report.draw_grip(self.fidelity, out / "grip.png")
 
 
+@checked
 def check_fidelity(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
@@ -162,6 +164,7 @@ class EnvelopeResults:
             stopping_report.draw_stopping(bench, stops, out / "stopping.png")
 
 
+@checked
 def envelope(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,

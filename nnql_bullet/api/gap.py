@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.drives import distinct, has_chance
@@ -60,6 +61,7 @@ class GapResults:
             write_text(out / "gap.json", json.dumps(report.gap_values(g), indent=1) + "\n")
 
 
+@checked
 def gap(
     policies: PolicyLike | Sequence[PolicyLike],
     *,

@@ -12,7 +12,7 @@ from nnql_bullet.evaluation.drives import Drawn, FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
-from nnql_bullet.files import is_file, read_json
+from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions
 from nnql_bullet.text import shell_line
@@ -80,7 +80,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
             )
             for tier in values["tiers"]
         }
-        with (folder / "episodes.csv").open(encoding="utf-8-sig", newline="") as file:
+        with plain_file(folder / "episodes.csv").open(encoding="utf-8-sig", newline="") as file:
             failed = []
             for row in csv.DictReader(file):
                 if row["ending"] != "goal":

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
 
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
@@ -127,7 +128,7 @@ def read(path: Path) -> Element:
         UserError: If the file cannot be read, is not XML, or its links and joints are not a tree with proper numbers.
     """
     try:
-        size = path.stat().st_size
+        size = plain_file(path).stat().st_size
         if size > MOST_BYTES:
             raise Unfit(f"has {size} bytes; a URDF is read up to {MOST_BYTES} bytes")
         return parse(path.read_bytes())

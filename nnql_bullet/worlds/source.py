@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from nnql_bullet import assets, paper
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
@@ -96,6 +97,7 @@ class World:
         return self.layout.is_random or self.patrols is not None
 
     @staticmethod
+    @checked
     def load(name: "str | Path | World") -> "World":
         """Reads a shipped world or a TOML file; a `World` is returned as it is.
 
@@ -105,6 +107,7 @@ class World:
         return name if isinstance(name, World) else load_world(str(name))
 
     @staticmethod
+    @checked
     def from_toml(path: str | Path) -> "World":
         """Reads a TOML file, and the files that its `base` names under it.
 
@@ -114,6 +117,7 @@ class World:
         return load_world(str(path))
 
     @staticmethod
+    @checked
     def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
         """Makes a world with boxes at given places.
 
@@ -128,12 +132,14 @@ class World:
         layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
         return parse(World, {**values, "layout": layout}, "world")
 
+    @checked
     def plot(self, path: Path | str, seed: int = 0) -> None:
         """Draws the world of a seed as a picture (.png)."""
         from nnql_bullet.reports.plots import draw_map
 
         draw_map(self.draw(seed), Path(path))
 
+    @checked
     def draw(self, seed: int, vehicle_width: float = WIDTH, allow_impassable: bool = False) -> WorldSpec:
         """Draws the world of a seed, whose widest path is wider than the vehicle by `clearance` everywhere.
 
@@ -149,6 +155,8 @@ class World:
         Raises:
             UserError: If the path is too narrow, an end is outside the arena, or there is no room for the patrols.
         """
+        if not 0 <= seed < 2**63:
+            raise UserError(f"a world seed must be from 0 to 2^63 - 1, not {seed}")
         for name, (x, y) in (("start", self.start), ("target", self.target)):
             if not (0 < x < self.width and 0 < y < self.depth):
                 raise UserError(f"world '{self.name}': its {name} ({x:g}, {y:g}) is outside the arena; move it inside")
