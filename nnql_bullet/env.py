@@ -28,28 +28,44 @@ from nnql_bullet.task import (
     reward_terms,
     state_property,
 )
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
 """The sixth action: the paper's rule for a safe state, "changes its orientation toward the target location"."""
 ACTIONS = len(paper.TURNS) + 1
 STOP = ACTIONS
-"""Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands. Agents choose
-among the actions alone; a shield may add this."""
-MANOEUVRES = ACTIONS + STOP
+"""Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands."""
+REVERSE = 2 * ACTIONS
+"""Added to an action: the same heading change, while the vehicle drives backwards; from ahead it brakes first."""
+MANOEUVRES = 3 * ACTIONS
+"""An action ahead, with `STOP` or with `REVERSE`: what a policy may choose. The agents of this package choose among the
+actions alone; a shield chooses among all, and so may a policy of your own."""
 LARGEST_TURN = max(paper.TURNS)
-_TURNS = np.tile([*paper.TURNS, np.nan], 2)
+_TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
 
 
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
-    """Heading changes (...) [rad] of actions (...): a turn of the paper, or toward the target up to the largest."""
+    """Heading changes (...) [rad] of manoeuvres (...): a turn of the paper, or toward the target up to the largest."""
     toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
     return np.where(np.isnan(_TURNS[action]), toward, _TURNS[action])
 
 
-def speed_scale(action: int | NDArray[np.int64]) -> Array:
-    """Speeds (...) of actions (...), as shares of the drive's."""
-    return np.where(np.less(action, STOP), 1.0, 0.0)
+def speed_scale(action: int | NDArray[np.int64], drive: DriveOptions) -> Array:
+    """Wanted speeds (...) of manoeuvres (...), as shares of the drive's: ahead, to stop, or negative in reverse."""
+    return np.array([1.0, 0.0, -drive.reverse_share])[np.floor_divide(action, ACTIONS)]
+
+
+def checked_actions(actions: ArrayLike, size: int, count: int) -> NDArray[np.int64]:
+    """The actions of n vehicles as an array (size,).
+
+    Raises:
+        UserError: If they are not as many whole numbers from 0 to `count` - 1.
+    """
+    array = np.asarray(actions)
+    if array.shape != (size,) or array.dtype.kind not in "iu" or not ((array >= 0) & (array < count)).all():
+        raise UserError(f"give {size} whole numbers from 0 to {count - 1} as actions, not {actions!r}")
+    return array.astype(np.int64, copy=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,14 +196,18 @@ class Navigation:
         """Carries out one decision of each vehicle.
 
         Args:
-            actions: The actions (n,); those of vehicles that are not active have no effect.
+            actions: The manoeuvres (n,); those of vehicles that are not active have no effect.
             active: Vehicles that take a step (n,), all by default.
             traces: Lists that receive samples between the decisions, by vehicle.
+
+        Raises:
+            UserError: If they are not such numbers.
         """
+        actions = checked_actions(actions, self.simulator.size, MANOEUVRES)
         s_tm1 = self._observation
         turns = heading_change(actions, s_tm1.target_bearing)
-        motion, ray_distances = self.simulator.advance(turns, active, speed_scale(actions), traces)
-        m = motion
+        scales = speed_scale(actions, self.simulator.drive)
+        m, ray_distances = self.simulator.advance(turns, active, scales, traces)
         s_t = self._observed(
             self._target, m.pose, m.yaw_rate, m.speed, ray_distances, m.touching, m.at_target, s_tm1.state_property
         )
@@ -212,7 +232,7 @@ class Navigation:
             terms=terms,
             ending=ending(s_t.state_property, self._steps, self.task),
             heading_command=turns,
-            motion=motion,
+            motion=m,
             active=active,
             term_names=self.term_names,
         )

@@ -107,7 +107,7 @@ def drive_pairs(task: PairTask) -> list[Pair]:
         (first, one), (second, other) = drives
         explanation = None
         if first.ending != second.ending:
-            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive.speed)
+            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive)
         k = parting(one, other)
         times, distances = apart(one, other)
         parted = float(times[k]) if k < len(times) else float("inf")
