@@ -107,7 +107,7 @@ def as_numbers(observation: Observation) -> NDArray[np.float32]:
 class Transition:
     """One step of n vehicles; the rows of those that stood by have no meaning.
 
-    `discount_t` is 0 where the episode ended for good, and 1 otherwise, also at a timeout.
+    `discount_t` is 0 where the episode ended for good, and 1 otherwise, also at one of `task.TRUNCATIONS`.
     """
 
     s_tm1: Observation
@@ -162,6 +162,8 @@ class Navigation:
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
+        self._places, self._staying = np.zeros((n, 2)), np.zeros(n)  # where each stays about, and for how long [m, s]
+        self._about = task.stuck_radius * simulator.vehicle.length
         self._observation = Observation(
             readings=np.zeros((n, paper.SECTORS)),
             target_distance=np.zeros(n),
@@ -185,6 +187,7 @@ class Navigation:
         poses, ray_distances = self.simulator.reset(worlds)
         self._target[vehicles] = [world.target for world in worlds.values()]
         self._steps[vehicles] = 0
+        self._places[vehicles], self._staying[vehicles] = poses[:, :2], 0.0
         nothing, safe = np.zeros(len(vehicles), np.bool_), np.full(len(vehicles), StateProperty.SAFE)
         still, speeds = np.zeros(len(vehicles)), np.full(len(vehicles), self.simulator.drive.speed)
         started = self._observed(self._target[vehicles], poses, still, speeds, ray_distances, nothing, nothing, safe)
@@ -218,6 +221,7 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
+        self._stay(m, active)
         terms = (
             reward_terms(s_tm1, s_t, self.task, self._terms)
             if self._table is None
@@ -230,13 +234,20 @@ class Navigation:
             discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
-            ending=ending(s_t.state_property, self._steps, self.task),
+            ending=ending(s_t.state_property, self._steps, self.task, self._staying),
             heading_command=turns,
             motion=m,
             active=active,
             term_names=self.term_names,
         )
         return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
+
+    def _stay(self, motion: Motion, active: NDArray[np.bool_]) -> None:
+        """Adds a control period to the time for which the active vehicles (n,) have stayed about one place."""
+        x, y = (motion.pose[:, :2] - self._places).T
+        gone = active & (np.hypot(x, y) > self._about)
+        self._staying += np.where(active, motion.duration, 0.0)
+        self._places[gone], self._staying[gone] = motion.pose[gone, :2], 0.0
 
     def _observed(
         self,

@@ -13,8 +13,9 @@ Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 
 `manoeuvres=True` it is `Discrete(18)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards.
 
 Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
-terminates at the target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step
-also `ending`, `state_property`, `heading_error` and a `reward/NAME` for each term.
+terminates at the target or at a collision; it is truncated after 500 steps, or as `stuck` once the vehicle has stayed
+about one place for long. `info` holds `world_seed`, and after a step also `ending`, `state_property`, `heading_error`
+and a `reward/NAME` for each term.
 """
 
 from collections.abc import Sequence
@@ -46,10 +47,11 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, StateProperty
+from nnql_bullet.task import ENDINGS, TRUNCATIONS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
+_TRUNCATIONS = [ENDINGS.index(name) for name in TRUNCATIONS]
 _LABELS = np.array([state.label for state in StateProperty], dtype=object)
 _BLANK: dict[str, Any] = {"O": None, "f": 0.0}  # in `info`, of a vehicle that stands by, by kind of value
 
@@ -84,7 +86,7 @@ def _infos(t: Transition) -> dict[str, NDArray[Any]]:
 
 def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether an episode terminated, and whether it was truncated (n,)."""
-    return t.active & (t.discount_t == 0.0), t.active & (t.ending == ENDINGS.index("timeout"))
+    return t.active & (t.discount_t == 0.0), t.active & np.isin(t.ending, _TRUNCATIONS)
 
 
 def _draw_seed(generator: np.random.Generator) -> int:

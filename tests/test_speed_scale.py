@@ -30,7 +30,7 @@ from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
-from nnql_bullet.task import TaskOptions
+from nnql_bullet.task import ENDINGS, NO_ENDING, TaskOptions
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.limits import braking, braking_rear_load
 from nnql_bullet.vehicle.payload import deck_load, loaded
@@ -313,7 +313,8 @@ class TestReversing:
         middle = np.unwrap(yaw)[:-1] + np.diff(np.unwrap(yaw)) / 2
         along = np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)
         across = np.diff(y) * np.cos(middle) - np.diff(x) * np.sin(middle)
-        assert along == pytest.approx(-BACK * SPEED / 30, rel=0.03)
+        assert along.mean() == pytest.approx(-BACK * SPEED / 30, rel=0.01)
+        assert along == pytest.approx(-BACK * SPEED / 30, rel=0.15)  # where the caster is dragged round
         assert np.abs(across).max() < 5e-4
 
     @pytest.mark.parametrize("gap", [0.05, 0.2, 0.43])
@@ -400,6 +401,57 @@ class TestManoeuvres:
                 if action == TOWARD_TARGET + STOP:
                     assert path_length < 1e-9
         assert path_length == pytest.approx(RATE * (1.0**2 - 0.5**2) / 2 - 0.5 * RATE * 0.2**2)
+
+
+class TestStuck:
+    """Of a vehicle 1.1 m long whose wheels turn at 120 Hz, in periods of 0.5 s."""
+
+    def ended(self, vehicle: VehicleSpec, world: WorldSpec, actions: tuple[int, ...], **task: Any) -> tuple[str, int]:
+        """How an episode ended in which `actions` are repeated, and after how many steps."""
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 1, 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions(**task))
+            navigation.reset({0: world})
+            for step in range(500):
+                t = navigation.step(np.array([actions[step % len(actions)]]))
+                if t.ending[0] != NO_ENDING:
+                    assert t.discount_t.tolist() == [1.0]
+                    return ENDINGS[t.ending[0]], step + 1
+        raise AssertionError("it never ended")
+
+    @pytest.mark.parametrize("actions", [(STOP,), (STOP + 2,)])
+    def test_it_stands_or_turns_on_the_spot(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, actions: tuple[int, ...]
+    ) -> None:
+        first_in_place = 2 if STOPPING > 0.55 else 1  # it brakes for 0.8 m, and stays about where it then is
+        assert self.ended(vehicle, empty_world, actions) == ("stuck", 60 + first_in_place - 1)
+        assert self.ended(vehicle, empty_world, actions, stuck_after=0.0) == ("timeout", 500)
+        assert self.ended(vehicle, empty_world, actions, stuck_after=4.0)[1] == 8 + first_in_place - 1
+
+    def test_it_goes_to_and_fro_within_the_radius(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
+        ahead, back = (0, STOP, STOP), (REVERSE, REVERSE, STOP)  # 0.625 m, 0.5 m
+        to_and_fro = (*ahead, *back, *ahead, REVERSE, *back)
+        assert self.ended(vehicle, empty_world, to_and_fro, stuck_radius=1.5)[0] == "stuck"
+        assert self.ended(vehicle, empty_world, to_and_fro, stuck_radius=0.1)[0] == "timeout"
+
+    @pytest.mark.parametrize("action", [2, REVERSE, REVERSE + 1])
+    def test_who_drives_in_circles_or_backs_is_not_stuck(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, action: int
+    ) -> None:
+        assert self.ended(vehicle, empty_world, (action,), max_steps=80) == ("timeout", 80)
+
+    def test_it_is_counted_anew_for_each_vehicle_and_episode(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 3, 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions(stuck_after=5.0))
+            navigation.reset({i: world_of() for i in range(3)})
+            ends: list[list[int]] = []
+            for step in range(14):
+                if step == 6:
+                    navigation.reset({1: world_of()})
+                active = np.array([True, True, step % 2 == 0])
+                ends.append(navigation.step(np.array([STOP] * 3), active).ending.tolist())
+        stuck = np.array(ends) == ENDINGS.index("stuck")
+        assert stuck.argmax(axis=0).tolist() == [10, 0, 0]
+        assert stuck.any(axis=0).tolist() == [True, False, False]
 
 
 class TestTheLimit:
