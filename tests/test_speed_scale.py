@@ -25,6 +25,7 @@ from nnql_bullet.env import (
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.render import labels
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.sim.engines import contact_simulator
@@ -380,7 +381,8 @@ class TestManoeuvres:
                 assert np.array_equal(heading_change(actions + added, bearing), heading_change(actions, bearing))
             assert speed_scale(actions + added, drive).tolist() == [share] * ACTIONS
             assert heading_change(TOWARD_TARGET + added, 0.3) == pytest.approx(0.3)
-        assert (STOP, REVERSE, MANOEUVRES) == (6, 12, 18)
+        assert (STOP, REVERSE, MANOEUVRES, len(labels.MANOEUVRES)) == (6, 12, 18, 18)
+        assert labels.MANOEUVRES[REVERSE + 1] == "reverse, left 30°"
 
     @pytest.mark.parametrize("actions", [[-1, 0], [0, MANOEUVRES], [0], [0, 0, 0], [0.5, 1.0]])
     def test_no_other_number_is_one(self, vehicle: VehicleSpec, world_of: WorldOf, actions: list[Any]) -> None:
