@@ -92,7 +92,7 @@ class Simulator(Protocol):
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
 
         Returns:
-            Their poses (k, 3) and ray distances (k, 72) [m], in the order of `worlds`.
+            Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.
         """
 
     def advance(
@@ -114,7 +114,7 @@ class Simulator(Protocol):
             traces: Lists that receive samples between the decisions, by vehicle.
 
         Returns:
-            The motion, and the ray distances (n, 72) [m] at its end.
+            The motion, and the ray distances (n, rays) [m] at its end.
 
         Raises:
             WorkerDied: If a process that holds some vehicles is gone.

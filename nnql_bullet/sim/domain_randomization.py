@@ -96,7 +96,7 @@ class RandomizedSimulator:
     def _degrade(self, ray_distances: Array, row: int, vehicle: int) -> None:
         """Applies the vehicle's sensor faults to a row of ray distances."""
         episode = self._episodes[vehicle]
-        ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator)
+        ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator, self.vehicle.sensor.range)
 
 
 def turned(world: WorldSpec, domain_randomization: DomainRandomization) -> WorldSpec:
