@@ -77,11 +77,8 @@ class ContactSimulator:
         traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         """See `Simulator.advance`."""
-        motion, ray_distances, traces = (
-            no_motion(self.size),
-            np.zeros((self.size, self.vehicle.sensor.rays)),
-            traces or {},
-        )
+        motion, traces = no_motion(self.size), traces or {}
+        ray_distances = np.zeros((self.size, self.vehicle.sensor.rays))
         for i in driving(active, self.size):
             engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
             m = engine.advance(float(heading_changes[i]), traces.get(i), scale)
