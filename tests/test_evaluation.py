@@ -48,7 +48,7 @@ def tier(name: str, worlds: int, cover: float | None = None) -> Tier:
 
 def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) -> Evaluation:
     """From the first letters of endings, by policy and tier; the shortest path is 80 m everywhere."""
-    names = {"g": "goal", "c": "collision", "t": "timeout"}
+    names = {"g": "goal", "c": "collision", "t": "timeout", "s": "stuck"}
     tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
     return Evaluation(
         asked=list(tiers),
@@ -71,7 +71,7 @@ class TestMetrics:
             ("rule", "easy"): "gcgg",
             ("a-0", "hard"): "gctc",
             ("a-1", "hard"): "cccc",
-            ("rule", "hard"): "tttg",
+            ("rule", "hard"): "tstg",
         },
         {"a-0": "a", "a-1": "a", "rule": "rule"},
     )
@@ -83,12 +83,12 @@ class TestMetrics:
     def test_outcomes_are_shares_of_all_drives_and_add_up_to_one(self) -> None:
         found = {(r.method, r.world): [r.outcomes[ending].value for ending in ENDINGS] for r in rows(self.E)}
         assert found == {
-            ("a", "easy"): [5 / 8, 2 / 8, 1 / 8],
-            ("a", "hard"): [1 / 8, 6 / 8, 1 / 8],
-            ("a", EVERYWHERE): [6 / 16, 8 / 16, 2 / 16],
-            ("rule", "easy"): [3 / 4, 1 / 4, 0],
-            ("rule", "hard"): [1 / 4, 0, 3 / 4],
-            ("rule", EVERYWHERE): [4 / 8, 1 / 8, 3 / 8],
+            ("a", "easy"): [5 / 8, 2 / 8, 1 / 8, 0],
+            ("a", "hard"): [1 / 8, 6 / 8, 1 / 8, 0],
+            ("a", EVERYWHERE): [6 / 16, 8 / 16, 2 / 16, 0],
+            ("rule", "easy"): [3 / 4, 1 / 4, 0, 0],
+            ("rule", "hard"): [1 / 4, 0, 2 / 4, 1 / 4],
+            ("rule", EVERYWHERE): [4 / 8, 1 / 8, 2 / 8, 1 / 8],
         }
 
     def test_success_of_each_seed(self) -> None:

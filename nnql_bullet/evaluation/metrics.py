@@ -129,6 +129,8 @@ class Row:
     """Share of decisions that a shield replaced."""
     stops: float
     """Share of decisions to stop or to turn on the spot."""
+    reverses: float
+    """Share of decisions to drive backwards."""
     standing: float
     """Time at a standstill in a drive, mean over all drives [s]."""
 
@@ -169,6 +171,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         non_safe=sum(summary.non_safe_steps for summary in summaries) / steps,
         overridden=sum(summary.overridden_steps for summary in summaries) / steps,
         stops=sum(summary.stop_steps for summary in summaries) / steps,
+        reverses=sum(summary.reverse_steps for summary in summaries) / steps,
         standing=_mean([summary.standing_time for summary in summaries]),
     )
 

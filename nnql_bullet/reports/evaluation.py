@@ -61,7 +61,7 @@ def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[st
 
 QUALITY = (
     "method",
-    *("worlds", "goal %", "collision %", "timeout %", "SPL", "path ratio", "time [s]"),
+    *("worlds", *(f"{ending} %" for ending in ENDINGS), "SPL", "path ratio", "time [s]"),
     *("clearance [m]", "mean clearance [m]", "lateral acceleration [m/s2]", "non-safe steps %"),
 )
 
@@ -84,20 +84,22 @@ def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
     """Returns the section that compares methods with a shield to the same methods without it."""
     header = (
         *("method", "worlds", "goal %", "collision %"),
-        *("decisions overridden %", "stops %", "standing [s]", "time [s]"),
+        *("decisions overridden %", "stops %", "reversing %", "standing [s]", "time [s]"),
     )
     cells = [
         (
             *(row.method, named[row.world]),
             *(row.outcomes[ending] for ending in ("goal", "collision")),
-            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
+            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{100 * row.reverses:.1f}"),
+            f"{row.standing:.1f}",
             _or_none(row.time, ".1f"),
         )
         for row in rows
     ]
     caption = (
-        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot; "
-        "time that a drive stands, mean over all, and to the target, mean over the drives that arrive."
+        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot, "
+        "and those to reverse; time that a drive stands, mean over all, and to the target, mean over the drives that "
+        "arrive."
     )
     return Section("The shield", (table(header, cells, caption),))
 

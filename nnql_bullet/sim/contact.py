@@ -31,6 +31,7 @@ class VehicleMotion:
 
     pose: Pose
     yaw_rate: float
+    speed: float
     duration: float
     path_length: float
     clearance: float
@@ -143,7 +144,7 @@ class ContactEngine(VehiclePhysics):
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
             trace: Receives samples, if given.
-            speed_scale: Wanted speed as a share of the drive's.
+            speed_scale: Wanted speed as a share of the drive's, from -1 to 1; negative backwards.
             look: Called after every physics step; it may read the engine, not change it.
         """
         first_step, (position, orientation) = self._steps, self._frame()
@@ -183,6 +184,7 @@ class ContactEngine(VehiclePhysics):
         return VehicleMotion(
             pose=Pose(x, y, yaw),
             yaw_rate=self.yaw_rate(),
+            speed=self.speed(),
             duration=(self._steps - first_step) * self.time_step,
             path_length=path_length,
             clearance=0.0 if touching else smallest,
