@@ -6,6 +6,7 @@ Block k is the rows 16 k to 16 k + 15 of an array of shapes. What a kernel finds
 from math import pi, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Shape, clearance, meet_circle, reach_of, row_at, squared_distance
 from nnql_bullet.jit import njit
@@ -45,11 +46,18 @@ def bounds_of(rows: Array, moving: int = 0) -> Array:
     return np.hstack([smallest, np.maximum.reduceat(rows[:, :2] + half, firsts)])
 
 
+def blocks_within(x: float, y: float, reach: float, bounds: Array) -> NDArray[np.bool_]:
+    """Whether blocks may reach into a circle [m], by their bounds (k, 4)."""
+    across = np.maximum(np.maximum(bounds[:, 0] - x, x - bounds[:, 2]), 0.0)
+    along = np.maximum(np.maximum(bounds[:, 1] - y, y - bounds[:, 3]), 0.0)
+    return np.asarray(np.hypot(across, along) <= reach)
+
+
 @njit()
 def squared_distance_to_bounds(x: float, y: float, bounds: Array) -> float:
     """Computes the squared distance from a point [m] to the bounds (4,) of a block [m2]; 0 inside."""
     across, along = max(bounds[0] - x, 0.0, x - bounds[2]), max(bounds[1] - y, 0.0, y - bounds[3])
-    return across * across + along * along
+    return float(across * across + along * along)
 
 
 @njit()
@@ -73,11 +81,11 @@ def clearance_among(x: float, y: float, yaw: float, footprint: Array, shapes: Ar
             nearest, least = block, squared
     closest = np.inf
     if len(bounds):
-        closest = clearance(row, shapes[SHAPES_PER_BLOCK * nearest : SHAPES_PER_BLOCK * (nearest + 1)])  # type: ignore[arg-type]
+        closest = clearance(row, shapes[SHAPES_PER_BLOCK * nearest : SHAPES_PER_BLOCK * (nearest + 1)])
     for block in range(len(bounds)):
         if squared_distance_to_bounds(row[0], row[1], bounds[block]) < (closest + reach) ** 2 and block != nearest:
             some = shapes[SHAPES_PER_BLOCK * block : SHAPES_PER_BLOCK * (block + 1)]
-            closest = min(closest, clearance(row, some))  # type: ignore[arg-type]
+            closest = min(closest, clearance(row, some))
     return float(closest)
 
 

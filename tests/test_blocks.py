@@ -16,7 +16,8 @@ from nnql_bullet.blocks import (
     clearance_among,
 )
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, clearance_at, ray_distances
-from nnql_bullet.sim import kinematic
+from nnql_bullet.sim import kinematic, physics
+from nnql_bullet.sim.engines import contact_engine
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -127,3 +128,32 @@ def test_the_kinematic_model_drives_as_among_all_shapes(vehicle, monkeypatch, se
         simulator.close()
         runs.append(run)
     assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+@pytest.mark.parametrize("turn", [0.0, 0.25])
+def test_an_engine_that_holds_what_is_near_drives_as_one_that_holds_everything(vehicle, monkeypatch, engine, turn):
+    """Down a lane with a box at its end, and round in a circle, until it touches something."""
+    rng, runs = np.random.default_rng(0), []
+    places = [its for its in rng.uniform(0, 120, (1500, 2)).tolist() if abs(its[1] - 60) > 2.5 or its[0] > 45]
+    shapes = [Circle(x, y, 0.1) if k % 4 == 0 else OrientedBox(x, y, 0.4, 0.1, x) for k, (x, y) in enumerate(places)]
+    patrol = Patrol(OrientedBox(20.0, 75.0, 0.5, 0.5), (40.0, 75.0), 1.0, 0.2)
+    start = Pose(8.0, 60.0, 0.0)
+    world = WorldSpec("lane", 0, 120.0, 120.0, tuple(shapes), start, (119, 119), 0.5, 1.5, (patrol,))
+    held: list[int] = []
+    for room in (physics.ROOM, 1000.0):
+        monkeypatch.setattr(physics, "ROOM", room)
+        driver = contact_engine(engine, "fast", vehicle, DriveOptions())
+        driver.reset(world)
+        held.append(int(driver._near.sum()))
+        run: list[object] = [driver.scan().tolist()]
+        for _ in range(60):
+            motion = driver.advance(turn)
+            run += [motion, driver.scan().tolist()]
+            if motion.touching:
+                break
+        assert motion.touching and motion.path_length > 0
+        runs.append(run)
+        driver.close()
+    assert runs[0] == runs[1]
+    assert held[0] < held[1] / 4
