@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
@@ -406,10 +405,10 @@ class BulletEngine(ContactEngine):
 
     def _cast(self, begins: Array, ends: Array) -> Array:
         hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
-        fractions = np.array(hit_fractions(hits))
+        fractions, furthest = np.array(hit_fractions(hits)), self.vehicle.sensor.range
         if len(self._circles):  # the engine finds cylinders by iteration, not exactly
-            _meet_circles(begins, ends, self._circles, paper.SENSOR_RANGE, fractions)
-        return fractions * paper.SENSOR_RANGE
+            _meet_circles(begins, ends, self._circles, furthest, fractions)
+        return fractions * furthest
 
     def _link_height(self, joint: int) -> float:
         return LinkState(*bullet.getLinkState(self.body, joint, physicsClientId=self.client)).position[2]

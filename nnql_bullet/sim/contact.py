@@ -9,11 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.blocks import clearance_among
 from nnql_bullet.geometry import Array, Pose, as_rows, wrap_angle
 from nnql_bullet.jit import njit
-from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
 from nnql_bullet.sim.physics import CONTACT_MARGIN, VehiclePhysics, rear_axle
 from nnql_bullet.vehicle.controller import (
@@ -84,16 +82,17 @@ class ContactEngine(VehiclePhysics):
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, time_step: float) -> None:
-        footprint, eye = vehicle.footprint, hypot(*vehicle.sensor[:2])
+        footprint, eye = vehicle.footprint, hypot(*vehicle.sensor.position[:2])
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         # With slip; no point moves away from the rear-axle centre.
         travel = 1.1 * drive.speed * drive.decision_period + CONTACT_MARGIN
-        super().__init__(vehicle, time_step, max(farthest, eye + paper.SENSOR_RANGE) + travel)
+        super().__init__(vehicle, time_step, max(farthest, eye + vehicle.sensor.range) + travel)
         self.drive = drive
         self._steps_per_command = whole_steps(1 / COMMAND_RATE, time_step)
         self._command_times = command_times(drive)
-        angles = ray_angles()
-        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
+        sensor = vehicle.sensor
+        self._rays = np.column_stack([sensor.directions, np.zeros(sensor.rays)]) * sensor.range
+        self._blind = np.flatnonzero(~sensor.seen)
         self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
         self._planned_yaw_rate, self._planned_speed = 0.0, drive.speed
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
@@ -113,7 +112,7 @@ class ContactEngine(VehiclePhysics):
         """See `VehiclePhysics.place`. The controller starts at the drive's speed, whatever the vehicle's speed is."""
         super().place(world, pose, speed, height, ground)
         self._planned_yaw_rate, self._planned_speed = 0.0, self.drive.speed
-        self._sensor = np.subtract(self.vehicle.sensor, self._com)
+        self._sensor = np.subtract(self.vehicle.sensor.position, self._com)
         at = self.pose()
         self._clearance = clearance_among(at.x, at.y, at.yaw, self._footprint, self._solids, self._bounds)
         fastest_patrol = max((patrol.speed for patrol in world.patrols), default=0.0)
@@ -207,10 +206,12 @@ class ContactEngine(VehiclePhysics):
         )
 
     def scan(self) -> Array:
-        """Distances of the 72 rays (72,) [m]. The sensor pitches and rolls with the chassis."""
+        """Distances of the rays (rays,) [m]. The sensor pitches and rolls with the chassis."""
         position, orientation = self._frame()
         _move_rays(position, orientation, self._sensor, self._rays, self._begins, self._ends)
-        return self._cast(self._begins, self._ends)
+        distances = self._cast(self._begins, self._ends)
+        distances[self._blind] = self.vehicle.sensor.range
+        return distances
 
     def _carry_out(self, speeds: list[list[float]], near: bool, look: Callable[[], None] | None) -> tuple[int, bool]:
         """Carries out wheel commands, up to the first contact.
