@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, cast_rays, squared_distance_to_bounds
+from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, cast_rays, clearance_among, squared_distance_to_bounds
 from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
@@ -156,18 +156,19 @@ class KinematicSimulator:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        rows = {i: np.concatenate([world.solids_at(0.0), _padded(world.tracks)]) for i, world in worlds.items()}
-        self._make_room(max((len(some) for some in rows.values()), default=0))
-        state = self._state
+        self._make_room(max((len(its.solids) + 2 * len(its.patrols) for its in worlds.values()), default=0))
+        state, footprint = self._state, self._constants.footprint
         for i, world in worlds.items():
-            start, count, moving = world.start, len(rows[i]) - len(world.tracks), len(world.tracks)
+            start, solids, moving = world.start, world.solids_at(0.0), len(world.patrols)
+            count, bounds = len(solids), bounds_of(solids, moving)
             state.pose[i] = start.x, start.y, start.yaw
             state.yaw_rate[i], state.speed[i] = 0.0, self.drive.speed
-            state.solids[i, : count + moving] = rows[i]
-            state.bounds[i, : _blocks(count)] = bounds_of(rows[i][:count], moving)
+            state.solids[i, :count] = solids
+            state.solids[i, count : count + moving] = _padded(world.tracks)
+            state.bounds[i, : len(bounds)] = bounds
             state.counts[i] = count, moving, 0
             state.target[i] = *world.target, world.target_radius
-            state.clearance[i] = clearance_at(start.x, start.y, start.yaw, self._constants.footprint, rows[i][:count])
+            state.clearance[i] = clearance_among(start.x, start.y, start.yaw, footprint, solids, bounds)
         vehicles = np.array(list(worlds), dtype=np.int64)
         self._time[vehicles], self._joint_angles[vehicles] = 0.0, 0.0
         self._share(_scan, vehicles, self._constants, state, self._period)
