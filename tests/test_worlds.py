@@ -12,7 +12,6 @@ from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Circle, OrientedBox, Pose
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.sim.bullet import by_place
 from nnql_bullet.worlds.layouts import Arena, random_boxes
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
@@ -479,15 +478,3 @@ def test_boxes_do_not_depend_on_how_many_are_drawn_at_a_time(monkeypatch, tries)
     expected = load_world("cover_10").draw(0, ROOM)
     monkeypatch.setattr(random_boxes, "FIRST_TRIES", tries)
     assert load_world("cover_10").draw(0, ROOM) == expected
-
-
-def test_many_shapes_are_sorted_by_place_and_few_stay_in_their_order():
-    rng = np.random.default_rng(0)
-    few = tuple(Circle(*place, 0.1) for place in rng.uniform(0, 100, (200, 2)).tolist())
-    assert by_place(few) == few
-    many = tuple(Circle(*place, 0.1) for place in rng.uniform(0, 100, (1600, 2)).tolist())
-    found = by_place(many)
-    assert sorted(found, key=hash) == sorted(many, key=hash)
-    # 100 groups of 16 are squares of 10 m, give and take.
-    groups = np.array([(its.x, its.y) for its in found]).reshape(100, 16, 2)
-    assert np.median(np.ptp(groups, axis=1), axis=0) == pytest.approx([10.0, 10.0], abs=3.0)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
@@ -142,10 +142,8 @@ def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     """
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
-    for its in world.obstacles:
-        outline = Disc((its.x, its.y), its.radius) if isinstance(its, Circle) else Polygon(its.corners())
-        outline.set(facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8)
-        axes.add_patch(outline)
+    outlines = [_rim(its) if isinstance(its, Circle) else its.corners() for its in world.obstacles]
+    axes.add_collection(PolyCollection(outlines, facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8))
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
@@ -155,6 +153,12 @@ def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     axes.add_patch(Disc(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
     axes.plot(*world.target, "+", color=COLLISION, ms=7)
     axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
+
+
+def _rim(circle: Circle) -> Array:
+    """Points around a circle, as its corners (48, 2) [m]."""
+    angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    return circle.radius * np.column_stack([np.cos(angles), np.sin(angles)]) + (circle.x, circle.y)
 
 
 def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:

@@ -7,7 +7,8 @@ from math import ceil, floor, inf, nan, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, Circle, as_rows, clearance_at, ray_distances, squared_distance
+from nnql_bullet.blocks import bounds_of, cast_rays, clearance_among
+from nnql_bullet.geometry import Array, Circle, as_rows, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -16,8 +17,6 @@ GRID_CELL = 0.1
 MOST_CELLS = 4_000_000
 SURVEY_SPACING = 2.0
 """Distance along the path between measurements of its surroundings [m]."""
-SIGHT_BOXES = 200
-"""Boxes that rays are tested against at a time."""
 VISIBILITY_RANGE = 100.0
 """Length of a ray that meets nothing [m]; in the paper's arena every ray meets a wall."""
 
@@ -58,31 +57,28 @@ def difficulty(world: WorldSpec, vehicle_width: float) -> Difficulty:
     path, length = shortest_path(world, min(vehicle_width, world.bottleneck.width) / 2)
     straight = float(np.hypot(world.target[0] - world.start.x, world.target[1] - world.start.y))
     points = _along(path, SURVEY_SPACING) if len(path) else np.zeros((0, 2))
-    angles = np.arange(0.0, 2 * pi, pi / 36)
-    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
-    closest = [clearance_at(x, y, 0.0, point, world.solids) for x, y in points.tolist()]
-    seen = [float(np.mean(_sight(x, y, angles, world.solids))) for x, y in points.tolist()]
+    closest, seen = _surroundings(points, world.solids, bounds_of(world.solids))
     return Difficulty(
         cover=world.cover,
         bottleneck=world.bottleneck.width,
         shortest_path=length - world.target_radius,
         tortuosity=length / straight,
-        closest_obstacle=float(np.mean(closest)) if closest else nan,
-        visibility=float(np.mean(seen)) if seen else nan,
+        closest_obstacle=float(np.mean(closest)) if len(points) else nan,
+        visibility=float(np.mean(seen)) if len(points) else nan,
     )
 
 
-def _sight(x: float, y: float, angles: Array, solids: Array) -> Array:
-    """Lengths of rays (m,) from a point [m], the nearest boxes first: those behind what all rays meet are left out."""
-    nearest = np.hypot(solids[:, 0] - x, solids[:, 1] - y) - np.hypot(solids[:, 2], solids[:, 3]) - solids[:, 6]
-    order = np.argsort(nearest)
-    lengths = np.full(len(angles), VISIBILITY_RANGE)
-    for first in range(0, len(order), SIGHT_BOXES):
-        some = order[first : first + SIGHT_BOXES]
-        if nearest[some[0]] > lengths.max():
-            break
-        lengths = np.minimum(lengths, ray_distances((x, y), angles, solids[some], VISIBILITY_RANGE))
-    return lengths
+def _surroundings(points: Array, solids: Array, bounds: Array) -> tuple[Array, Array]:
+    """Measures, at points (m, 2) [m], the distance to the closest solid and the mean length of rays (m,) [m]."""
+    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
+    angles = np.arange(0.0, 2 * pi, pi / 36)
+    directions, lengths = np.stack([np.cos(angles), np.sin(angles)], axis=1), np.empty(len(angles))
+    closest, seen = np.empty(len(points)), np.empty(len(points))
+    for i, (x, y) in enumerate(points.tolist()):
+        closest[i] = clearance_among(x, y, 0.0, point, solids, bounds)
+        cast_rays(x, y, 0.0, directions, solids, bounds, VISIBILITY_RANGE, lengths)
+        seen[i] = np.mean(lengths)
+    return closest, seen
 
 
 def shortest_path(world: WorldSpec, radius: float) -> tuple[Array, float]:
