@@ -46,6 +46,8 @@ class Experiment:
 
     def _source(self, name: str | World) -> World:
         source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if name == self.config.world:
+            source = source.between(self.config.start, self.config.target)
         if source.obstacle_height <= sensor_height:
             raise UserError(
                 f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "

@@ -9,7 +9,7 @@ import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.flags import KeyFlags, Place
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
@@ -28,6 +28,8 @@ def evaluate(
     worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
     cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
@@ -61,7 +63,10 @@ def evaluate(
         split: Worlds to choose with, or those for the final table.
         worlds: Number of worlds of each kind.
         cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
-        world: Shipped worlds (traps, aisles, moving, ...) or TOML files.
+        world: Shipped worlds (traps, aisles, moving, ...), TOML files, ROS maps, or other files that `nnql-bullet
+            worlds` reads.
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
@@ -87,6 +92,8 @@ def evaluate(
                 conditions=conditions_of(conditions),
                 shield=shield,
                 allow_impassable=allow_impassable,
+                start=start,
+                target=target,
                 executor=executor,
                 workers=workers,
                 address=address,

@@ -9,7 +9,7 @@ import tyro
 
 from nnql_bullet.api import gap as api
 from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.flags import KeyFlags, Place
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -22,6 +22,8 @@ def gap(
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
     split: SplitName = "validation",
     faults: bool = True,
@@ -49,7 +51,10 @@ def gap(
         against: First simulator.
         sim: Second simulator, an engine of contact physics.
         physics: Solver settings of contact physics.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
+        world: Shipped world (paper, cover_10, ...), TOML file, ROS map, or other file that `nnql-bullet worlds` reads;
+            default that of the training.
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         worlds: Number of worlds.
         split: Worlds to choose with, or those for the final table.
         faults: Leave out the drives with faults, which take some twelve times as long as the rest.
@@ -65,6 +70,8 @@ def gap(
             simulator=sim,
             physics=physics,
             world=world,
+            start=start,
+            target=target,
             split=split,
             n_worlds=worlds,
             conditions=conditions_of(conditions),

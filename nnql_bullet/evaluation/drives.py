@@ -74,6 +74,10 @@ class Setting:
     """Conditions that replace each policy's own; None keeps those."""
     allow_impassable: bool = False
     """Whether worlds are taken as they are drawn, even if the vehicle is too wide for every path."""
+    start: tuple[float, ...] | None = None
+    """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
+    target: tuple[float, ...] | None = None
+    """In place of each world's own [m]."""
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -83,6 +87,8 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            "start": self.start,
+            "target": self.target,
         }
 
     @property
@@ -97,7 +103,8 @@ class Setting:
         """Flags of the setting on a command line, without the split."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
-        return ["--sim", self.simulator, *physics, *impassable, *flags({"conditions": self.conditions})]
+        changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
+        return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
 def check_setting(policy: Policy, setting: Setting) -> None:
@@ -133,7 +140,7 @@ def draw_tiers(
     """Draws and checks the first worlds of a split, of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, TOML files or worlds made in code.
+        given: Shipped worlds, files or worlds made in code.
         setting: The setting, with the split.
         worlds: Number of worlds of each kind.
         policies: The policies; the vehicle of the first gives the width of the free path.
@@ -150,7 +157,8 @@ def draw_tiers(
         if world.name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{world.name}'; give each once")
         named = "" if isinstance(file, World) else file
-        checked = not setting.allow_impassable and check_frozen(
+        as_frozen = not (setting.allow_impassable or setting.start or setting.target)
+        checked = as_frozen and check_frozen(
             named, setting.split, worlds, policy.vehicle_width, experiment.world, frozen
         )
         seeds = distinct(all_seeds, experiment, policies)
