@@ -126,20 +126,21 @@ def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch]
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
+def draw_world(axes: Axes, world: WorldSpec, time: float, outline: float = 0.8) -> None:
     """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
 
     Args:
         axes: Axes to draw on.
         world: The world.
         time: Instant at which moving boxes are shown [s].
+        outline: Width of the lines around obstacles; with 0 they are filled in the colour of lines.
     """
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
     for its in world.obstacles:
-        outline = Disc((its.x, its.y), its.radius) if isinstance(its, Circle) else Polygon(its.corners())
-        outline.set(facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8)
-        axes.add_patch(outline)
+        shape = Disc((its.x, its.y), its.radius) if isinstance(its, Circle) else Polygon(its.corners())
+        shape.set(facecolor=BOX if outline else BOX_EDGE, edgecolor=BOX_EDGE, linewidth=outline or 0.1)
+        axes.add_patch(shape)
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)

@@ -1,15 +1,16 @@
 """Makes worlds of other programs' maps and worlds, which say nothing of a start or a target."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
 from typing import Any
 
-from nnql_bullet.config import parse
+from nnql_bullet.config import parse, to_values
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Circle, OrientedBox, Pose, placed, wrap_angle
+from nnql_bullet.geometry import Pose, placed, wrap_angle
 from nnql_bullet.worlds.ends import Ends, choose_ends
 from nnql_bullet.worlds.importers import ForeignWorld, Reading, read_foreign
+from nnql_bullet.worlds.layouts.boxes import boxes_of
 from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.source import WIDTH, World, in_frame
 from nnql_bullet.worlds.spec import WorldSpec
@@ -68,8 +69,6 @@ def import_file(
         if begin is None:
             yaw = ends.start.yaw
         begin, end = (ends.start.x, ends.start.y), ends.target
-    boxes = [shape for shape in found.shapes if isinstance(shape, OrientedBox)]
-    circles = [shape for shape in found.shapes if isinstance(shape, Circle)]
     values: dict[str, Any] = {
         "name": path.stem,
         "width": found.width,
@@ -80,16 +79,11 @@ def import_file(
         "target": end,
         "target_radius": TARGET_RADIUS,
         "obstacle_height": found.obstacle_height,
-        "layout": {"kind": "boxes", "boxes": list(map(_box, boxes)), "circles": [asdict(circle) for circle in circles]},
+        "layout": to_values(boxes_of(found.shapes)),
     }
     if yaw is not None:
         values["start_yaw_degrees"] = round(degrees(wrap_angle(yaw)), 6)
     return Imported(parse(World, values, str(path)), found.format, tuple(notes), found.skipped)
-
-
-def _box(box: OrientedBox) -> dict[str, float]:
-    sides = {"x": box.x, "y": box.y, "length": 2 * box.half_length, "width": 2 * box.half_width}
-    return sides | ({"yaw_degrees": round(degrees(box.yaw), 9)} if box.yaw else {})
 
 
 def _chosen(

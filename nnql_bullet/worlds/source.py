@@ -180,6 +180,9 @@ class World:
         Raises:
             UserError: If the path is too narrow, an end is outside the arena, or there is no room for the patrols.
         """
+        if not 0 <= seed < 2**63:
+            given = f", not {seed}" if abs(seed) < 10**30 else ""
+            raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
         self.check_ends()
         attempts = MOST_ATTEMPTS if self.layout.is_random else 1
         for attempt in range(attempts):
