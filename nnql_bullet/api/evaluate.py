@@ -181,8 +181,8 @@ def evaluate(
         raise UserError(f"clips must not be negative, not {clips}")
     if out is not None and clips:
         check_encoder()
-    ends = start and tuple(start), target and tuple(target)
-    setting = Setting(split, simulator, physics, conditions, allow_impassable, *ends)
+    first, last = (None if place is None else tuple(place) for place in (start, target))
+    setting = Setting(split, simulator, physics, conditions, allow_impassable, first, last)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
     if out is not None and Path(out).exists() and not Path(out).is_dir():

@@ -11,6 +11,7 @@ import tyro
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
 from nnql_bullet.render.video import check_encoder
@@ -83,6 +84,7 @@ def drive(
         check_encoder()
     if gui:
         check_window()
+    tell_warnings([world], start, target)
     recording = driving.drive(
         policy,
         world=world,

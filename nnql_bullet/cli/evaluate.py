@@ -10,6 +10,7 @@ import tyro
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say
 from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
@@ -80,6 +81,7 @@ def evaluate(
         conditions: Conditions in place of each policy's own.
     """
     files = _files(cover, world)
+    tell_warnings(files, start, target)
     try:
         with progress() as show:
             results = api.evaluate(

@@ -10,6 +10,7 @@ import tyro
 from nnql_bullet.api import gap as api
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -62,6 +63,7 @@ def gap(
         out: Folder of the report; default runs/gap.
         conditions: Conditions in place of each policy's own.
     """
+    tell_warnings([world], start, target)
     folder = out or Path("runs") / "gap"
     with progress() as show:
         results = api.gap(

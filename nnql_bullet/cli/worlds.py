@@ -1,7 +1,7 @@
-"""`nnql-bullet worlds`."""
+"""`nnql-bullet worlds`, and what other verbs say of maps that they drive in."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from json import dumps
 from pathlib import Path
 from types import MappingProxyType
@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from nnql_bullet.api import worlds as api
-from nnql_bullet.cli.console import complain, say
+from nnql_bullet.cli.console import complain, say, tell
 from nnql_bullet.cli.flags import KeyFlags, Place
 from nnql_bullet.errors import UserError
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.worlds.exporters import CELL
 from nnql_bullet.worlds.exporters.toml import write_world
-from nnql_bullet.worlds.importers import READERS, Reading
+from nnql_bullet.worlds.importers import READERS, Reading, is_foreign
 
 SHOWN = 10
 """Most lines about what is left out of a world."""
@@ -95,6 +95,14 @@ def worlds(
     return 0
 
 
+def tell_warnings(names: Iterable[object], start: Place, target: Place) -> None:
+    """Says on standard error what was chosen in maps of other programs, and what is left out of them."""
+    for name in names:
+        if isinstance(name, str | Path) and is_foreign(Path(name)):
+            for warning in api.import_world(name, start=start, target=target).warnings:
+                tell(f"{name}: {warning}")
+
+
 def _picture(out: Path) -> Path:
     if out.suffix.lower() != ".png":
         raise UserError(f"{out}: pictures are written to files that end in .png")
@@ -114,11 +122,11 @@ def _import(file: Path, out: Path, asked: Mapping[str, Any], json: bool) -> int:
     view = api.view_world(found.world, vehicle=asked["vehicle"] or "tricycle")
     write_world(found.world, out, f"{found.format}, from {file.name}")
     if json:
-        told = {"format": found.format, "notes": found.notes, "skipped": found.skipped, "file": str(out)}
+        told = {name: getattr(found, name) for name in ("format", "notes", "skipped", "chosen")} | {"file": str(out)}
         say(dumps(view.values | told))
         return 0
     say(f"{found.format}: {view.text()}")
-    for note in found.notes:
+    for note in filter(None, (*found.notes, found.chosen)):
         say(f"note: {note}")
     for what in found.skipped[:SHOWN]:
         say(f"left out: {what}")

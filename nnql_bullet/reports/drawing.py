@@ -31,6 +31,7 @@ from nnql_bullet.colours import (
     NON_SAFE,
     SAFE,
     TARGET,
+    TEMPERATURE,
     VEHICLE,
 )
 from nnql_bullet.evaluation.statistics import Estimate
@@ -57,6 +58,8 @@ _ENTRIES: dict[str, dict[str, Any]] = {
     "obstacle": {"facecolor": BOX, "edgecolor": BOX_EDGE},
     "moving": {"facecolor": MOVING, "edgecolor": MOVING_EDGE},
     "vehicle": {"facecolor": VEHICLE, "edgecolor": INK},
+    "path": {"color": SAFE, "lw": 1.8},
+    "bottleneck": {"marker": "o", "ls": "", "mfc": "none", "mec": TEMPERATURE, "mew": 1.8},
     "start": {"marker": "o", "ls": "", "mfc": INK, "mec": INK},
     "target": {"marker": "o", "ls": "", "mfc": TARGET, "mec": COLLISION, "ms": 10},
     "collision": {"marker": "X", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 11},

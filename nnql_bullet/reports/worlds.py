@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from nnql_bullet.colours import COLLISION, INK, SAFE, TEMPERATURE
+from nnql_bullet.colours import BOX_EDGE, SAFE, TEMPERATURE
 from nnql_bullet.geometry import Array, Circle, Pose, placed
 from nnql_bullet.reports.drawing import draw_world, finish_axes, legend_below, legend_entries, picture
 from nnql_bullet.reports.tables import finite
@@ -101,21 +100,19 @@ class WorldView:
             if len(self.path):
                 axes.plot(*self.path.T, color=SAFE, lw=1.8, zorder=4, solid_joinstyle="round")
             narrow = world.bottleneck
-            size = 0.012 * longer
-            axes.add_patch(Disc((narrow.x, narrow.y), max(narrow.width / 2, size), fc="none", ec=TEMPERATURE, lw=1.8, zorder=6))
+            radius = max(narrow.width / 2, 0.012 * longer)
+            axes.add_patch(Disc((narrow.x, narrow.y), radius, fc="none", ec=TEMPERATURE, lw=1.8, zorder=6))
             margin = 0.02 * longer
             axes.set(xlim=(-margin, world.width + margin), ylim=(-margin, world.depth + margin), aspect="equal")
             self._scale(axes)
             finish_axes(axes, self._title(), 10, grid="none")
             way = f"shortest path, {path_length(self.path):.1f} m" if len(self.path) else "no path"
-            handles: list[Line2D | Patch] = [
-                *legend_entries(obstacle="obstacle", start="start", target="target"),
-                Line2D([], [], color=SAFE, lw=1.8, label=way),
-                Line2D([], [], ls="", marker="o", mfc="none", mec=TEMPERATURE, mew=1.8, label=f"bottleneck, {narrow.width:.2f} m"),
+            handles = [
+                Patch(fc=BOX_EDGE, label="obstacle") if fine else legend_entries(obstacle="obstacle")[0],
+                *legend_entries(**({"moving": "moving"} if world.patrols else {}), start="start", target="target"),
+                *legend_entries(path=way, bottleneck=f"bottleneck, {narrow.width:.2f} m"),
             ]
-            if world.patrols:
-                handles[1:1] = legend_entries(moving="moving")
-            legend_below(figure, 3 if sides[0] < 6 else len(handles), handles)
+            legend_below(figure, 3 if sides[0] < 7 else len(handles), handles)
 
     def _title(self) -> str:
         w = self.world
@@ -130,6 +127,7 @@ class WorldView:
             (axes.xaxis, self.frame.x, self.world.width),
             (axes.yaxis, self.frame.y, self.world.depth),
         ):
-            ticks = [tick for tick in MaxNLocator(8).tick_values(begin, begin + length) if begin <= tick <= begin + length]
-            axis.set_ticks([tick - begin for tick in ticks], [f"{tick:g}" for tick in np.round(ticks, 9)])
+            ticks = np.asarray(MaxNLocator(8).tick_values(begin, begin + length))
+            ticks = np.round(ticks[(begin <= ticks) & (ticks <= begin + length)], 9)
+            axis.set_ticks(ticks - begin, [f"{tick:g}" for tick in ticks])
         axes.set(xlabel="x [m]", ylabel="y [m]")

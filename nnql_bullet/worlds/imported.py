@@ -1,5 +1,6 @@
 """Makes worlds of other programs' maps and worlds, which say nothing of a start or a target."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
@@ -31,16 +32,24 @@ class Imported:
     format: str
     """What the file is."""
     notes: tuple[str, ...]
-    """How it was read where it leaves a choice, and what was chosen."""
+    """How it was read where it leaves a choice."""
     skipped: tuple[str, ...]
     """What is in the file and not in the world."""
+    chosen: str = ""
+    """The start or target that was chosen, in words; empty if the file or the caller had both."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know who drives in it: what was chosen, and that something is left out."""
+        more = f" and {len(self.skipped) - 1} more" if len(self.skipped) > 1 else ""
+        return [*filter(None, [self.chosen]), *(f"left out: {what}{more}" for what in self.skipped[:1])]
 
 
 def import_file(
     path: Path,
     reading: Reading | None = None,
-    start: tuple[float, ...] | None = None,
-    target: tuple[float, ...] | None = None,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     passage: float | None = None,
 ) -> Imported:
     """Reads a map or world of another program.
@@ -57,15 +66,15 @@ def import_file(
         UserError: If it is malformed, or no two places in it are far apart with a way between them.
     """
     found = read_foreign(path, reading or Reading())
-    frame, notes = found.frame, list(found.notes)
+    frame, chosen = found.frame, ""
     if start is None and found.start:
         start = found.start.x, found.start.y, found.start.yaw
     begin = in_frame(frame, start) if start else None
-    end = in_frame(frame, target or found.target) if target or found.target else None
+    goal = target or found.target
+    end = in_frame(frame, goal) if goal else None
     yaw = start[2] - frame.yaw if start and len(start) > 2 else None
     if begin is None or end is None:
-        ends, note = _chosen(found, begin, end, passage, path)
-        notes.append(note)
+        ends, chosen = _chosen(found, begin, end, passage, path)
         if begin is None:
             yaw = ends.start.yaw
         begin, end = (ends.start.x, ends.start.y), ends.target
@@ -83,7 +92,7 @@ def import_file(
     }
     if yaw is not None:
         values["start_yaw_degrees"] = round(degrees(wrap_angle(yaw)), 6)
-    return Imported(parse(World, values, str(path)), found.format, tuple(notes), found.skipped)
+    return Imported(parse(World, values, str(path)), found.format, found.notes, found.skipped, chosen)
 
 
 def _chosen(
@@ -99,8 +108,8 @@ def _chosen(
             u, v = placed(found.frame, *ends.target)
             names = [f"start ({x:.2f}, {y:.2f})"] if begin is None else []
             names += [f"target ({u:.2f}, {v:.2f})"] if end is None else []
-            passes = f"a way {width:g} m wide leads there"
-            return ends, f"{' and '.join(names)} chosen: far apart, and {passes}; others: start x,y,yaw target x,y"
+            between = f"far apart, with a way at least {width:g} m wide between them"
+            return ends, f"chosen: {' and '.join(names)}, {between}; others with --start x,y,yaw --target x,y"
     raise UserError(
         f"{path}: there are no two places far apart in it with a way {tried[-1]:g} m wide between them; give start and "
         "target, or a narrower robot"

@@ -66,7 +66,7 @@ class World:
     clearance: NonNegative = 0.1
     """How much wider than the vehicle the narrowest passage is at least [m]."""
     origin: tuple[Number, Number] = (0.0, 0.0)
-    """The arena's lower left corner in the frame of the map that it was made from [m]; no other key is in that frame."""
+    """The arena's lower left corner in the frame of the map that it was made from [m], in which no other key is."""
     origin_yaw_degrees: Number = 0.0
     """Yaw of the arena in that frame [degrees]."""
 

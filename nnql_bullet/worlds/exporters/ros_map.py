@@ -29,10 +29,10 @@ def write_ros_map(world: WorldSpec, frame: Pose, path: Path, cell: float) -> lis
         UserError: If it has too many cells.
     """
     columns, rows = (ceil(side / cell - 1e-6) + 2 for side in (world.width, world.depth))
-    if not 1e-3 <= cell or columns * rows > MOST_CELLS:
+    if not cell >= 1e-3 or columns * rows > MOST_CELLS:
         raise UserError(
-            f"world '{world.name}' has {columns} x {rows} cells of {cell:g} m; up to {MOST_CELLS} cells from 0.001 m up "
-            "are written: give a larger cell"
+            f"world '{world.name}' has {columns} x {rows} cells of {cell:g} m; up to {MOST_CELLS} cells of 0.001 m or "
+            "more are written: give a larger cell"
         )
     solid = _covered((rows, columns), cell, world.solids, TOUCH)
     picture, corner = path.with_suffix(".pgm"), turned_corner(frame.x, frame.y, frame.yaw, -cell, -cell)

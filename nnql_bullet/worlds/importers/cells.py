@@ -101,7 +101,7 @@ def _rectangles(solid: NDArray[np.bool_], most: int) -> NDArray[np.int64]:
 
 @njit(nogil=True)
 def _grown(left: NDArray[np.bool_], row: int, column: int, wide_first: bool) -> tuple[int, int]:
-    """Columns and rows of a rectangle of solid cells with its corner in a cell, grown along one side and then the other."""
+    """Columns and rows of the rectangle of solid cells that grows from a cell along one side and then the other."""
     rows, columns = left.shape
     across, up = 1, 1
     for step in range(2):

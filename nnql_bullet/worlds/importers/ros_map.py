@@ -34,7 +34,7 @@ _DAMAGED = (
 """What Pillow raises for damaged files."""
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # of a library without types
     """Reads plain values: without aliases, of which few can stand for billions of values."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
@@ -56,7 +56,7 @@ def read_ros_map(path: Path, reading: Reading) -> ForeignWorld:
         raise UserError(f"{path}: 'resolution' is the side of a cell in metres, above 0 and up to 100, not {side:g}")
     low, high = _number(values, "free_thresh", path, 0.196), _number(values, "occupied_thresh", path, 0.65)
     if not 0 <= low <= high <= 1:
-        raise UserError(f"{path}: thresholds must be 0 <= free_thresh <= occupied_thresh <= 1, not {low:g} and {high:g}")
+        raise UserError(f"{path}: must be 0 <= free_thresh <= occupied_thresh <= 1, not {low:g} and {high:g}")
     mode = values.get("mode", "trinary")
     if mode not in MODES:
         raise UserError(f"{path}: 'mode' must be one of: {', '.join(MODES)}")
@@ -90,7 +90,7 @@ def _yaml_values(path: Path) -> dict[str, Any]:
     if len(text) > MOST_YAML:
         raise UserError(f"{path}: has {len(text)} characters; the YAML of a map is read up to {MOST_YAML}")
     try:
-        values = yaml.load(text, _Loader)  # noqa: S506 (a loader of plain values)
+        values = yaml.load(text, _Loader)
     except RecursionError:
         raise UserError(f"{path}: its values are nested too deeply") from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
@@ -195,7 +195,8 @@ def _shades(picture: Path, side: float, with_alpha: bool) -> tuple[Array, NDArra
         size = picture.stat().st_size
         if size > MOST_PICTURE:
             raise UserError(f"{picture}: has {size} bytes; pictures are read up to {MOST_PICTURE}")
-        with Image.open(picture, formats=("PNG", "PPM", "BMP")) as image:
+        with Image.open(picture, formats=("PNG", "PPM", "BMP")) as opened:
+            image: Image.Image = opened
             check_size(*image.size, side, picture)
             if image.mode == "F":
                 raise ValueError("a brightness that is not a whole number")

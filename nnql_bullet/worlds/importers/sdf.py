@@ -6,7 +6,6 @@ outline, and a sphere the circle of its widest cut below the height that the veh
 """
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import atan2, hypot, sqrt
 from pathlib import Path
@@ -16,11 +15,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Shape
 from nnql_bullet.markup import parse_xml
 from nnql_bullet.types import LARGEST
 from nnql_bullet.worlds.importers.base import ForeignWorld, Reading, box_around, counted, in_arena
-from nnql_bullet.worlds.importers.cells import MOST_BOXES
+from nnql_bullet.worlds.layouts.base import MOST_BOXES
 
 MOST_BYTES = 50_000_000
 """Size of the largest file that is read [bytes]."""
@@ -73,8 +72,8 @@ def read_sdf(path: Path, reading: Reading, ends: tuple[tuple[float, float], ...]
     boxes, circles = counted(len(shapes) - round_ones, "box", "boxes"), counted(round_ones, "circle")
     walled = [] if len(shapes) == len(found.shapes) else ["the four boxes around all others are the arena's walls"]
     told = [
-        (found.tilted, "tilted; the rectangle around the outline from above stands for each"),
-        (found.partly, f"not from the ground up to {reading.height:g} m; here all obstacles are"),
+        (found.tilted, "are tilted: the rectangle around its outline from above stands for each"),
+        (found.partly, f"do not reach from the ground up to {reading.height:g} m; here all obstacles do"),
     ]
     return ForeignWorld(
         format="SDF world",
@@ -86,7 +85,7 @@ def read_sdf(path: Path, reading: Reading, ends: tuple[tuple[float, float], ...]
         notes=(
             f"{boxes} and {circles}",
             *walled,
-            *(f"{number} of {len(found.shapes)} shapes are {what}" for number, what in told if number),
+            *(f"{number} of {len(found.shapes)} shapes {what}" for number, what in told if number),
             *([f"{counted(found.looks, 'link')} without collision: nothing to run into"] if found.looks else []),
         ),
         skipped=tuple(what if n == 1 else f"{what} ({n} times)" for what, n in sorted(found.skipped.items())),
@@ -147,7 +146,7 @@ def _add(collision: Element, frame: Array, model: str, found: _Found) -> None:
         if high <= 0:
             raise _Unread("below the ground")
         if low >= found.height:
-            raise _Unread(f"begins {low:.2f} m above the ground, and the vehicle is taken to be {found.height:g} m high")
+            raise _Unread(f"begins {low:.2f} m above the ground, over a vehicle {found.height:g} m high")
         found.partly += low > 1e-6 or high < found.height - 1e-6
         found.shapes.append(outline)
     except _Unread as reason:
@@ -173,7 +172,7 @@ def _outline(shape: Element, frame: Array, found: _Found) -> tuple[Shape, float,
         uri = (shape.findtext("uri") or "").strip()
         raise _Unread(f"{uri or 'its shape'} is not read; only boxes, cylinders, capsules and spheres are")
     if half.min() <= 0 or half.max() > 500:
-        raise ValueError(f"<{shape.tag}> has a side of {2 * half.min():g} to {2 * half.max():g} m; sides are 0 to 1000 m")
+        raise ValueError(f"<{shape.tag}> has sides of {2 * half.min():g} to {2 * half.max():g} m, not of 0 to 1000 m")
     rotation = frame[:3, :3]
     upright = abs(rotation[2]) > 1 - UPRIGHT
     corners = (_SIGNS * half) @ rotation.T + frame[:3, 3]
