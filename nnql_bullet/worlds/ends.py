@@ -45,8 +45,20 @@ def choose_ends(
         None if there are no two places farther apart than four times the passage.
     """
     side = max(min(GRID_CELL, passage / 4), sqrt(size[0] * size[1] / MOST_CELLS))
+    # Where a disc passes, cells are connected with the slack of half a diagonal; they may be elsewhere too.
+    for slack in (side / sqrt(2), 0.0):
+        ends = _chosen(size, solids, passage, side, slack, start, target)
+        if ends and narrowest_passage(solids, (ends.start.x, ends.start.y), ends.target).width >= passage:
+            return ends
+    return None
+
+
+def _chosen(
+    size: Point, solids: Array, passage: float, side: float, slack: float, start: Point | None, target: Point | None
+) -> Ends | None:
+    """Chooses ends on a grid of cells of a side [m], whose centres are half a passage away from all, less `slack`."""
     shape = ceil(size[1] / side), ceil(size[0] / side)
-    labels, _ = label(free_cells(shape, side, solids, passage / 2), np.ones((3, 3)))
+    labels, _ = label(free_cells(shape, side, solids, passage / 2 - slack), np.ones((3, 3)))
     roomy = free_cells(shape, side, solids, ROOM * passage) & (labels > 0)
     if not roomy.any():
         return None
@@ -68,7 +80,7 @@ def choose_ends(
         steps = _steps(within, *begin)
     first, last = (start or _centre(begin, side)), (target or _centre(end, side))
     ahead = _place_on_way(steps, *end, round(AHEAD * passage / side))
-    if dist(first, last) < 4 * passage or narrowest_passage(solids, first, last).width < passage:
+    if dist(first, last) < 4 * passage:
         return None
     x, y = _centre((int(ahead[0]), int(ahead[1])), side)
     yaw = round(atan2(y - first[1], x - first[0]), 6)

@@ -155,10 +155,10 @@ def _occupancy(
     grey, opaque, whole_grey = _shades(picture, side, with_alpha=mode == "trinary")
     notes = []
     if mode == "raw":  # the value itself is the probability in percent
-        value = np.round(255 * grey)
+        value = np.round(grey)
         share = np.where(value <= 100, value / 100, np.nan)
     else:
-        share = grey if negate else 1.0 - grey
+        share = (grey if negate else 255.0 - grey) / 255.0
     cells = np.full(grey.shape, UNKNOWN, np.uint8)
     cells[share < thresholds[0]] = FREE
     cells[share > thresholds[1]] = OCCUPIED
@@ -189,7 +189,7 @@ def _shades(picture: Path, side: float, with_alpha: bool) -> tuple[Array, NDArra
         with_alpha: Whether transparency is averaged with the colours, as map servers do in the mode trinary.
 
     Returns:
-        Brightness from 0 to 1, whether each cell is opaque, and brightness without transparency from 0 to 255.
+        Brightness from 0 to 255, whether each cell is opaque, and brightness without transparency.
     """
     try:
         size = picture.stat().st_size
@@ -204,12 +204,12 @@ def _shades(picture: Path, side: float, with_alpha: bool) -> tuple[Array, NDArra
             if not deep and image.mode not in ("L", "RGB", "RGBA"):
                 clear = "transparency" in image.info or image.mode in ("LA", "PA")
                 image = image.convert("RGBA" if clear else "RGB")
-            values, full = np.asarray(image, dtype=np.float64), 65535.0 if deep else 255.0
+            values = np.asarray(image, dtype=np.float64) / (257.0 if deep else 1.0)
     except _DAMAGED as error:
         raise UserError(f"{picture}: cannot be read as PGM or PNG: {error or type(error).__name__}") from None
     if values.ndim == 2:
-        return values / full, np.ones(values.shape, np.bool_), values * (255.0 / full)
-    colour, alpha = values[:, :, :3].mean(axis=2), values[:, :, 3] if values.shape[2] == 4 else None
-    if alpha is None:
-        return colour / full, np.ones(colour.shape, np.bool_), colour
-    return (values.mean(axis=2) if with_alpha else colour) / full, alpha == full, colour
+        return values, np.ones(values.shape, np.bool_), values
+    colour = values[:, :, :3].mean(axis=2)
+    if values.shape[2] == 3:
+        return colour, np.ones(colour.shape, np.bool_), colour
+    return values.mean(axis=2) if with_alpha else colour, values[:, :, 3] == 255, colour
