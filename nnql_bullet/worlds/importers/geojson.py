@@ -77,7 +77,7 @@ def _polygons(value: Any, path: Path, skipped: Counter[str]) -> list[list[Any]]:
     found, waiting = [], [value]
     while waiting:
         one = waiting.pop()
-        kind = one.get("type") if isinstance(one, dict) else None
+        kind = str(one.get("type")) if isinstance(one, dict) else ""
         if kind == "Feature":
             waiting += [] if one.get("geometry") is None else [one["geometry"]]
         elif kind in _CONTAINERS and isinstance(one.get(_CONTAINERS[kind]), list):
