@@ -64,7 +64,7 @@ class WorldView:
                 "bottleneck": found.width,
                 "bottleneck_at": [x, y],
                 "needed": self.needed,
-                "passable": found.width >= self.needed,
+                "passable": found.admits(self.needed),
                 "path_length": path_length(self.path) if len(self.path) else inf,
                 "digest": w.digest,
             }

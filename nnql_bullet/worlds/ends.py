@@ -48,7 +48,7 @@ def choose_ends(
     # Where a disc passes, cells are connected with the slack of half a diagonal; they may be elsewhere too.
     for slack in (side / sqrt(2), 0.0):
         ends = _chosen(size, solids, passage, side, slack, start, target)
-        if ends and narrowest_passage(solids, (ends.start.x, ends.start.y), ends.target).width >= passage:
+        if ends and narrowest_passage(solids, (ends.start.x, ends.start.y), ends.target).admits(passage):
             return ends
     return None
 
