@@ -11,7 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import place_among_rays
-from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
+from nnql_bullet.sensing import RAYS, first_ray
 
 ENOUGH = 3.0
 """Number of contradictions from which a sensor counts as dead, until it reads something."""
@@ -24,31 +24,34 @@ ALIKE = 2.0
 
 
 @njit()
-def silent_sectors(distances: Array) -> NDArray[np.bool_]:
-    """Marks the sectors (8,) in which no ray of a scan (72,) [m] meets anything."""
-    silent = np.empty(paper.SECTORS, np.bool_)
+def silent_sectors(distances: Array, sensor_range: float) -> NDArray[np.bool_]:
+    """Marks the sectors (8,) in which no ray of a scan (rays,) [m] is shorter than the range [m]."""
+    silent, rays = np.empty(paper.SECTORS, np.bool_), len(distances)
     for sector in range(paper.SECTORS):
-        first = sector * RAYS_PER_SECTOR
-        silent[sector] = distances[first : first + RAYS_PER_SECTOR].min() >= paper.SENSOR_RANGE
+        silent[sector] = distances[first_ray(sector, rays) : first_ray(sector + 1, rays)].min() >= sensor_range
     return silent
 
 
 @njit()
-def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
+def contradictions(distances: Array, expected: Array, sensor: Array, sensor_range: float) -> Array:
     """Counts the contradictions against each sector (8,) that reads nothing; 0 for the others.
 
+    The points of every scan weigh the same together, however many rays it has.
+
     Args:
-        distances: Ray distances (72,) [m].
-        expected: Expected positions of the last scan's points in the vehicle frame (72, 2) [m]; NaN for none.
+        distances: Ray distances (rays,) [m].
+        expected: Expected positions of the last scan's points in the vehicle frame (rays, 2) [m]; NaN for none.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
+        sensor_range: Distance of a ray that meets nothing [m].
     """
-    silent, against = silent_sectors(distances), np.zeros(paper.SECTORS)
+    silent, against = silent_sectors(distances, sensor_range), np.zeros(paper.SECTORS)
+    rays = len(distances)
     for x, y in expected:
         if np.hypot(x - sensor[0], y - sensor[1]) < NEAR:
-            place = place_among_rays(x, y, sensor)
-            sector, inside = int(place) // RAYS_PER_SECTOR % paper.SECTORS, place % RAYS_PER_SECTOR
-            if silent[sector] and 1.0 <= inside <= RAYS_PER_SECTOR - 2.0:
-                against[sector] += 1.0
+            place = place_among_rays(x, y, sensor, rays)
+            sector = _sector_of(int(place), rays)
+            if silent[sector] and first_ray(sector, rays) + 1.0 <= place <= first_ray(sector + 1, rays) - 2.0:
+                against[sector] += RAYS / rays
     for sector in range(paper.SECTORS):
         right, left = borders(distances, sector)
         if silent[sector]:
@@ -60,35 +63,47 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
 @njit()
 def borders(distances: Array, sector: int) -> tuple[float, float]:
     """Returns the distances of the rays next to a sector, on its right and on its left [m]."""
-    first = sector * RAYS_PER_SECTOR
-    return distances[(first - 1) % RAYS], distances[(first + RAYS_PER_SECTOR) % RAYS]
+    rays = len(distances)
+    return distances[(first_ray(sector, rays) - 1) % rays], distances[first_ray(sector + 1, rays) % rays]
 
 
 @njit()
-def completed(distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array) -> tuple[Array, Array]:
+def _sector_of(ray: int, rays: int) -> int:
+    """Finds the sector that a ray is in."""
+    sector = 0
+    while ray >= first_ray(sector + 1, rays):
+        sector += 1
+    return sector
+
+
+@njit()
+def completed(
+    distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array, sensor_range: float
+) -> tuple[Array, Array]:
     """Completes a scan: a dead sector reads the smallest distance of the rays beside it and of remembered points in it.
 
     Args:
-        distances: Ray distances (72,) [m].
+        distances: Ray distances (rays,) [m].
         dead: Whether each sector is dead (8,).
-        expected: Expected positions of remembered points in the vehicle frame (72, 2) [m]; NaN for none.
+        expected: Expected positions of remembered points in the vehicle frame (rays, 2) [m]; NaN for none.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
+        sensor_range: Distance of a ray that meets nothing [m].
 
     Returns:
-        The distances (72,) [m], and the remembered point of each ray in a dead sector (72, 2) [m].
+        The distances (rays,) [m], and the remembered point of each ray in a dead sector (rays, 2) [m].
     """
-    whole, remembered = distances.copy(), np.full((RAYS, 2), np.nan)
+    rays = len(distances)
+    whole, remembered = distances.copy(), np.full((rays, 2), np.nan)
     for sector in range(paper.SECTORS):
         if dead[sector]:
-            first = sector * RAYS_PER_SECTOR
             right, left = borders(distances, sector)
-            whole[first : first + RAYS_PER_SECTOR] = min(right, left)
-    nearest = np.full(RAYS, paper.SENSOR_RANGE)
+            whole[first_ray(sector, rays) : first_ray(sector + 1, rays)] = min(right, left)
+    nearest = np.full(rays, sensor_range)
     for x, y in expected:
         distance = np.hypot(x - sensor[0], y - sensor[1])
-        if distance < paper.SENSOR_RANGE:
-            ray = int(np.rint(place_among_rays(x, y, sensor))) % RAYS
-            if dead[ray // RAYS_PER_SECTOR] and distance < nearest[ray]:
+        if distance < sensor_range:
+            ray = int(np.rint(place_among_rays(x, y, sensor, rays))) % rays
+            if dead[_sector_of(ray, rays)] and distance < nearest[ray]:
                 nearest[ray] = distance
                 remembered[ray, 0], remembered[ray, 1] = x, y
                 whole[ray] = min(whole[ray], distance)

@@ -58,9 +58,9 @@ class Situation:
     turns: Array
     """Heading changes of the six actions (n, 6) [rad]."""
     points: Array
-    """Points of the scan in the vehicle frame (n, 72, 2) [m]; NaN for none."""
+    """Points of the scan in the vehicle frame (n, rays, 2) [m]; NaN for none."""
     moving: Array
-    """Those of them that belong to moving obstacles (n, 72, 2) [m]; NaN for the others."""
+    """Those of them that belong to moving obstacles (n, rays, 2) [m]; NaN for the others."""
 
     def of(self, vehicles: NDArray[np.int64]) -> "Situation":
         """The situation of some of the vehicles."""
