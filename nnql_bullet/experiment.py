@@ -51,6 +51,8 @@ class Experiment:
             UserError: If it cannot be read, or its obstacles do not reach up to the vehicle's sensor.
         """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if name == self.config.world:
+            source = source.between(self.config.start, self.config.target)
         if source.obstacle_height <= sensor_height:
             raise UserError(
                 f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "

@@ -173,12 +173,6 @@ class TestFiles:
         with pytest.raises(UserError, match="is not what its header says"):
             nb.Recording.load(tmp_path / "a.npz")
 
-    @pytest.mark.parametrize("name", ["map.yaml", "w.sdf"])
-    def test_maps_of_other_programs_are_refused_by_name(self, tmp_path: Path, name: str) -> None:
-        (tmp_path / name).write_text("image: map.pgm\n")
-        with pytest.raises(UserError, match="maps and worlds of other programs are not read"):
-            nb.World.load(tmp_path / name)
-
     def test_quoted_commands_and_odd_names_in_every_verb(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: Cli
     ) -> None:

@@ -137,6 +137,8 @@ def evaluate(
     conditions: Conditions | None = None,
     shield: bool = False,
     allow_impassable: bool = False,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     address: str | None = None,
@@ -158,15 +160,18 @@ def evaluate(
 
     Args:
         policies: Run folders, policy files, shipped policies and rules by name, or your own objects (see `drive`).
-        worlds: Shipped worlds, TOML files, folders of TOML files, or `World` objects.
+        worlds: Shipped worlds, TOML files, maps and worlds of other programs, folders of such files, or `World`
+            objects.
         split: "validation", the default, has worlds to choose with, "test" those for a final table.
-        n_worlds: Worlds of each file, by default 100.
+        n_worlds: Worlds of each file, by default 100; a world in which nothing is random counts once.
         seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
         allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
+        start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
+        target: x, y [m] of the target in that frame, in place of its own.
         executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
             more. A script that starts processes needs `if __name__ == "__main__":`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
@@ -185,7 +190,8 @@ def evaluate(
         raise UserError(f"clips must not be negative, not {clips}")
     if out is not None and clips:
         check_encoder()
-    setting = Setting(simulator, physics, conditions, allow_impassable)
+    first, last = (None if place is None else tuple(place) for place in (start, target))
+    setting = Setting(simulator, physics, conditions, allow_impassable, first, last)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
     if out is not None and Path(out).exists() and not Path(out).is_dir():

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from nnql_bullet.arguments import checked
+from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.drives import distinct, has_chance
@@ -72,6 +73,8 @@ def gap(
     split: SplitName | None = None,
     n_worlds: int | None = None,
     seeds: range | None = None,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     conditions: Conditions | None = None,
     faults: bool = True,
     executor: ExecutorKind | None = None,
@@ -92,10 +95,13 @@ def gap(
         against: The first simulator.
         simulator: The second one, an engine of contact physics.
         physics: Solver settings of contact physics.
-        world: A shipped world, a TOML file or a `World`; by default that of the training.
+        world: A shipped world, a TOML file, a map or world of another program, or a `World`; by default that of the
+            training.
         split: "validation", the default, has worlds to choose with, "test" those for a final table.
         n_worlds: Number of worlds, by default 100.
         seeds: Seeds of the worlds, in place of `split` and `n_worlds`.
+        start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
+        target: x, y [m] of the target in that frame, in place of its own.
         conditions: Conditions in place of each policy's own.
         faults: Whether policies drive with a series of faults too, which takes some twelve times as long.
         executor: See `evaluate`.
@@ -110,6 +116,11 @@ def gap(
     if against == simulator:
         raise UserError(f"against: '{against}' is the simulator itself; give another one")
     draws, world = choose_draws(split, n_worlds, seeds), str(world) if isinstance(world, Path) else world
+    shown = world.name if isinstance(world, World) else world
+    if start or target:
+        if world is None:
+            raise UserError("start and target are places in a world: give one")
+        world = World.load(world).between(start, target)
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
@@ -127,8 +138,8 @@ def gap(
     trials = [drive for drive in drives if isinstance(drive, Trial)]
     prints = tuple(policy.fingerprint for policy in opened)
     names = tuple(policy.path for policy in opened)
-    shown = world.name if isinstance(world, World) else world
-    results = GapResults(Gap(names, prints, shown, draws, first, second, pairs, trials, conditions))
+    ends = tuple(flags({"start": start, "target": target}))
+    results = GapResults(Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends))
     if out is not None:
         with locked(Path(out)):
             results.save(out)

@@ -9,7 +9,8 @@ import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
@@ -29,6 +30,8 @@ def evaluate(
     seeds: Annotated[str | None, tyro.conf.arg(metavar="FROM:TO")] = None,
     cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE|DIR,...")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
@@ -63,7 +66,10 @@ def evaluate(
         worlds: Number of worlds of each kind; default 100.
         seeds: Worlds of these seeds in place of --split and --worlds; TO is left out.
         cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
-        world: Shipped worlds (traps, aisles, moving, ...), TOML files, or folders of them, each counted as one kind.
+        world: Shipped worlds (traps, aisles, moving, ...), TOML files, ROS maps, other files that `nnql-bullet worlds`
+            reads, or folders of such files, each counted as one kind.
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
@@ -77,6 +83,7 @@ def evaluate(
         conditions: Conditions in place of each policy's own.
     """
     files = _files(cover, world)
+    tell_warnings(files, start, target)
     try:
         with progress() as show:
             results = api.evaluate(
@@ -90,6 +97,8 @@ def evaluate(
                 conditions=conditions_of(conditions),
                 shield=shield,
                 allow_impassable=allow_impassable,
+                start=start,
+                target=target,
                 executor=executor,
                 workers=workers,
                 address=address,

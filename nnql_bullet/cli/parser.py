@@ -15,6 +15,7 @@ VERBS = (
     "keys",
     "policies",
     "drive",
+    "worlds",
     "render",
     "view",
     "evaluate",

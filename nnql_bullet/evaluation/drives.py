@@ -24,6 +24,7 @@ from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
+from nnql_bullet.worlds.importers import READERS
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
@@ -99,6 +100,10 @@ class Setting:
     """Conditions that replace each policy's own; None keeps those."""
     allow_impassable: bool = False
     """Whether worlds are taken as they are drawn, even if the vehicle is too wide for every path."""
+    start: tuple[float, ...] | None = None
+    """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
+    target: tuple[float, ...] | None = None
+    """In place of each world's own [m]."""
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -108,6 +113,8 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            "start": self.start,
+            "target": self.target,
         }
 
     @property
@@ -122,7 +129,8 @@ class Setting:
         """Flags of the setting on a command line."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
-        return ["--sim", self.simulator, *physics, *impassable, *flags({"conditions": self.conditions})]
+        changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
+        return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
 def check_setting(policy: Policy, setting: Setting) -> None:
@@ -183,7 +191,7 @@ def draw_tiers(
     """Draws and checks worlds of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, TOML files, folders of them, or worlds made in code.
+        given: Shipped worlds, files, folders of files, or worlds made in code.
         draws: Which worlds of each kind.
         setting: The setting.
         policies: The policies; the vehicle of the first gives the width of the free path.
@@ -220,7 +228,7 @@ def draw_tiers(
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
-            not setting.allow_impassable
+            not (setting.allow_impassable or setting.start or setting.target)
             and draws.split is not None
             and isinstance(one, str)
             and check_frozen(
@@ -248,9 +256,10 @@ def _files(given: str | World) -> Sequence[str | World]:
     if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
         assets.find("worlds", given)
         return [given]
-    files = sorted(path for path in Path(given).glob("*.toml") if is_file(path) and not path.name.startswith("."))
+    suffixes = (".toml", *READERS)
+    files = sorted(path for path in Path(given).glob("[!.]*") if path.suffix.lower() in suffixes and is_file(path))
     if not files:
-        raise UserError(f"{given}: is a folder without worlds (*.toml); give another one")
+        raise UserError(f"{given}: is a folder without worlds; give another one")
     return [str(path) for path in files]
 
 

@@ -186,6 +186,8 @@ class Gap:
     """With faults; may be empty."""
     conditions: Conditions | None = None
     """In place of each policy's own; None leaves those."""
+    ends: tuple[str, ...] = ()
+    """Flags of a start and a target in place of the world's own."""
 
     @property
     def flips(self) -> list[Pair]:
@@ -202,7 +204,7 @@ class Gap:
     @property
     def command(self) -> str:
         """What measures it again."""
-        world = ["--world", self.world] if self.world else []
+        world = ["--world", self.world, *self.ends] if self.world else []
         sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
         faults = [] if self.trials else ["--no-faults"]
         return shell_line(
@@ -211,7 +213,7 @@ class Gap:
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
-        world = ["--world", self.world] if self.world else []
+        world = ["--world", self.world, *self.ends] if self.world else []
         physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
         where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._conditions]
         return shell_line("nnql-bullet", "drive", pair.run, *world, *where)

@@ -66,7 +66,8 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else parse(Conditions, values["conditions"], "conditions")
         impassable = bool(values.get("allow_impassable", False))
-        setting = Setting(values["simulator"], values["physics"], conditions, impassable)
+        ends = [None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")]
+        setting = Setting(values["simulator"], values["physics"], conditions, impassable, *ends)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(

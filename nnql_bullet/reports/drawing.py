@@ -31,6 +31,7 @@ from nnql_bullet.colours import (
     NON_SAFE,
     SAFE,
     TARGET,
+    TEMPERATURE,
     VEHICLE,
 )
 from nnql_bullet.errors import UserError
@@ -58,6 +59,8 @@ _ENTRIES: dict[str, dict[str, Any]] = {
     "obstacle": {"facecolor": BOX, "edgecolor": BOX_EDGE},
     "moving": {"facecolor": MOVING, "edgecolor": MOVING_EDGE},
     "vehicle": {"facecolor": VEHICLE, "edgecolor": INK},
+    "path": {"color": SAFE, "lw": 1.8},
+    "bottleneck": {"marker": "o", "ls": "", "mfc": "none", "mec": TEMPERATURE, "mew": 1.8},
     "start": {"marker": "o", "ls": "", "mfc": INK, "mec": INK},
     "target": {"marker": "o", "ls": "", "mfc": TARGET, "mec": COLLISION, "ms": 10},
     "collision": {"marker": "X", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 11},
@@ -132,18 +135,20 @@ def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch]
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
+def draw_world(axes: Axes, world: WorldSpec, time: float, outline: float = 0.8) -> None:
     """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
 
     Args:
         axes: Axes to draw on.
         world: The world.
         time: Instant at which moving boxes are shown [s].
+        outline: Width of the lines around obstacles; with 0 they are filled in the colour of lines.
     """
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
     outlines = [_rim(its) if isinstance(its, Circle) else its.corners() for its in world.obstacles]
-    axes.add_collection(PolyCollection(outlines, facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8))
+    fill = BOX if outline else BOX_EDGE
+    axes.add_collection(PolyCollection(outlines, facecolor=fill, edgecolor=BOX_EDGE, linewidth=outline or 0.1))
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)

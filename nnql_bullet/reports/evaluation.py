@@ -286,6 +286,7 @@ def evaluation_values(
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "allow_impassable": e.setting.allow_impassable,
+        **{name: its for name, its in (("start", e.setting.start), ("target", e.setting.target)) if its},
         "endings": list(ENDINGS),
         "policies": [policy.values for policy in e.policies],
         "tiers": [

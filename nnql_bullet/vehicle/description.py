@@ -1,8 +1,7 @@
-"""Reads a URDF: the one place that parses XML, and what its links and joints are.
+"""Reads a URDF: what its links and joints are.
 
-No document type is taken, so no entity is expanded and no other file is read. Links without a mass that are fixed to
-others are frames, as ROS files have them for sensors and for `base_footprint`: they are folded into the link that
-carries them, because PyBullet would give each a mass of 1 kg.
+Links without a mass that are fixed to others are frames, as ROS files have them for sensors and for `base_footprint`:
+they are folded into the link that carries them, because PyBullet would give each a mass of 1 kg.
 """
 
 import re
@@ -18,6 +17,7 @@ import numpy as np
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
+from nnql_bullet.markup import parse_xml
 
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
 NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
@@ -28,8 +28,6 @@ DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radiu
 """Shapes that are drawn, and the attributes that they need."""
 MOST_BYTES, MOST_LINKS = 10_000_000, 500
 """Size of the largest URDF that is read [bytes, links]."""
-DEEPEST = 50
-"""Largest depth of elements in elements."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
 
 
@@ -145,12 +143,12 @@ def parse(source: str | bytes) -> Element:
         Unfit: See `read`.
     """
     try:
-        robot = ElementTree.fromstring(source, ElementTree.XMLParser(target=_Elements()))
+        robot = parse_xml(source)
         if robot.tag != "robot":
             raise Unfit(f"its root is <{robot.tag}>, not <robot>")
         refuse(list(_check_numbers(robot)))
         _check_tree(robot)
-    except (Unfit, SyntaxError, LookupError, ValueError) as error:  # those of the parser, and of unknown encodings
+    except (Unfit, ValueError) as error:
         raise Unfit(f"cannot be read as a URDF: {error}") from None
     _fold_frames(robot)
     return robot
@@ -206,30 +204,6 @@ def for_drawing(robot: Element) -> str:
 def text_of(robot: Element) -> str:
     """Writes a URDF as text."""
     return ElementTree.tostring(robot, encoding="unicode")
-
-
-class _Elements(ElementTree.TreeBuilder):
-    """Builds the tree of an XML file that declares nothing and is no deeper than a URDF can be."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._depth = 0
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuses a document type, which entities need."""
-        raise Unfit("it declares a document type (<!DOCTYPE>); remove that, and write out its entities")
-
-    def start(self, tag: str, attrs: dict[str, str], /) -> Element:
-        """Begins an element."""
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise Unfit(f"it has elements in elements, more than {DEEPEST} deep")
-        return super().start(tag, attrs)
-
-    def end(self, tag: str, /) -> Element:
-        """Ends an element."""
-        self._depth -= 1
-        return super().end(tag)
 
 
 def _check_numbers(robot: Element) -> Iterator[str]:

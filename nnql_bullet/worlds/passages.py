@@ -33,6 +33,10 @@ class Passage:
     y: float
     """[m]"""
 
+    def admits(self, width: float) -> bool:
+        """Whether a disc of a width [m] passes, to a nanometre."""
+        return self.width > width - 1e-9
+
 
 def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
     """Finds the narrowest place of the widest path from the start to the target.

@@ -100,7 +100,7 @@ def shortest_path(world: WorldSpec, radius: float) -> tuple[Array, float]:
     begin, end = ((floor(y / side), floor(x / side)) for x, y in ends)
     if not all(0 <= row < shape[0] and 0 <= column < shape[1] for row, column in (begin, end)):
         return np.zeros((0, 2)), inf
-    free = _free_cells(shape, side, world.solids, max(radius - side / sqrt(2), 0.0))
+    free = free_cells(shape, side, world.solids, max(radius - side / sqrt(2), 0.0))
     reach = 0.0 if _is_open(end, world.target_radius / side, free) else world.target_radius / side
     cells = _theta_star(begin, end, reach, free) if free[begin] else np.zeros((0, 2), np.int64)
     path = np.asarray((cells[:, ::-1] + 0.5) * side)
@@ -127,7 +127,7 @@ def _along(path: Array, every: float) -> Array:
 
 
 @njit(nogil=True)
-def _free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
+def free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
     """Marks the cells whose centres are farther than `distance` [m] from all solids, rows (n, 7) of `as_rows`."""
     free = np.ones(shape, np.bool_)
     for i in range(len(solids)):
