@@ -64,6 +64,8 @@ class Observation:
     """Bearing in the vehicle frame (n,) [rad], positive to the left."""
     yaw_rate: Array
     """(n,) [rad/s]"""
+    speed: Array
+    """Measured speed along the vehicle (n,) [m/s], negative backwards: see `sim.base.Motion`."""
     state_property: NDArray[np.int64]
     """`StateProperty` (n,)."""
     ray_distances: Array
@@ -149,6 +151,7 @@ class Navigation:
             target_distance=np.zeros(n),
             target_bearing=np.zeros(n),
             yaw_rate=np.zeros(n),
+            speed=np.zeros(n),
             state_property=np.zeros(n, np.int64),
             ray_distances=np.zeros((n, RAYS)),
         )
@@ -167,9 +170,8 @@ class Navigation:
         self._target[vehicles] = [world.target for world in worlds.values()]
         self._steps[vehicles] = 0
         nothing, safe = np.zeros(len(vehicles), np.bool_), np.full(len(vehicles), StateProperty.SAFE)
-        started = self._observed(
-            self._target[vehicles], poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing, safe
-        )
+        still, speeds = np.zeros(len(vehicles)), np.full(len(vehicles), self.simulator.drive.speed)
+        started = self._observed(self._target[vehicles], poses, still, speeds, ray_distances, nothing, nothing, safe)
         self._observation = _put(self._observation, vehicles, started)
 
     def step(
@@ -187,7 +189,7 @@ class Navigation:
         motion, ray_distances = self.simulator.advance(turns, active, speed_scale(actions), traces)
         m = motion
         s_t = self._observed(
-            self._target, m.pose, m.yaw_rate, ray_distances, m.touching, m.at_target, s_tm1.state_property
+            self._target, m.pose, m.yaw_rate, m.speed, ray_distances, m.touching, m.at_target, s_tm1.state_property
         )
         if active is None:
             active = np.ones(self.simulator.size, np.bool_)
@@ -221,6 +223,7 @@ class Navigation:
         targets: Array,
         poses: Array,
         yaw_rates: Array,
+        speeds: Array,
         ray_distances: Array,
         touching: NDArray[np.bool_],
         at_target: NDArray[np.bool_],
@@ -234,6 +237,7 @@ class Navigation:
             target_distance=np.hypot(dx, dy),
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
+            speed=speeds,
             state_property=state_property(readings, touching, at_target, self.task, before),
             ray_distances=ray_distances,
         )

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SAMPLE_EVERY = 4
@@ -40,6 +42,9 @@ class Motion:
     """x, y [m] and yaw [rad] of the rear-axle centre at the end (n, 3)."""
     yaw_rate: Array
     """Yaw rate at the end (n,) [rad/s]."""
+    speed: Array
+    """Speed of the rear-axle centre along the vehicle at the end (n,) [m/s], negative backwards. It is the body's own
+    speed over the ground, slip and all, as odometry without slip and an inertial sensor measure it together."""
     duration: Array
     """(n,) [s]"""
     path_length: Array
@@ -56,7 +61,7 @@ class Motion:
 
 def no_motion(size: int) -> Motion:
     """The motion of n vehicles that stand by: all zero."""
-    return Motion(np.zeros((size, 3)), *np.zeros((5, size)), *np.zeros((2, size), np.bool_))
+    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((2, size), np.bool_))
 
 
 def driving(active: NDArray[np.bool_] | None, size: int) -> Sequence[int]:
@@ -74,6 +79,14 @@ class Simulator(Protocol):
     @property
     def size(self) -> int:
         """Number of vehicles: n."""
+
+    @property
+    def vehicle(self) -> VehicleSpec:
+        """The vehicle that all n are."""
+
+    @property
+    def drive(self) -> DriveOptions:
+        """Options of their controllers."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.

@@ -33,6 +33,7 @@ class VehicleMotion:
 
     pose: Pose
     yaw_rate: float
+    speed: float
     duration: float
     path_length: float
     clearance: float
@@ -184,6 +185,7 @@ class ContactEngine(VehiclePhysics):
         return VehicleMotion(
             pose=Pose(x, y, yaw),
             yaw_rate=self.yaw_rate(),
+            speed=self.speed(),
             duration=(self._steps - first_step) * self.time_step,
             path_length=path_length,
             clearance=0.0 if touching else smallest,

@@ -58,7 +58,7 @@ class RandomizedSimulator:
     """A `Simulator` of disturbed vehicles. The disturbance of an episode is a function of its world alone."""
 
     def __init__(self, simulator: Simulator, domain_randomization: DomainRandomization) -> None:
-        self.size = simulator.size
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
         self._simulator = simulator
         self._domain_randomization = domain_randomization
         self._episodes: dict[int, _Episode] = {}

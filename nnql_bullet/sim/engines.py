@@ -57,6 +57,7 @@ class ContactSimulator:
     def __init__(self, engines: Sequence[ContactEngine]) -> None:
         self.engines = engines
         self.size = len(engines)
+        self.vehicle, self.drive = engines[0].vehicle, engines[0].drive
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
@@ -82,7 +83,8 @@ class ContactSimulator:
             engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
             m = engine.advance(float(heading_changes[i]), traces.get(i), scale)
             motion.pose[i] = m.pose.x, m.pose.y, m.pose.yaw
-            motion.yaw_rate[i], motion.duration[i], motion.path_length[i] = m.yaw_rate, m.duration, m.path_length
+            motion.yaw_rate[i], motion.speed[i] = m.yaw_rate, m.speed
+            motion.duration[i], motion.path_length[i] = m.duration, m.path_length
             motion.clearance[i], motion.heading_error[i] = m.clearance, m.heading_error
             motion.touching[i], motion.at_target[i] = m.touching, m.at_target
             ray_distances[i] = engine.scan()

@@ -49,7 +49,7 @@ class FaultySimulator:
     """A `Simulator` whose sensors have faults. The noise of an episode depends on its world alone."""
 
     def __init__(self, simulator: Simulator, faults: SensorFaults) -> None:
-        self.size = simulator.size
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
         self._simulator = simulator
         self._faults = faults
         self._noise: dict[int, np.random.Generator] = {}

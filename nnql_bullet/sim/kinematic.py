@@ -179,6 +179,7 @@ class KinematicSimulator:
         motion = Motion(
             pose=state.pose.copy(),
             yaw_rate=state.yaw_rate.copy(),
+            speed=state.speed.copy(),
             duration=period.commands / COMMAND_RATE,
             path_length=period.path_length.copy(),
             clearance=period.clearance.copy(),

@@ -58,7 +58,7 @@ class WorkerSimulator:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         try:
-            self._collect(range(workers))
+            self.vehicle, self.drive = self._collect(range(workers))[0]
         except BaseException:
             self.close()
             raise
@@ -159,7 +159,7 @@ def _serve(pipe: Connection, make: Callable[[int], Simulator], size: int) -> Non
     """Runs in a worker process: answers (result, error) to each message until the pipe ends."""
     try:
         simulator = make(size)
-        pipe.send((None, None))
+        pipe.send(((simulator.vehicle, simulator.drive), None))
         while True:
             verb, *arguments = pipe.recv()
             if verb == "reset":
