@@ -7,6 +7,7 @@ what lies between two rays, behind an obstacle, in a blind arc, or out of range.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, squared_distance
 from nnql_bullet.jit import njit
@@ -205,3 +206,36 @@ def _span(x: float, y: float, c: float, s: float, frames: Array, footprint: Arra
         if leave > enter:
             first, last = min(first, enter), max(last, leave)
     return first, last
+
+
+@njit()
+def missed(
+    points: Array, rays: Array, sensor: Array, first_angle: float, reach: float, slack: float, close: float
+) -> NDArray[np.bool_]:
+    """Whether the rays of a scan miss remembered points, and so neither refute nor replace them (k,).
+
+    Args:
+        points: Remembered, in the vehicle frame (k, 2) [m].
+        rays: The scan (r,) [m]; 0 for a ray that tells nothing.
+        sensor: Origin of the rays in the vehicle frame: x, y [m].
+        first_angle: Of the first ray in the vehicle frame [rad].
+        reach: Distance from the sensor from which on points do not matter [m].
+        slack: Distance beside a ray within which it would have met the point [m].
+        close: Distance within which a point of the scan replaces a remembered one [m].
+    """
+    found, count = np.zeros(len(points), np.bool_), len(rays)
+    step = 2 * np.pi / count
+    for k in range(len(points)):
+        x, y = points[k, 0] - sensor[0], points[k, 1] - sensor[1]
+        if x * x + y * y > reach * reach:
+            continue
+        right = np.floor((np.arctan2(y, x) - first_angle) / step)
+        found[k] = True
+        for place in (right, right + 1):
+            angle, distance = first_angle + place * step, rays[int(place) % count]
+            c, s = np.cos(angle), np.sin(angle)
+            along, across = c * x + s * y, abs(c * y - s * x)
+            replaced = (along - distance) ** 2 + across * across < close * close
+            if replaced or (across < slack and along < distance):
+                found[k] = False
+    return found

@@ -7,7 +7,8 @@ import numpy as np
 from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
 from nnql_bullet.env import STOP
 from nnql_bullet.geometry import Array
-from nnql_bullet.shield.prediction import Predictor, ShieldOptions, Situation
+from nnql_bullet.mapping.seen_space import RecentScans
+from nnql_bullet.shield.prediction import Predictor, Situation
 
 STANDSTILL_SPEED = 0.05
 """Speed below which a vehicle stands [m/s]."""
@@ -27,8 +28,8 @@ class Spin:
 
 def fallback(
     predictor: Predictor,
-    options: ShieldOptions,
     situation: Situation,
+    scans: RecentScans,
     ranks: Array,
     margin: float,
     spin: Spin,
@@ -39,8 +40,8 @@ def fallback(
 
     Args:
         predictor: Predicts clearances.
-        options: Of the shield.
         situation: Of this vehicle alone.
+        scans: Its recent scans.
         ranks: How good each action is held to be (6,).
         margin: Clearance that it keeps if it can [m].
         spin: Its turning on the spot so far.
@@ -50,24 +51,28 @@ def fallback(
     Returns:
         The manoeuvre, and the turning on the spot with it.
     """
+    lengths = predictor.lengths
     stops = predictor.stop_clearances(situation)
-    if situation.moves:
+    if situation.moving.any():
         courses = np.concatenate([predictor.drive_clearances(situation), stops])
-        return int(course_scores(courses, options.margin).argmax()), spin
+        return int(course_scores(courses, lengths.margin).argmax()), spin
+    seen = np.array([predictor.stays_in_seen_space(situation, scans, turn, 0.0) for turn in situation.turns[0]])
     if situation.speed[0] >= STANDSTILL_SPEED:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
-        return STOP + int(order[course_scores(stops, options.margin)[order].argmax()]), spin
+        scores = course_scores(stops, lengths.margin) + seen
+        return STOP + int(order[scores[order].argmax()]), spin
     side = spin.side or preferred_side or predictor.open_side(situation, target_bearing)
     spin = Spin(side, spin.decisions + 1)
-    tight = min(margin, options.tight_margin)
+    tight = min(margin, lengths.tight_margin)
     clearances = stops.min(axis=-1)
     turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
-    possible = [turn for turn in turns if clearances[turn] >= tight]
+    possible = [turn for turn in turns if clearances[turn] >= tight and seen[turn]]
     if not possible or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            if clear.any():
-                return int(np.where(clear, ranks, -np.inf).argmax()), spin
+            action = predictor.first_safe(situation, scans, ranks, clear)
+            if action >= 0:
+                return action, spin
     if not possible:
         return STOP, spin
     return STOP + possible[0], replace(spin, side=1 if possible[0] in LEFT_TURNS else -1)

@@ -129,6 +129,23 @@ class Predictor:
             for limits in courses
         )
 
+    def first_safe(
+        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_]
+    ) -> int:
+        """The best of one vehicle's clear actions that keeps to where nothing can stand unseen; -1 if there is none.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            ranks: How good each action is held to be (6,).
+            clear: Whether each action stays clear of what was seen (6,).
+        """
+        for action in np.argsort(-ranks, kind="stable"):
+            turn = float(situation.turns[0, action])
+            if clear[action] and self.stays_in_seen_space(situation, scans, turn, self._drive.speed):
+                return int(action)
+        return -1
+
     def drive_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that drives on along the six turns (6, k) [m], for as long as braking takes."""
         at_speed = situation.speed[0] >= self._drive.speed
