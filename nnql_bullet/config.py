@@ -291,6 +291,8 @@ def _tags(cls: Any) -> tuple[str, ...]:
 
 
 def _options_in(annotation: Any) -> list[Any]:
+    if get_origin(annotation) is Annotated:
+        return _options_in(get_args(annotation)[0])
     if is_dataclass(annotation):
         return [annotation]
     return [found for part in get_args(annotation) for found in _options_in(part)]

@@ -18,14 +18,12 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import placed, ray_distances, wrap_angle
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.render.video import check_encoder
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim import bullet
 from nnql_bullet.sim.bullet_scene import works
 
@@ -81,15 +79,16 @@ def check_drive() -> Finding:
 
 
 def check_rays() -> Finding:
-    """Compares the 72 rays with the analytic distances to the same boxes."""
+    """Compares the rays with the analytic distances to the same boxes."""
     experiment = Experiment(RunConfig(world="cover_20"))
     world = experiment.world(0)
     with closing(experiment.simulator) as simulator:
         _, (found,) = simulator.reset({0: world})
-    origin = placed(world.start, *experiment.vehicle.sensor[:2])
-    expected = ray_distances(origin, ray_angles() + world.start.yaw, world.solids, paper.SENSOR_RANGE)
+    sensor = experiment.vehicle.sensor
+    origin = placed(world.start, *sensor.position[:2])
+    expected = ray_distances(origin, sensor.angles + world.start.yaw, world.solids, sensor.range)
     off = float(np.abs(found - expected).max())
-    text = f"72 rays within {1000 * off:.2f} mm of the analytic distance"
+    text = f"{sensor.rays} rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
 

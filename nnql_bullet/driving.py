@@ -101,7 +101,7 @@ def drive_folder(
     conditions: Conditions | None = None,
 ) -> Path:
     """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
-    asked = conditions.changes if conditions else {}
+    asked = conditions.texts if conditions else {}
     parts = [world, str(seed), *([simulator] if simulator != "bullet" else []), *(["shield"] if shield else [])]
-    parts += [f"{name.replace('_', '-')}-{value:g}" for name, value in asked.items()]
+    parts += [f"{name.replace('_', '-')}-{text}" for name, text in asked.items()]
     return drives_folder(policy) / "-".join(parts)

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, wrap_angles
-from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import (
     REWARD_TERMS,
@@ -69,8 +68,8 @@ class Observation:
     state_property: NDArray[np.int64]
     """`StateProperty` (n,)."""
     ray_distances: Array
-    """The rays behind the readings (n, 72) [m]. The paper's vehicle does not have them; only agents that say so use
-    them."""
+    """The rays behind the readings (n, rays) [m], as `vehicle.sensor` has them; one that meets nothing reads its range.
+    The paper's vehicle does not have them; only agents that say so use them."""
 
 
 MOST_YAW_RATE = 10.0
@@ -153,7 +152,7 @@ class Navigation:
             yaw_rate=np.zeros(n),
             speed=np.zeros(n),
             state_property=np.zeros(n, np.int64),
-            ray_distances=np.zeros((n, RAYS)),
+            ray_distances=np.zeros((n, simulator.sensor.rays)),
         )
 
     @property

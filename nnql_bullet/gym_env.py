@@ -51,7 +51,7 @@ def _experiment(config: RunConfig | str, changes: dict[str, Any]) -> Experiment:
 def _observation_space(experiment: Experiment) -> gymnasium.spaces.Space[NDArray[np.float32]]:
     world = experiment.worlds
     low = [0.0] * paper.SECTORS + [0.0, -pi, -MOST_YAW_RATE]
-    high = [paper.SENSOR_RANGE] * paper.SECTORS + [hypot(world.width, world.depth), pi, MOST_YAW_RATE]
+    high = [experiment.vehicle.sensor.range] * paper.SECTORS + [hypot(world.width, world.depth), pi, MOST_YAW_RATE]
     bounds = np.array([low, high], dtype=np.float32)
     return gymnasium.spaces.Box(bounds[0], bounds[1], dtype=np.float32)
 

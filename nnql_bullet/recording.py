@@ -24,7 +24,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, parse_json, write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape
 from nnql_bullet.rollout import Decision, EpisodeSummary
-from nnql_bullet.sensing import RAYS
+from nnql_bullet.sensing import BlindArc, RayCount, Sensor, SensorRange
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.types import Vector
@@ -54,7 +54,7 @@ class Recording:
     readings: Array
     """Of the eight sectors (n + 1, 8) [m]."""
     ray_distances: Array
-    """(n + 1, 72) [m]"""
+    """(n + 1, rays) [m]"""
     state_property: NDArray[np.str_]
     """(n + 1,): SS, NS, WS, FS"""
     q_values: Array
@@ -131,6 +131,18 @@ class Recording:
     def footprint(self) -> OrientedBox:
         """The vehicle's footprint in its own frame."""
         return OrientedBox(**self.about["vehicle"]["footprint"])
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """The vehicle's sensor, which read the rays."""
+        vehicle = self.about["vehicle"]
+        arc = vehicle.get("blind_arc_degrees")
+        return Sensor(
+            position=tuple(vehicle["sensor"]),
+            rays=self.ray_distances.shape[1],
+            range=vehicle.get("sensor_range", paper.SENSOR_RANGE),  # older recordings know no other
+            blind_arc_degrees=arc and tuple(arc),
+        )
 
     @staticmethod
     def load(path: Path | str) -> "Recording":
@@ -246,7 +258,7 @@ def _check(recording: Recording) -> None:
         "state_time": (n + 1,),
         "state_pose": (n + 1, 3),
         "readings": (n + 1, paper.SECTORS),
-        "ray_distances": (n + 1, RAYS),
+        "ray_distances": (n + 1, _RAYS.validate_python(recording.ray_distances.size // (n + 1))),
         "heading_command": (n,),
         "heading_error": (n,),
         "clearance": (n,),
@@ -285,6 +297,8 @@ class _Vehicle:
 
     footprint: OrientedBox
     sensor: Vector
+    sensor_range: SensorRange = paper.SENSOR_RANGE
+    blind_arc_degrees: BlindArc | None = None
 
 
 @dataclass(frozen=True)
@@ -299,6 +313,7 @@ class _About:
 
 
 _ABOUT = TypeAdapter(_About)
+_RAYS: TypeAdapter[int] = TypeAdapter(RayCount)
 
 
 class Recorder:
@@ -346,7 +361,9 @@ class Recorder:
                 "vehicle": {
                     "name": vehicle.name,
                     "footprint": asdict(vehicle.footprint),
-                    "sensor": vehicle.sensor,
+                    "sensor": vehicle.sensor.position,
+                    "sensor_range": vehicle.sensor.range,
+                    "blind_arc_degrees": vehicle.sensor.blind_arc_degrees,
                     "urdf": urdf_text(vehicle),
                     "joints": {field.name: getattr(vehicle.joints, field.name) for field in fields(vehicle.joints)},
                     "wheel_radius": vehicle.wheel_radius,

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -11,6 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
 from nnql_bullet.agents.learning.nnql import NnqlOptions
 from nnql_bullet.config import merged, options, parse, to_values
+from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions
 from nnql_bullet.sim.domain_randomization import DomainRandomization
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -57,6 +58,13 @@ class Conditions:
     """Standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """Sensor that sees nothing, unknown to the policy; 0 is the front, the others follow counter-clockwise."""
+    rays: RayCount | None = None
+    """Number of the sensor's rays, a multiple of 8; by default the vehicle's own."""
+    sensor_range: SensorRange | None = None
+    """Distance from which on the sensor sees nothing [m]; by default the vehicle's own."""
+    blind_arc_degrees: BlindArc | None = None
+    """Angles, counter-clockwise from the first to the second, between which the sensor sees nothing; 0 is ahead, left
+    is positive [degrees]. By default the vehicle's own."""
 
     @property
     def sensor_faults(self) -> SensorFaults:
@@ -69,14 +77,28 @@ class Conditions:
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != f.default}
 
     @property
+    def texts(self) -> dict[str, str]:
+        """The values that differ from the defaults, as short texts."""
+        pairs = {name: value if isinstance(value, tuple) else (value,) for name, value in self.changes.items()}
+        return {name: "..".join(f"{one:g}" for one in values) for name, values in pairs.items()}
+
+    @property
     def title(self) -> str:
         """The values that differ from the defaults, in words; empty if there are none."""
-        return ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in self.changes.items())
+        return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in self.texts.items())
 
     def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
         """The vehicle under these conditions."""
         if self.wheel_friction is not None:
             vehicle = vehicle.gripping(self.wheel_friction)
+        own = vehicle.sensor
+        sensor = replace(
+            own,
+            rays=self.rays or own.rays,
+            range=self.sensor_range or own.range,
+            blind_arc_degrees=self.blind_arc_degrees or own.blind_arc_degrees,
+        )
+        vehicle = replace(vehicle, sensor=sensor)
         return loaded(vehicle, deck_load(vehicle, self.payload, self.payload_height))
 
 

@@ -1,31 +1,118 @@
-"""The paper's eight sensors: rays in the vehicle frame, and readings of the sectors from ray distances."""
+"""The sensor: rays in the vehicle frame, and the readings of the paper's eight sectors from ray distances."""
+
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from nnql_bullet import paper
+from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 
-RAYS_PER_SECTOR = 9
-RAYS = paper.SECTORS * RAYS_PER_SECTOR
+RAYS = 72
+"""Number of rays where nothing else is said."""
+MOST_RAYS = 1440
+"""Four rays for each degree. PyBullet casts 16 384 rays at a time, and no more."""
+WIDEST_BLIND_ARC = 270.0
+"""[degrees]"""
 FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
 """Indices of sectors: sector 0 is centred straight ahead, the others follow counter-clockwise."""
 
 
-def ray_angles() -> Array:
-    """Directions of the rays in the vehicle frame (72,) [rad]: evenly spaced, 9 in each sector."""
-    step = paper.SECTOR_ANGLE / RAYS_PER_SECTOR
-    return np.asarray((np.arange(RAYS) - (RAYS_PER_SECTOR - 1) / 2) * step)
+def _checked_arc(arc: tuple[float, float]) -> tuple[float, float]:
+    """Refuses a blind arc that has no width or hides too much."""
+    if not 0 < (arc[1] - arc[0]) % 360 <= WIDEST_BLIND_ARC:
+        raise ValueError(
+            f"a blind arc leads counter-clockwise from its first angle to its second, over at most "
+            f"{WIDEST_BLIND_ARC:g} degrees, not from {arc[0]:g} to {arc[1]:g}"
+        )
+    return arc
+
+
+_Degrees = Annotated[float, Field(ge=-360, le=360)]
+RayCount = Annotated[int, Field(ge=paper.SECTORS, le=MOST_RAYS, multiple_of=paper.SECTORS)]
+SensorRange = Annotated[float, Field(gt=0, le=100)]
+BlindArc = Annotated[tuple[_Degrees, _Degrees], AfterValidator(_checked_arc)]
+
+
+@options
+class Sensor:
+    """A range sensor: rays in one plane, evenly spaced all round. A ray that meets nothing reads the range."""
+
+    position: tuple[float, float, float]
+    """Origin of the rays: x, y, z in the chassis frame [m]."""
+    rays: RayCount = RAYS
+    """Number of rays, as many in each of the 8 sectors."""
+    range: SensorRange = paper.SENSOR_RANGE
+    """Length of a ray that meets nothing [m]."""
+    blind_arc_degrees: BlindArc | None = None
+    """Angles, counter-clockwise from the first to the second, between which the sensor sees nothing, as behind a mast;
+    0 is ahead, left is positive [degrees]. A blind ray reads the range too."""
+
+    @cached_property
+    def angles(self) -> Array:
+        """Directions of the rays in the vehicle frame (rays,) [rad]."""
+        return ray_angles(self.rays)
+
+    @cached_property
+    def directions(self) -> Array:
+        """Directions of the rays in the vehicle frame as unit vectors (rays, 2)."""
+        return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+
+    @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether each ray sees (rays,); the others are in the blind arc, and their distance says nothing."""
+        if self.blind_arc_degrees is None:
+            return np.ones(self.rays, np.bool_)
+        begin, end = self.blind_arc_degrees
+        # Rounding leaves no ray at the end of the arc outside it.
+        return np.asarray((np.degrees(self.angles) - begin + 1e-6) % 360 > (end - begin) % 360 + 2e-6)
+
+    def met(self, distances: Array) -> NDArray[np.bool_]:
+        """Whether rays met something (...), of distances (...) [m]."""
+        return np.asarray(distances < self.range)
+
+
+def ray_angles(rays: int = RAYS) -> Array:
+    """Directions of rays in the vehicle frame (rays,) [rad]: evenly spaced, as many in each sector.
+
+    Every odd multiple of 72 rays contains the same 72.
+    """
+    return np.asarray(_in_72(np.arange(rays), rays) * (paper.SECTOR_ANGLE / (RAYS // paper.SECTORS)))
+
+
+def nearest_rays(rays: int) -> NDArray[np.int64]:
+    """Of so many rays, those that are nearest to each of 72 (72,); of an odd multiple of 72, the same."""
+    first, wanted = _in_72(np.array(0), rays), _in_72(np.arange(RAYS), RAYS)
+    return np.rint((wanted - first) * (rays / RAYS)).astype(np.int64) % rays
+
+
+def _in_72(places: NDArray[np.int64], rays: int) -> Array:
+    """The places of rays among `rays` rays, as places among 72 from straight ahead; exact for common places."""
+    in_sector = rays // paper.SECTORS
+    return np.asarray((places - (in_sector - 1) / 2) * (RAYS // paper.SECTORS) / in_sector)
 
 
 def middle_readings(distances: Array) -> Array:
-    """Takes the readings of sectors (..., 8) [m] from the ray in the middle of each, of distances (..., 72) [m]."""
-    return distances[..., RAYS_PER_SECTOR // 2 :: RAYS_PER_SECTOR].copy()
+    """Takes the readings of sectors (..., 8) [m] from the ray in the middle of each, of distances (..., rays) [m].
+
+    An even number of rays in a sector has two in the middle; the shorter one counts.
+    """
+    by_sector, in_sector = _by_sector(distances), distances.shape[-1] // paper.SECTORS
+    return np.minimum(by_sector[..., (in_sector - 1) // 2], by_sector[..., in_sector // 2])
 
 
 def sector_readings(distances: Array) -> Array:
-    """Takes the readings of sectors (..., 8) [m] from the shortest ray of each, of distances (..., 72) [m]."""
-    return smallest(distances.reshape(*distances.shape[:-1], paper.SECTORS, RAYS_PER_SECTOR))
+    """Takes the readings of sectors (..., 8) [m] from the shortest ray of each, of distances (..., rays) [m]."""
+    return smallest(_by_sector(distances))
+
+
+def _by_sector(distances: Array) -> Array:
+    """Ray distances (..., rays) by sector (..., 8, rays / 8)."""
+    return distances.reshape(*distances.shape[:-1], paper.SECTORS, distances.shape[-1] // paper.SECTORS)
 
 
 def smallest(values: Array) -> Array:

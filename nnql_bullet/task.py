@@ -75,7 +75,7 @@ class TaskOptions:
 
 
 def readings_of(ray_distances: Array, task: TaskOptions) -> Array:
-    """The eight readings (..., 8) [m] of ray distances (..., 72) [m]."""
+    """The eight readings (..., 8) [m] of ray distances (..., rays) [m]."""
     return middle_readings(ray_distances) if task.sector_reading == "middle" else sector_readings(ray_distances)
 
 

@@ -182,7 +182,7 @@ def draw_moment(axes: Axes, recording: Recording) -> None:
     ahead = np.where(recording.state_property == "NS", recording.readings[:, FRONT], np.inf)
     step = int(np.argmin(ahead))
     x, y, yaw = recording.state_pose[step]
-    eye = placed(Pose(x, y, yaw), *recording.about["vehicle"]["sensor"][:2])
+    eye = placed(Pose(x, y, yaw), *recording.sensor.position[:2])
     half = 1.15 * paper.SENSOR_RANGE
     inset = axes.inset_axes((0.54, 0.02, 0.44, 0.44))
     without_ticks(inset)

@@ -285,7 +285,7 @@ class TestMap:
         cells, corners = np.zeros((1, grid_map.SIZE, grid_map.SIZE), np.int8), np.zeros((1, 2), np.int64)
         pose, sensor, angles = np.array([[-30.2, 4.7, 0.6]]), np.array([0.35, 0.1]), ray_angles()
         distances = np.repeat(np.random.default_rng(0).uniform(2.0, 12.0, (1, RAYS // 4)), 4, axis=1).clip(max=10.0)
-        grid_map.add_scans(cells, corners, pose, distances, sensor, angles)
+        grid_map.add_scans(cells, corners, pose, distances, sensor, angles, 10.0)
         start = np.array([-30.2 + 0.35 * cos(0.6) - 0.1 * sin(0.6), 4.7 + 0.35 * sin(0.6) + 0.1 * cos(0.6)])
         directions = np.stack([np.cos(angles + 0.6), np.sin(angles + 0.6)], axis=1)
         hits = start + (distances[0, :, None] + 0.15) * directions
@@ -306,7 +306,7 @@ class TestMap:
         assert corners[0].tolist() == middle.tolist()
         for _ in range(grid_map.SEEN):
             assert cells.any()
-            grid_map.add_scans(cells, corners, pose, np.full((1, RAYS), 10.0), sensor, angles)
+            grid_map.add_scans(cells, corners, pose, np.full((1, RAYS), 10.0), sensor, angles, 10.0)
         assert cells.sum() < 0.2 * grid_map.SEEN * len(entered)  # looked through often enough, but for odd corners
 
     def test_it_moves_along(self) -> None:
@@ -315,7 +315,7 @@ class TestMap:
         before, corners = {tuple(c) for c in np.argwhere(cells[0]).tolist()}, np.zeros((1, 2), np.int64)
         middle = grid_map.SIZE // 2 + 0.5
         pose = np.array([[grid_map.MAP_CELL * (middle + 3), grid_map.MAP_CELL * (middle - 3), 0.0]])
-        grid_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0))
+        grid_map.add_scans(cells, corners, pose, np.zeros((1, 0)), np.zeros(2), np.zeros(0), 10.0)
         assert corners[0].tolist() == [3, -3]
         inside = {(a - 3, b + 3) for a, b in before if 0 <= a - 3 < grid_map.SIZE and 0 <= b + 3 < grid_map.SIZE}
         assert {tuple(cell) for cell in np.argwhere(cells[0]).tolist()} == inside
@@ -360,7 +360,8 @@ class TestFrames:
     def test_a_mirror_shows_what_a_mirrored_vehicle_sees(self, rays: Any, with_map: bool, vehicle: VehicleSpec) -> None:
         """Two vehicles drive as each other's mirror image. The map's cells are not mirrored exactly, so it is left
         out of the comparison but for where it says nothing else than the target's direction."""
-        vehicle = replace(vehicle, sensor=(vehicle.sensor[0], 0.0, vehicle.sensor[2]))
+        ahead, _, up = vehicle.sensor.position
+        vehicle = replace(vehicle, sensor=replace(vehicle.sensor, position=(ahead, 0.0, up)))
         generator = np.random.default_rng(1)
         maker = FrameMaker(rays, 3, with_map, vehicle, DriveOptions())
         memories = [maker.nothing(1), maker.nothing(1)]

@@ -116,7 +116,7 @@ class TestRays:
     def test_they_see_neither_vehicle_nor_ground(
         self, mujoco_of: Make, empty_world: WorldSpec, vehicle: VehicleSpec, sensor: tuple[float, float, float]
     ) -> None:
-        engine = mujoco_of("fast", replace(vehicle, sensor=sensor))
+        engine = mujoco_of("fast", replace(vehicle, sensor=replace(vehicle.sensor, position=sensor)))
         engine.reset(empty_world)
         engine.advance(0.5)
         assert np.all(engine.scan() == RANGE)

@@ -319,7 +319,7 @@ class TestContact:
         world = with_patrols(world_of(OrientedBox(107.0, 104.0, 0.5, 0.5)), *some)
         contact.place(world, MIDDLE, 0.0)
         contact.run(4.0)
-        beams = ray_distances((100.0 + VEHICLE.sensor[0], 100.0), ANGLES, world.solids_at(4.0), 10.0)
+        beams = ray_distances((100.0 + VEHICLE.sensor.position[0], 100.0), ANGLES, world.solids_at(4.0), 10.0)
         assert contact.scan() == pytest.approx(beams, abs=2e-3)
 
     @pytest.mark.parametrize("physics", list(PHYSICS))
@@ -341,7 +341,7 @@ class TestContact:
 
 
 def eye(pose: Pose) -> tuple[float, float]:
-    ahead, left, _ = VEHICLE.sensor
+    ahead, left, _ = VEHICLE.sensor.position
     return pose.x + cos(pose.yaw) * ahead - sin(pose.yaw) * left, pose.y + sin(pose.yaw) * ahead + cos(pose.yaw) * left
 
 

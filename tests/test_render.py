@@ -341,11 +341,11 @@ def test_the_ground_shows_target_path_and_sectors_at_their_places(
 
 
 def test_tints_go_from_red_over_yellow_to_green() -> None:
-    near, middle, far = tint(np.array([0.0, 5.0, 10.0]))
+    near, middle, far = tint(np.array([0.0, 5.0, 10.0]), 10.0)
     assert near.argmax() == 0
     assert middle.argmin() == 2
     assert far.argmax() == 1
-    steps = tint(np.linspace(0, 10, 1001))
+    steps = tint(np.linspace(0, 10, 1001), 10.0)
     assert np.abs(np.diff(steps, axis=0)).max() < 1.0  # without a jump
 
 
@@ -425,7 +425,9 @@ def test_the_doctor_casts_rays_from_a_sensor_off_the_middle(monkeypatch: pytest.
     class Aside(Experiment):
         def __init__(self, config: RunConfig) -> None:
             super().__init__(config)
-            self.vehicle = replace(self.vehicle, sensor=(self.vehicle.sensor[0], 0.3, self.vehicle.sensor[2]))
+            ahead, _, up = self.vehicle.sensor.position
+            aside = replace(self.vehicle.sensor, position=(ahead, 0.3, up))
+            self.vehicle = replace(self.vehicle, sensor=aside)
 
     monkeypatch.setattr(diagnosis, "Experiment", Aside)
     assert diagnosis.check_rays().ok

@@ -357,7 +357,7 @@ class TestVfh:
         self, vehicle: VehicleSpec, rays: Array, window: float, radius: float, turning_radius: float
     ) -> None:
         angles = np.arctan2(np.sin(ray_angles()), np.cos(ray_angles()))
-        sensor = vehicle.sensor[:2]
+        sensor = vehicle.sensor.position[:2]
         (found,) = turning_limits(rays[None], angles, window, radius, sensor, turning_radius)
         for side, limit in ((-1, found[0]), (1, found[1])):
             centre = np.array([0.0, side * turning_radius])

@@ -38,7 +38,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sensing import RAYS, ray_angles
+from nnql_bullet.sensing import RAYS, Sensor, ray_angles
 from nnql_bullet.shield.recovery import (
     FARTHEST,
     FIRST_GAIN,
@@ -63,7 +63,8 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 DRIVE = DriveOptions()
 MIDDLE = Pose(100.0, 100.0, 0.0)
-SENSOR = np.array([0.35, 0.0])
+MOUNTED = Sensor(position=(0.35, 0.0, 0.475))
+SENSOR, RANGE = np.array([0.35, 0.0]), paper.SENSOR_RANGE
 NOTHING = np.full(RAYS, paper.SENSOR_RANGE)
 NO_POINTS = np.full((RAYS, 2), np.nan)
 
@@ -449,7 +450,7 @@ class TestNewcomers:
             c, s = cos(then.yaw), sin(then.yaw)
             dx, dy = now.x - then.x, now.y - then.y
             moved = np.array([c * dx + s * dy, c * dy - s * dx, now.yaw - then.yaw])
-            found += int(moving_points(point_cloud(rays, (0.35, 0.0, 0.475)), before, moved, 0.0, SENSOR).sum())
+            found += int(moving_points(point_cloud(rays, MOUNTED), before, moved, 0.0, SENSOR).sum())
             before, then = rays, now
         assert found <= 4  # a corner, seen between two rays
 
@@ -458,10 +459,10 @@ class TestNewcomers:
         box = OrientedBox(MIDDLE.x + 5.0, MIDDLE.y, 0.5, 1.0)
         came = replace(box, x=box.x - 0.5 * speed)
         before, now = rays_from(MIDDLE, box), rays_from(MIDDLE, came)
-        points = point_cloud(now, (0.35, 0.0, 0.475))
+        points = point_cloud(now, MOUNTED)
         found = moving_points(points, before, np.zeros(3), strayed, SENSOR)
         assert found.sum() >= 0.8 * np.isfinite(points[:, 0]).sum() > 0
-        gone = point_cloud(rays_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), (0.35, 0.0, 0.475))
+        gone = point_cloud(rays_from(MIDDLE, replace(box, x=box.x + 0.5 * speed)), MOUNTED)
         assert not moving_points(gone, before, np.zeros(3), strayed, SENSOR).any()
         assert not moving_points(points, np.full(RAYS, np.nan), np.zeros(3), strayed, SENSOR).any()
 
@@ -473,14 +474,14 @@ class TestSectorFaults:
         return silenced
 
     def test_open_ground_speaks_against_nobody(self) -> None:
-        assert contradictions(NOTHING, NO_POINTS, SENSOR).tolist() == [0.0] * 8
+        assert contradictions(NOTHING, NO_POINTS, SENSOR, RANGE).tolist() == [0.0] * 8
 
     @pytest.mark.parametrize("sector", range(8))
     def test_a_wall_that_goes_on_inside_speaks_against_a_sector(self, sector: int) -> None:
         angle = sector * paper.SECTOR_ANGLE
         wall = OrientedBox(MIDDLE.x + 4.0 * cos(angle), MIDDLE.y + 4.0 * sin(angle), 1.0, 8.0, angle)
         rays = self.dead(rays_from(MIDDLE, wall), sector)
-        against = contradictions(rays, NO_POINTS, SENSOR)
+        against = contradictions(rays, NO_POINTS, SENSOR, RANGE)
         assert against[sector] == 1.0
         assert np.delete(against, sector).max() <= 0.5  # where the wall ends, it may end at a border
 
@@ -489,12 +490,12 @@ class TestSectorFaults:
         angle = sector * paper.SECTOR_ANGLE
         expected = NO_POINTS.copy()
         expected[:3] = SENSOR + 5.0 * np.array([[cos(angle + d), sin(angle + d)] for d in (-0.1, 0.0, 0.1)])
-        assert contradictions(NOTHING, expected, SENSOR)[sector] == 3.0
+        assert contradictions(NOTHING, expected, SENSOR, RANGE)[sector] == 3.0
         heard = NOTHING.copy()
         heard[9 * sector + 2] = 9.5
-        assert contradictions(heard, expected, SENSOR)[sector] == 0.0
+        assert contradictions(heard, expected, SENSOR, RANGE)[sector] == 0.0
         expected[:3] = SENSOR + 9.0 * (expected[:3] - SENSOR) / 5.0
-        assert contradictions(NOTHING, expected, SENSOR)[sector] == 0.0  # it may have got out of range
+        assert contradictions(NOTHING, expected, SENSOR, RANGE)[sector] == 0.0  # it may have got out of range
 
     def test_a_dead_sector_reads_as_the_nearer_of_its_borders_and_what_was_there(self) -> None:
         rays = NOTHING.copy()
@@ -504,7 +505,7 @@ class TestSectorFaults:
         expected = NO_POINTS.copy()
         expected[40] = SENSOR + 2.0 * np.array([cos(radians(45)), sin(radians(45))])
         expected[41] = SENSOR + 1.0 * np.array([cos(radians(90)), sin(radians(90))])  # in a sector that sees
-        whole, remembered = completed(rays, dead, expected, SENSOR)
+        whole, remembered = completed(rays, dead, expected, SENSOR, RANGE)
         inside = [4.0, 4.0, 4.0, 4.0, 2.0, 4.0, 4.0, 4.0, 4.0]
         assert whole[9:18] == pytest.approx(inside)
         assert np.delete(whole, range(9, 18)) == pytest.approx(np.delete(rays, range(9, 18)))
@@ -587,13 +588,15 @@ class TestEscape:
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
         recovery = Recovery(side=1)
         wall = OrientedBox(MIDDLE.x, MIDDLE.y - 1.2 - 0.5, 50.0, 0.5)
-        assert recovery.heading(0.0, rays_from(MIDDLE, wall)) == pytest.approx(0.0, abs=0.02)
+        assert recovery.heading(0.0, rays_from(MIDDLE, wall), MOUNTED) == pytest.approx(0.0, abs=0.02)
         nearer = rays_from(replace(MIDDLE, y=99.7), wall)
-        assert recovery.heading(0.0, nearer) > 0.05
+        assert recovery.heading(0.0, nearer, MOUNTED) > 0.05
         farther = rays_from(replace(MIDDLE, y=101.0), wall)
-        assert recovery.heading(0.0, farther) < -0.3
-        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall)) == pytest.approx(0.0, abs=0.02)
-        assert Recovery().heading(0.7, nearer) == 0.7
+        assert recovery.heading(0.0, farther, MOUNTED) < -0.3
+        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall), MOUNTED) == pytest.approx(
+            0.0, abs=0.02
+        )
+        assert Recovery().heading(0.7, nearer, MOUNTED) == 0.7
 
 
 class TestRecords:

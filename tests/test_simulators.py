@@ -184,7 +184,7 @@ class TestOneVehicle:
         poles = [Circle(*place, radius) for *place, radius in rng.uniform((90, 90, 0.02), (110, 110, 0.6), (40, 3))]
         world = world_of(*(its for its in poles if hypot(its.x - 100, its.y - 100) > its.radius + 1.5))
         simulator.reset(world)
-        eye = placed(simulator.pose, *load_vehicle("tricycle").sensor[:2])
+        eye = placed(simulator.pose, *load_vehicle("tricycle").sensor.position[:2])
         expected = ray_distances(eye, ray_angles() + simulator.pose.yaw, world.solids, 10.0)
         assert simulator.rays == pytest.approx(expected, abs=2e-3)
         simulator.reset(world_of(Circle(101.5, 100.02, 0.02)))

@@ -213,7 +213,7 @@ def test_width_is_that_of_the_footprint(vehicle):
 
 def test_sensor_stands_above_the_chassis_at_the_head_of_the_mast(vehicle):
     head = TREE.findall("link[@name='chassis']/visual")[-1]
-    assert vehicle.sensor == pytest.approx(tuple(floats(head.find("origin").get("xyz"))))
+    assert vehicle.sensor.position == pytest.approx(tuple(floats(head.find("origin").get("xyz"))))
 
 
 def test_links_are_those_that_the_joints_move(vehicle):

@@ -6,7 +6,6 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.env import TOWARD_TARGET
-from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
 
 
 def mirrored_directions(count: int) -> NDArray[np.int64]:
@@ -16,7 +15,7 @@ def mirrored_directions(count: int) -> NDArray[np.int64]:
 
 def mirrored_rays(count: int) -> NDArray[np.int64]:
     """The mirror images of the 72 rays told as `count` readings of neighbouring rays, a divisor of 72 (count,)."""
-    return (RAYS_PER_SECTOR * count // RAYS - 1 - np.arange(count)) % count
+    return (count // paper.SECTORS - 1 - np.arange(count)) % count
 
 
 MIRRORED_SECTORS = mirrored_directions(paper.SECTORS)

@@ -47,8 +47,9 @@ def drive(
     potential_field, fuzzy, vfh (VFH+) or look_ahead.
 
     In place of the policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). Keys that begin
-    with agent, drive, shield or task are flags too, such as --shield.margin. To list them: nnql-bullet keys
+    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
+    --sensor-range [m], --blind-arc FROM TO [degrees]. Keys that begin with agent, drive, shield or task are flags
+    too, such as --shield.margin. To list them: nnql-bullet keys
 
     For example:
 

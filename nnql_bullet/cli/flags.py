@@ -26,6 +26,8 @@ RENAMED_FLAGS = {
     **{flag(old): flag(new) for old, new in RENAMED_KEYS.items()},
 }
 """Flags of version 0.1, and their names now."""
+SHORT_FLAGS = {"rays": "--rays", "sensor_range": "--sensor-range", "blind_arc_degrees": "--blind-arc"}
+"""Short flags of some keys of the conditions."""
 GROUPS = {
     "simulation": ("sim", "against", "physics", "shield", "faults"),
     "picture": ("camera", "size", "fps", "speed", "begin", "end", "renderer"),
@@ -168,6 +170,7 @@ def _flags_class(found: tuple[Key, ...]) -> type:
                 _joined([key.type for key in its]) | None,
                 tyro.conf.arg(
                     name=flag(name).removeprefix("--"),
+                    aliases=_short_flags(name),
                     help=its[0].about,
                     metavar=_metavar(its[0].type),
                     help_behavior_hint=_hint(_choices(its[0].type), its[0].default),
@@ -178,6 +181,12 @@ def _flags_class(found: tuple[Key, ...]) -> type:
         for name, its in by_name.items()
     ]
     return make_dataclass("KeysGiven", parts, frozen=True)
+
+
+def _short_flags(name: str) -> tuple[str, ...]:
+    """The other flags of a key, of the conditions' own table or of a configuration."""
+    short = SHORT_FLAGS.get(name.removeprefix("conditions."))
+    return (short,) if short else ()
 
 
 def _joined(types: Sequence[Any]) -> Any:
@@ -254,7 +263,8 @@ def _flags_of(verb: Callable[..., int]) -> Iterator[str]:
     for name, hint in get_type_hints(verb, include_extras=True).items():
         mark = _mark(hint)
         if mark:
-            yield from (flag(mark.table(name) + key.name) for key in mark.keys(for_help=False))
+            for key in mark.keys(for_help=False):
+                yield from (flag(mark.table(name) + key.name), *_short_flags(key.name))
         elif name != "return" and signature(verb).parameters[name].kind is not Parameter.POSITIONAL_ONLY:
             yield flag(name)
 

@@ -36,8 +36,8 @@ def gap(
     has its cause and the command that replays it.
 
     In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). To read more:
-    nnql-bullet keys conditions
+    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
+    --sensor-range [m], --blind-arc FROM TO [degrees]. To read more: nnql-bullet keys conditions
 
     For example:
 

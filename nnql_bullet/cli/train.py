@@ -40,7 +40,7 @@ def train(
     step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
     model.
 
-    Every key of the configuration is a flag, such as --agent.discount or --conditions.payload; to list them:
+    Every key of the configuration is a flag, such as --agent.discount, --conditions.payload or --rays; to list them:
     nnql-bullet keys --config double_dqn
 
     For example:

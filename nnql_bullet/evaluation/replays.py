@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
@@ -63,7 +64,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         )
     try:
         values = read_json(folder / "results.json")
-        conditions = None if values["conditions"] is None else Conditions(**values["conditions"])
+        conditions = None if values["conditions"] is None else parse(Conditions, values["conditions"], "conditions")
         impassable = bool(values.get("allow_impassable", False))
         setting = Setting(values["split"], values["simulator"], values["physics"], conditions, impassable)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}

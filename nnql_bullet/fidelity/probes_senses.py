@@ -9,7 +9,7 @@ from nnql_bullet import paper
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, open_ground
 from nnql_bullet.geometry import Array, OrientedBox, Pose, placed, ray_distances
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sensing import Sensor
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -33,23 +33,23 @@ def _cluttered(seed: int, generator: np.random.Generator) -> WorldSpec:
     return WorldSpec("boxes anywhere", seed, SIDE, SIDE, boxes, middle, (SIDE - 2.0, SIDE - 2.0), 1.0, 1.5)
 
 
-def _analytic(eye: tuple[float, float], yaw: float, world: WorldSpec) -> Array:
-    return ray_distances(eye, ray_angles() + yaw, world.solids, paper.SENSOR_RANGE)
+def _analytic(sensor: Sensor, eye: tuple[float, float], yaw: float, world: WorldSpec) -> Array:
+    return ray_distances(eye, sensor.angles + yaw, world.solids, sensor.range)
 
 
 def _largest_error(bench: Bench) -> Measurement:
-    errors = []
+    errors, sensor = [], bench.vehicle.sensor
     with bench.open_engine() as engine:
         for seed in range(6):
             generator = rng(seed, Stream.LAYOUT)
             world = _cluttered(seed, generator)
             for x, y, yaw in generator.uniform((1.0, 1.0, -pi), (SIDE - 1.0, SIDE - 1.0, pi), (6, 3)).tolist():
-                eye = placed(Pose(x, y, yaw), *bench.vehicle.sensor[:2])
-                if _analytic(eye, yaw, world).min() < 0.05:
+                eye = placed(Pose(x, y, yaw), *sensor.position[:2])
+                if _analytic(sensor, eye, yaw, world).min() < 0.05:
                     continue  # an engine does not report a box that contains the origin of a ray
                 engine.place(world, Pose(x, y, yaw), 0.0)
                 read = engine.scan()
-                beside = [_analytic(eye, yaw + nudge, world) for nudge in (-GRAZING, 0.0, GRAZING)]
+                beside = [_analytic(sensor, eye, yaw + nudge, world) for nudge in (-GRAZING, 0.0, GRAZING)]
                 errors.append(float(np.max(np.min(np.abs(np.array(beside) - read), axis=0))))
     return at_most("error in 25 boxes, largest", "mm", 2.0, 1e3 * float(np.max(errors)))
 
@@ -57,14 +57,15 @@ def _largest_error(bench: Bench) -> Measurement:
 def _hits(engine: ContactEngine, world: WorldSpec) -> int:
     """Counts the rays that meet anything when the vehicle stands in the middle."""
     engine.place(world, MIDDLE, 0.0)
-    return int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
+    return int(np.sum(~(engine.scan() == engine.vehicle.sensor.range)))
 
 
 def _heights(bench: Bench) -> list[Measurement]:
     """Compares a box that ends just below the rays with one that ends just above them."""
-    x, y = placed(MIDDLE, *bench.vehicle.sensor[:2])
+    sensor = bench.vehicle.sensor
+    x, y = placed(MIDDLE, *sensor.position[:2])
     box = OrientedBox(x + 4.0, y, 1.0, 1.0)
-    seen = int(np.sum(_analytic((x, y), 0.0, open_ground(box)) < paper.SENSOR_RANGE))
+    seen = int(np.sum(sensor.met(_analytic(sensor, (x, y), 0.0, open_ground(box)))))
     height = bench.vehicle.sensor_height
     margin = min(0.02, height / 2)
     with bench.open_engine() as engine:
@@ -81,17 +82,17 @@ def _own_body(bench: Bench) -> Measurement:
     vehicle = bench.vehicle
     behind, axle = vehicle.footprint.x - vehicle.footprint.half_length - 0.3, 0.0
     hits = 0
-    for sensor in (
-        vehicle.sensor,
+    for position in (
+        vehicle.sensor.position,
         (0.0, vehicle.track / 6, axle),  # between the wheels
         (vehicle.wheelbase - 2 * vehicle.caster_radius, 0.0, vehicle.caster_radius - vehicle.wheel_radius),
         (behind, 0.0, axle),
         (behind, 0.0, 1e-3 - vehicle.wheel_radius),  # a millimetre above the ground
     ):
-        with bench.open_engine(replace(vehicle, sensor=sensor)) as engine:
+        with bench.open_engine(replace(vehicle, sensor=replace(vehicle.sensor, position=position))) as engine:
             hits += _hits(engine, open_ground())
             engine.advance(paper.TURNS[1])  # the vehicle leans in a turn
-            hits += int(np.sum(~(engine.scan() == paper.SENSOR_RANGE)))
+            hits += int(np.sum(~(engine.scan() == engine.vehicle.sensor.range)))
     return at_most("rays that meet the vehicle or the ground", "", 0, hits)
 
 

@@ -7,7 +7,6 @@ from math import hypot
 import numpy as np
 from scipy.optimize import brentq
 
-from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.fidelity.envelope import SETTLE_TIME
 from nnql_bullet.fidelity.probe import Bench, open_ground
@@ -140,7 +139,7 @@ def measure_stop(task: StopTask) -> Stop:
 def sight(vehicle: VehicleSpec) -> float:
     """Computes the range of the sensors ahead of the vehicle's front edge [m]."""
     front = vehicle.footprint.x + vehicle.footprint.half_length
-    return paper.SENSOR_RANGE - (front - vehicle.sensor[0])
+    return vehicle.sensor.range - (front - vehicle.sensor.position[0])
 
 
 def safe_speeds(vehicle: VehicleSpec, stops: Sequence[Stop]) -> list[SafeSpeed]:

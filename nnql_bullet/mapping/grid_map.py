@@ -13,7 +13,6 @@ from math import floor, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.jit import njit
 
@@ -78,7 +77,13 @@ def _from_target(toward: Array, distance: Array, bearing: Array) -> Array:
 
 @njit(nogil=True)
 def add_scans(
-    cells: Cells, corners: NDArray[np.int64], poses: Array, distances: Array, sensor: Array, angles: Array
+    cells: Cells,
+    corners: NDArray[np.int64],
+    poses: Array,
+    distances: Array,
+    sensor: Array,
+    angles: Array,
+    sensor_range: float,
 ) -> None:
     """Moves each map along with its vehicle, frees the cells that rays pass through and marks those that they hit.
 
@@ -89,6 +94,7 @@ def add_scans(
         distances: Ray distances (n, m) [m].
         sensor: Origin of the rays in the vehicle frame (2,) [m].
         angles: Angles of the rays in the vehicle frame (m,) [rad].
+        sensor_range: Distance of a ray that meets nothing [m].
     """
     for i in range(len(cells)):
         x, y, yaw = poses[i]
@@ -105,13 +111,13 @@ def add_scans(
                 if 0 <= a < SIZE and 0 <= b < SIZE and cells[i, a, b] > 0:
                     cells[i, a, b] -= 1
         for j in range(len(angles)):
-            if distances[i, j] < paper.SENSOR_RANGE:
+            if distances[i, j] < sensor_range:
                 here_x, here_y = _hit(x, y, yaw + angles[j], distances[i, j])
                 for k in range(_BESIDE + 1):
                     other = (j + k) % len(angles)
                     there_x, there_y = _hit(x, y, yaw + angles[other], distances[i, other])
                     apart = np.hypot(there_x - here_x, there_y - here_y)
-                    if distances[i, other] < paper.SENSOR_RANGE and apart < (NEIGHBOURS if k == 1 else PASSAGE):
+                    if distances[i, other] < sensor_range and apart < (NEIGHBOURS if k == 1 else PASSAGE):
                         _enter(cells[i], corners[i], here_x, here_y, there_x, there_y)
 
 

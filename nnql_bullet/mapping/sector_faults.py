@@ -11,7 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import place_among_rays
-from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR
+from nnql_bullet.sensing import RAYS
 
 ENOUGH = 3.0
 """Number of contradictions from which a sensor counts as dead, until it reads something."""
@@ -24,31 +24,35 @@ ALIKE = 2.0
 
 
 @njit()
-def silent_sectors(distances: Array) -> NDArray[np.bool_]:
-    """Marks the sectors (8,) in which no ray of a scan (72,) [m] meets anything."""
-    silent = np.empty(paper.SECTORS, np.bool_)
+def silent_sectors(distances: Array, sensor_range: float) -> NDArray[np.bool_]:
+    """Marks the sectors (8,) in which no ray of a scan (rays,) [m] is shorter than the range [m]."""
+    silent, in_sector = np.empty(paper.SECTORS, np.bool_), len(distances) // paper.SECTORS
     for sector in range(paper.SECTORS):
-        first = sector * RAYS_PER_SECTOR
-        silent[sector] = distances[first : first + RAYS_PER_SECTOR].min() >= paper.SENSOR_RANGE
+        first = sector * in_sector
+        silent[sector] = distances[first : first + in_sector].min() >= sensor_range
     return silent
 
 
 @njit()
-def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
+def contradictions(distances: Array, expected: Array, sensor: Array, sensor_range: float) -> Array:
     """Counts the contradictions against each sector (8,) that reads nothing; 0 for the others.
 
+    The points of every scan weigh the same together, however many rays it has.
+
     Args:
-        distances: Ray distances (72,) [m].
-        expected: Expected positions of the last scan's points in the vehicle frame (72, 2) [m]; NaN for none.
+        distances: Ray distances (rays,) [m].
+        expected: Expected positions of the last scan's points in the vehicle frame (rays, 2) [m]; NaN for none.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
+        sensor_range: Distance of a ray that meets nothing [m].
     """
-    silent, against = silent_sectors(distances), np.zeros(paper.SECTORS)
+    silent, against = silent_sectors(distances, sensor_range), np.zeros(paper.SECTORS)
+    rays, in_sector = len(distances), len(distances) // paper.SECTORS
     for x, y in expected:
         if np.hypot(x - sensor[0], y - sensor[1]) < NEAR:
-            place = place_among_rays(x, y, sensor)
-            sector, inside = int(place) // RAYS_PER_SECTOR % paper.SECTORS, place % RAYS_PER_SECTOR
-            if silent[sector] and 1.0 <= inside <= RAYS_PER_SECTOR - 2.0:
-                against[sector] += 1.0
+            place = place_among_rays(x, y, sensor, rays)
+            sector, inside = int(place) // in_sector % paper.SECTORS, place % in_sector
+            if silent[sector] and 1.0 <= inside <= in_sector - 2.0:
+                against[sector] += RAYS / rays
     for sector in range(paper.SECTORS):
         right, left = borders(distances, sector)
         if silent[sector]:
@@ -60,35 +64,40 @@ def contradictions(distances: Array, expected: Array, sensor: Array) -> Array:
 @njit()
 def borders(distances: Array, sector: int) -> tuple[float, float]:
     """Returns the distances of the rays next to a sector, on its right and on its left [m]."""
-    first = sector * RAYS_PER_SECTOR
-    return distances[(first - 1) % RAYS], distances[(first + RAYS_PER_SECTOR) % RAYS]
+    rays, in_sector = len(distances), len(distances) // paper.SECTORS
+    first = sector * in_sector
+    return distances[(first - 1) % rays], distances[(first + in_sector) % rays]
 
 
 @njit()
-def completed(distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array) -> tuple[Array, Array]:
+def completed(
+    distances: Array, dead: NDArray[np.bool_], expected: Array, sensor: Array, sensor_range: float
+) -> tuple[Array, Array]:
     """Completes a scan: a dead sector reads the smallest distance of the rays beside it and of remembered points in it.
 
     Args:
-        distances: Ray distances (72,) [m].
+        distances: Ray distances (rays,) [m].
         dead: Whether each sector is dead (8,).
-        expected: Expected positions of remembered points in the vehicle frame (72, 2) [m]; NaN for none.
+        expected: Expected positions of remembered points in the vehicle frame (rays, 2) [m]; NaN for none.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
+        sensor_range: Distance of a ray that meets nothing [m].
 
     Returns:
-        The distances (72,) [m], and the remembered point of each ray in a dead sector (72, 2) [m].
+        The distances (rays,) [m], and the remembered point of each ray in a dead sector (rays, 2) [m].
     """
-    whole, remembered = distances.copy(), np.full((RAYS, 2), np.nan)
+    rays, in_sector = len(distances), len(distances) // paper.SECTORS
+    whole, remembered = distances.copy(), np.full((rays, 2), np.nan)
     for sector in range(paper.SECTORS):
         if dead[sector]:
-            first = sector * RAYS_PER_SECTOR
+            first = sector * in_sector
             right, left = borders(distances, sector)
-            whole[first : first + RAYS_PER_SECTOR] = min(right, left)
-    nearest = np.full(RAYS, paper.SENSOR_RANGE)
+            whole[first : first + in_sector] = min(right, left)
+    nearest = np.full(rays, sensor_range)
     for x, y in expected:
         distance = np.hypot(x - sensor[0], y - sensor[1])
-        if distance < paper.SENSOR_RANGE:
-            ray = int(np.rint(place_among_rays(x, y, sensor))) % RAYS
-            if dead[ray // RAYS_PER_SECTOR] and distance < nearest[ray]:
+        if distance < sensor_range:
+            ray = int(np.rint(place_among_rays(x, y, sensor, rays))) % rays
+            if dead[ray // in_sector] and distance < nearest[ray]:
                 nearest[ray] = distance
                 remembered[ray, 0], remembered[ray, 1] = x, y
                 whole[ray] = min(whole[ray], distance)

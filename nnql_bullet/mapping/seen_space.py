@@ -45,15 +45,15 @@ class RecentScans:
         stands = np.hypot(moved[0], moved[1]) < APART and abs(moved[2]) < TURNED
         kept = slice(int(stands), SCANS - 1 + int(stands))
         return RecentScans(
-            np.concatenate([rays[None], self.rays[kept]]),
+            np.concatenate([rays[None], self.rays[kept]]) if len(self.rays) else rays[None],
             np.concatenate([np.zeros((1, 3)), poses[kept]]),
             np.concatenate([[0.0], self.strayed[kept] + strayed]),
         )
 
 
-def no_scans(rays: int) -> RecentScans:
-    """No scans of so many rays."""
-    return RecentScans(np.empty((0, rays)), np.empty((0, 3)), np.empty(0))
+def no_scans() -> RecentScans:
+    """The scans of a vehicle that has seen nothing."""
+    return RecentScans(np.empty((0, 0)), np.empty((0, 3)), np.empty(0))
 
 
 @njit()

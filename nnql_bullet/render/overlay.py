@@ -98,14 +98,14 @@ class Overlay:
         """Writes the reading of each sector at its rim, if the camera sees the ground there."""
         recording, font = self._recording, self._font(15)
         pose, readings = Pose(*recording.state_pose[moment.step].tolist()), recording.readings[moment.step]
-        x, y = placed(pose, *recording.about["vehicle"]["sensor"][:2])
+        x, y = placed(pose, *recording.sensor.position[:2])
         angles = pose.yaw + np.arange(paper.SECTORS) * paper.SECTOR_ANGLE
         reach = readings - 0.45
         across, along = x + reach * np.cos(angles), y + reach * np.sin(angles)
         pixels, _ = camera.project(np.column_stack([across, along, np.zeros(len(angles))]))
         for (u, v), reading in zip(pixels, readings, strict=True):
             inside = 0 <= u < camera.width and 0 <= v < camera.height
-            if inside and reading < RANGE_SHOWN and depths[int(v), left + int(u)] == 1.0:
+            if inside and reading < recording.sensor.range - LEAST_SHOWN and depths[int(v), left + int(u)] == 1.0:
                 draw.text((left + u, v), f"{reading:.1f} m", fill=INK, font=font, anchor="mm")
 
     def _title(self, draw: ImageDraw.ImageDraw) -> None:
@@ -208,8 +208,8 @@ def _turn(action: int) -> str:
     return f"{turn:+.0f}°" if turn else "0°"
 
 
-RANGE_SHOWN = paper.SENSOR_RANGE - 0.05
-"""Reading above which a sector sees nothing [m]."""
+LEAST_SHOWN = 0.05
+"""How much nearer than the sensor's range an obstacle is whose distance is written [m]."""
 
 
 def _simulator(about: dict[str, object]) -> str:

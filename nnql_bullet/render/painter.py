@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import colours, paper
+from nnql_bullet import colours
 from nnql_bullet.geometry import Array, Pose, as_rows, moved, placed
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.shading import (
@@ -43,9 +43,9 @@ INKS = Inks(
 )
 
 
-def tint(reading: Array) -> Array:
-    """Returns colours (..., 3) of sensor readings (...) [m], from red over yellow to green."""
-    share = np.clip(np.asarray(reading) / paper.SENSOR_RANGE, 0.0, 1.0)[..., None]
+def tint(reading: Array, sensor_range: float) -> Array:
+    """Returns colours (..., 3) of sensor readings (...) [m], from red over yellow to green at the range [m]."""
+    share = np.clip(np.asarray(reading) / sensor_range, 0.0, 1.0)[..., None]
     low, middle, high = (np.array(colours.rgb(colour)) for colour in (colours.NEAR, colours.MIDDLE, colours.FAR))
     rising, falling = low + 2 * share * (middle - low), middle + (2 * share - 1) * (high - middle)
     return np.asarray(np.where(share < 0.5, rising, falling))
@@ -88,7 +88,7 @@ class Painter:
             INKS,
             self._cells,
             np.column_stack([boxes, self._heights, reaches])[: 0 if self._renderer.lights else None],
-            np.column_stack([readings, tint(readings)]),
+            np.column_stack([readings, tint(readings, self._timeline.recording.sensor.range)]),
         )
         return _averaged(smooth_edges(picture, solids.depths), samples), solids.depths[::samples, ::samples]
 
@@ -112,7 +112,8 @@ class Painter:
             width=world.width,
             depth=world.depth,
             target=(*world.target, world.target_radius),
-            scan=(*placed(pose, *recording.about["vehicle"]["sensor"][:2]), pose.yaw),
+            scan=(*placed(pose, *recording.sensor.position[:2]), pose.yaw),
+            sensor_range=recording.sensor.range,
         )
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.render.camera import Camera
@@ -25,7 +24,6 @@ SOFTNESS = 0.12
 """Half width of a shadow's edge [m]."""
 BEND = 0.01
 """Largest second difference of depths within one surface, as a share of 1 - depth."""
-RANGE = paper.SENSOR_RANGE
 HALF_ROOT = 0.5**0.5
 
 
@@ -79,6 +77,8 @@ class Ground(NamedTuple):
     """x, y and radius of the target [m]."""
     scan: Vector
     """Pose of the sensor: x, y [m], yaw [rad]."""
+    sensor_range: float
+    """[m]"""
 
 
 def eye_of(camera: Camera) -> Eye:
@@ -376,7 +376,7 @@ def _floor(
     colour = _mix(inks.floor, (0.0, 0.0, 0.0), lines)
     dx, dy = x - ground.scan[0], y - ground.scan[1]
     squared = dx * dx + dy * dy
-    if squared < RANGE * RANGE:
+    if squared < ground.sensor_range * ground.sensor_range:
         colour = _sector(colour, dx, dy, np.sqrt(squared), soft, ground.scan[2] - np.pi / 8, sectors)
     dx, dy, radius = x - ground.target[0], y - ground.target[1], ground.target[2] + soft
     if dx * dx + dy * dy < radius * radius:

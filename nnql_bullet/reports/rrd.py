@@ -30,7 +30,6 @@ from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
-from nnql_bullet.sensing import ray_angles
 from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
@@ -123,8 +122,9 @@ def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
     axle = _axle_height(recording)
     stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose, axle))
     stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose, axle))
-    sensor = recording.about["vehicle"]["sensor"]
-    stream.log("world/vehicle/sensor", rr.Points3D([sensor], colors=_rgba(SAFE), radii=0.06), static=True)
+    stream.log(
+        "world/vehicle/sensor", rr.Points3D([recording.sensor.position], colors=_rgba(SAFE), radii=0.06), static=True
+    )
     if "urdf" in recording.about["vehicle"]:
         _log_looks(stream, recording)
     else:
@@ -175,20 +175,21 @@ def _axle_height(recording: Recording) -> float:
 
 def _log_sensors(stream: rr.RecordingStream, recording: Recording) -> None:
     """Logs rays and sectors at the states in the world; those that met something are orange."""
-    x, y, above = recording.about["vehicle"]["sensor"]
+    sensor = recording.sensor
+    x, y, above = sensor.position
     height = above + _axle_height(recording)
     yaw = recording.state_pose[:, 2]
     c, s = np.cos(yaw), np.sin(yaw)
     origins = recording.state_pose[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
-    ends = _from(origins, yaw[:, None] + ray_angles(), recording.ray_distances, height)
+    ends = _from(origins, yaw[:, None] + sensor.angles, recording.ray_distances, height)
     rays = np.stack([_from(origins, np.zeros_like(ends[..., 0]), np.zeros_like(ends[..., 0]), height), ends], axis=2)
-    _log_strips(stream, recording, "world/rays", rays, recording.ray_distances < paper.SENSOR_RANGE, 0.008)
+    _log_strips(stream, recording, "world/rays", rays, sensor.met(recording.ray_distances), 0.008)
     centres = np.arange(paper.SECTORS) * paper.SECTOR_ANGLE
     across = np.linspace(-0.5, 0.5, ARC_POINTS) * paper.SECTOR_ANGLE
     angles = (yaw[:, None, None] + centres[:, None] + across).reshape(len(yaw), -1)
     arcs = _from(origins, angles, np.repeat(recording.readings, ARC_POINTS, axis=1), height)
     edges = arcs.reshape(len(yaw), paper.SECTORS, ARC_POINTS, 3)
-    _log_strips(stream, recording, "world/sectors", edges, recording.readings < paper.SENSOR_RANGE, 0.04)
+    _log_strips(stream, recording, "world/sectors", edges, sensor.met(recording.readings), 0.04)
 
 
 def _from(origins: Array, angles: Array, distances: Array, height: float) -> Array:

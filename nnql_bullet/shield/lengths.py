@@ -12,7 +12,6 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox
-from nnql_bullet.sensing import RAYS
 from nnql_bullet.types import NonNegative, Positive, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import turning_deceleration
@@ -75,14 +74,13 @@ class Lengths:
         return length * self.scale
 
 
-def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions, rays: int = RAYS) -> Lengths:
+def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions) -> Lengths:
     """Works out the lengths of a shield.
 
     Args:
         options: Of the shield.
         vehicle: The vehicle with its load and grip.
         drive: How decisions reach the wheels.
-        rays: Number of rays.
 
     Raises:
         UserError: If obstacles of the least width could stand unseen right beside the vehicle.
@@ -92,18 +90,18 @@ def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions
     deceleration = min(vehicle.limits.acceleration, GRIP_SHARE * turning_deceleration(vehicle, drive.speed))
     stop = drive.speed * drive.decision_period + drive.speed * drive.speed / (2 * deceleration)
     tight = _or(options.tight_margin, TIGHT_MARGIN * scale)
-    least = missed_width(vehicle, tight, rays)
+    least = missed_width(vehicle, tight)
     if options.least_width is not None and options.least_width < least:
         raise UserError(
             f"shield: obstacles of {options.least_width:g} m may stand unseen right beside '{vehicle.name}' with "
-            f"{rays} rays; least_width must be at least {least:.3f} m, or the rays more"
+            f"{vehicle.sensor.rays} rays; least_width must be at least {least:.3f} m, or the rays more"
         )
     return Lengths(
         scale=scale,
         turning_radius=radius,
         deceleration=deceleration,
         stopping_distance=stop,
-        least_width=_or(options.least_width, missed_width(vehicle, tight + stop, rays)),
+        least_width=_or(options.least_width, missed_width(vehicle, tight + stop)),
         margin=_or(options.margin, MARGIN * scale),
         tight_margin=tight,
         look_ahead=max(_or(options.look_ahead, LOOK_AHEAD * scale), stop),
@@ -117,11 +115,11 @@ def turning_radius(footprint: OrientedBox) -> float:
     return float(np.hypot(*footprint.corners().T).max())
 
 
-def missed_width(vehicle: VehicleSpec, ahead: float, rays: int) -> float:
+def missed_width(vehicle: VehicleSpec, ahead: float) -> float:
     """The largest width that a disc between two rays can have so far ahead of the vehicle's corners [m]."""
-    box, (x, y, _) = vehicle.footprint, vehicle.sensor
+    box, (x, y, _) = vehicle.footprint, vehicle.sensor.position
     far = hypot(box.x + box.half_length + ahead - x, abs(box.y - y) + box.half_width)
-    sine = sin(pi / rays)
+    sine = sin(pi / vehicle.sensor.rays)
     return 2 * far * sine / (1 - sine)  # the disc's centre is farther by its radius
 
 

@@ -18,7 +18,7 @@ from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions, silent_sectors
 from nnql_bullet.mapping.seen_space import RecentScans, missed, no_scans
-from nnql_bullet.sensing import RAYS, RAYS_PER_SECTOR, ray_angles
+from nnql_bullet.sensing import Sensor
 from nnql_bullet.shield.lengths import Lengths
 from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
 
@@ -30,10 +30,10 @@ REMEMBERED = 20
 class LastScan:
     """One vehicle's scan at its last decision, and what it remembers. The defaults are those without a scan."""
 
-    points: Array = field(default_factory=lambda: np.full((RAYS, 2), np.nan))
-    """Points in the vehicle frame of then (72, 2) [m]; NaN for none."""
-    rays: Array = field(default_factory=lambda: np.full(RAYS, np.nan))
-    """Ray distances (72,) [m]."""
+    points: Array = field(default_factory=lambda: np.full((1, 2), np.nan))
+    """Points in the vehicle frame of then (rays, 2) [m]; NaN for none."""
+    rays: Array = field(default_factory=lambda: np.full(paper.SECTORS, np.nan))
+    """Ray distances (rays,) [m]; NaN where the sensor sees nothing."""
     target: TargetFix = field(default_factory=lambda: TargetFix(0.0, 0.0))
     """The target as seen then."""
     moved: Array = field(default_factory=lambda: np.zeros(3))
@@ -43,7 +43,7 @@ class LastScan:
     standing: Array = field(default_factory=lambda: np.empty((0, 3)))
     """Points that stand still: x, y in the vehicle frame of then [m], and the number of scans since they were seen
     (k, 3)."""
-    recent: RecentScans = field(default_factory=lambda: no_scans(RAYS))
+    recent: RecentScans = field(default_factory=no_scans)
     """That scan and those before."""
 
     @property
@@ -70,7 +70,7 @@ def perceived(
     o: Observation,
     last: Sequence[LastScan],
     standing: Sequence[bool],
-    sensor: tuple[float, float, float],
+    sensor: Sensor,
     lengths: Lengths,
     task: TaskOptions,
 ) -> Perception:
@@ -80,11 +80,11 @@ def perceived(
         o: What the sensors read.
         last: The scan of each vehicle at its last decision.
         standing: Whether each vehicle stands. The same scan again is then no further evidence against a sensor.
-        sensor: Where the rays start, in the vehicle frame [m].
+        sensor: That reads them.
         lengths: Of the shield.
         task: Says what sensors read of rays, and which states are safe.
     """
-    rays, origin = o.ray_distances.copy(), np.array(sensor[:2])
+    rays, origin = o.ray_distances.copy(), np.array(sensor.position[:2])
     scans, clouds, movers = [], [], []
     for i, before in enumerate(last):
         points = point_cloud(rays[i], sensor)
@@ -93,20 +93,24 @@ def perceived(
         strayed = float(np.hypot(*(moved - before.moved)[:2]))
         moving = moving_points(points, before.rays, moved, strayed, origin)
         expected = seen_from(moved, before.points)
-        evidence = before.evidence if standing[i] else before.evidence + contradictions(rays[i], expected, origin)
-        evidence = np.where(silent_sectors(rays[i]), evidence, 0.0)
+        evidence = (
+            before.evidence
+            if standing[i]
+            else before.evidence + contradictions(rays[i], expected, origin, sensor.range)
+        )
+        evidence = np.where(silent_sectors(rays[i], sensor.range), evidence, 0.0)
         scan = LastScan(points, rays[i], target, before.moved, evidence)
-        telling = rays[i]
+        telling = np.where(sensor.seen, rays[i], 0.0)
         if scan.dead.any():
-            telling = np.where(np.repeat(scan.dead, RAYS_PER_SECTOR), 0.0, telling)
-            rays[i], remembered = completed(rays[i], scan.dead, expected, origin)
+            telling = np.where(np.repeat(scan.dead, sensor.rays // paper.SECTORS), 0.0, telling)
+            rays[i], remembered = completed(rays[i], scan.dead, expected, origin, sensor.range)
             scan = replace(scan, points=np.where(np.isnan(remembered), points, remembered))
             points = point_cloud(rays[i], sensor)
-        kept = remembered_points(before.standing, moved, telling, origin, lengths)
+        kept = remembered_points(before.standing, moved, telling, sensor, lengths)
         stands = points[~moving & np.isfinite(points[:, 0])]
         stands = np.concatenate([np.c_[stands, np.zeros(len(stands))], kept])
         recent = before.recent.followed_by(telling, moved, strayed)
-        scans.append(replace(scan, standing=stands, recent=recent))
+        scans.append(replace(scan, rays=np.where(sensor.seen, rays[i], np.nan), standing=stands, recent=recent))
         clouds.append(np.concatenate([points, kept[:, :2]]))
         movers.append(moving)
     cloud = np.full((len(clouds), max(map(len, clouds)), 2), np.nan)
@@ -119,18 +123,18 @@ def perceived(
     return Perception(replace(o, ray_distances=rays, readings=readings, state_property=state), cloud, mover, scans)
 
 
-def remembered_points(standing: Array, moved: Array, rays: Array, sensor: Array, lengths: Lengths) -> Array:
+def remembered_points(standing: Array, moved: Array, rays: Array, sensor: Sensor, lengths: Lengths) -> Array:
     """The points to remember that a scan misses, see `LastScan.standing` (k, 3).
 
     Args:
         standing: Points at the last decision (m, 3).
         moved: The present pose in the vehicle frame of then (3,).
         rays: The scan (r,) [m]; 0 for a ray that tells nothing.
-        sensor: Origin of the rays in the vehicle frame: x, y [m].
+        sensor: That made it.
         lengths: Of the shield.
     """
     places = seen_from(moved, standing[:, :2])
-    slack, close = lengths.least_width / 4, lengths.margin / 2
-    kept = missed(places, rays, sensor, float(ray_angles()[0]), lengths.corridor, slack, close)
+    origin, slack, close = np.array(sensor.position[:2]), lengths.least_width / 4, lengths.margin / 2
+    kept = missed(places, rays, origin, float(sensor.angles[0]), lengths.corridor, slack, close)
     kept &= standing[:, 2] < REMEMBERED
     return np.concatenate([places, standing[:, 2:] + 1], axis=-1)[kept]

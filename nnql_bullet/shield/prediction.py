@@ -14,7 +14,6 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
-from nnql_bullet.sensing import ray_angles
 from nnql_bullet.shield.courses import clear_courses, drives_then_stops
 from nnql_bullet.shield.lengths import Lengths
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -63,7 +62,7 @@ class Predictor:
         """
         self.lengths, self._drive = lengths, drive
         self._footprint = as_rows((vehicle.footprint,))[0]
-        self._sensor, self._first_angle = np.array(vehicle.sensor[:2]), float(ray_angles()[0])
+        self._sensor, self._first_angle = np.array(vehicle.sensor.position[:2]), float(vehicle.sensor.angles[0])
         limits = vehicle.limits
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
         self._asked = limits

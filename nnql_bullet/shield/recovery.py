@@ -11,7 +11,7 @@ import numpy as np
 
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array, wrap_angle, wrap_angles
-from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT, ray_angles
+from nnql_bullet.sensing import FRONT_LEFT, FRONT_RIGHT, Sensor
 
 STUCK_AFTER = 12.0
 """Time without progress after which a vehicle is stuck [s]."""
@@ -30,7 +30,6 @@ CORRECTION = 0.5
 """Gain of that distance's correction: fraction of the largest turn per metre of deviation [1/m]."""
 AHEAD, BEHIND = radians(30.0), radians(170.0)
 """Bearings, on one side, between which the obstacle that is followed is looked for [rad]."""
-_BEARINGS = wrap_angles(ray_angles())
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +91,14 @@ class Recovery:
         """Whether the recovery, not the agent, leads the vehicle at a distance to the target [m]."""
         return self.side != 0 or (self.recoveries > 0 and distance > self.guided_until)
 
-    def heading(self, target_bearing: float, ray_distances: Array) -> float:
+    def heading(self, target_bearing: float, ray_distances: Array, sensor: Sensor) -> float:
         """Heading change [rad]: toward the target or, during a recovery, along the obstacle that is followed."""
         if not self.side:
             return target_bearing
-        beside = -self.side * _BEARINGS
+        bearings = wrap_angles(sensor.angles)
+        beside = -self.side * bearings
         distances = np.where((beside > -AHEAD) & (beside < BEHIND), ray_distances, inf)
         nearest = int(distances.argmin())
-        bearing = float(_BEARINGS[nearest]) if distances[nearest] < paper.SENSOR_RANGE else -self.side * pi / 2
+        bearing = float(bearings[nearest]) if sensor.met(distances[nearest]) else -self.side * pi / 2
         closing = min(max((float(distances[nearest]) - KEPT_DISTANCE) * CORRECTION, -1.0), 1.0) * max(paper.TURNS)
         return float(wrap_angle(bearing + self.side * (pi / 2 - closing)))

@@ -137,7 +137,7 @@ class Shield:
             distance = float(o.target_distance[i])
             recovery = memory.recovery.updated(distance, o.readings[i], memory.spin.side, self._drive.decision_period)
             if recovery.leads(distance):
-                heading = recovery.heading(float(o.target_bearing[i]), o.ray_distances[i])
+                heading = recovery.heading(float(o.target_bearing[i]), o.ray_distances[i], self._vehicle.sensor)
                 ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
             after.append(replace(memory, recovery=recovery))
         return tuple(after)

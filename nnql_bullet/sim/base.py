@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -88,11 +89,15 @@ class Simulator(Protocol):
     def drive(self) -> DriveOptions:
         """Options of their controllers."""
 
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of every vehicle."""
+
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
 
         Returns:
-            Their poses (k, 3) and ray distances (k, 72) [m], in the order of `worlds`.
+            Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.
         """
 
     def advance(
@@ -114,7 +119,7 @@ class Simulator(Protocol):
             traces: Lists that receive samples between the decisions, by vehicle.
 
         Returns:
-            The motion, and the ray distances (n, 72) [m] at its end.
+            The motion, and the ray distances (n, rays) [m] at its end.
 
         Raises:
             WorkerDied: If a process that holds some vehicles is gone.

@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
@@ -417,13 +416,13 @@ class BulletEngine(ContactEngine):
 
     def _cast(self, begins: Array, ends: Array) -> Array:
         hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
-        fractions = np.array(hit_fractions(hits))
+        fractions, furthest = np.array(hit_fractions(hits)), self.vehicle.sensor.range
         if len(self._circles):  # the engine finds cylinders by iteration, not exactly
             x, y = self._circles[:, 0] - begins[0, 0], self._circles[:, 1] - begins[0, 1]
             radii, directions = self._circles[:, 6], (ends - begins)[:, :2]
-            for i in np.flatnonzero(np.hypot(x, y) - radii < paper.SENSOR_RANGE):
+            for i in np.flatnonzero(np.hypot(x, y) - radii < furthest):
                 meet_circle(x[i], y[i], radii[i], directions, fractions)
-        return fractions * paper.SENSOR_RANGE
+        return fractions * furthest
 
     def _link_height(self, joint: int) -> float:
         return LinkState(*bullet.getLinkState(self.body, joint, physicsClientId=self.client)).position[2]

@@ -9,10 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
 from nnql_bullet.jit import njit
-from nnql_bullet.sensing import ray_angles
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
 from nnql_bullet.sim.physics import CONTACT_MARGIN, VehiclePhysics, rear_axle
 from nnql_bullet.vehicle.controller import (
@@ -88,8 +86,9 @@ class ContactEngine(VehiclePhysics):
         self.drive = drive
         self._steps_per_command = whole_steps(1 / COMMAND_RATE, time_step)
         self._command_times = command_times(drive)
-        angles = ray_angles()
-        self._rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1) * paper.SENSOR_RANGE
+        sensor = vehicle.sensor
+        self._rays = np.column_stack([sensor.directions, np.zeros(sensor.rays)]) * sensor.range
+        self._blind = np.flatnonzero(~sensor.seen)
         self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
         self._planned_yaw_rate, self._planned_speed = 0.0, drive.speed
         footprint = vehicle.footprint
@@ -111,7 +110,7 @@ class ContactEngine(VehiclePhysics):
         """See `VehiclePhysics.place`. The controller starts at the drive's speed, whatever the vehicle's speed is."""
         super().place(world, pose, speed, height, ground)
         self._planned_yaw_rate, self._planned_speed = 0.0, self.drive.speed
-        self._sensor = np.subtract(self.vehicle.sensor, self._com)
+        self._sensor = np.subtract(self.vehicle.sensor.position, self._com)
         at = self.pose()
         self._clearance = clearance_at(at.x, at.y, at.yaw, self._footprint, self._solids)
         fastest_patrol = max((patrol.speed for patrol in world.patrols), default=0.0)
@@ -195,10 +194,12 @@ class ContactEngine(VehiclePhysics):
         )
 
     def scan(self) -> Array:
-        """Distances of the 72 rays (72,) [m]. The sensor pitches and rolls with the chassis."""
+        """Distances of the rays (rays,) [m]. The sensor pitches and rolls with the chassis."""
         position, orientation = self._frame()
         _move_rays(position, orientation, self._sensor, self._rays, self._begins, self._ends)
-        return self._cast(self._begins, self._ends)
+        distances = self._cast(self._begins, self._ends)
+        distances[self._blind] = self.vehicle.sensor.range
+        return distances
 
     def _carry_out(self, speeds: list[list[float]], near: bool, look: Callable[[], None] | None) -> tuple[int, bool]:
         """Carries out wheel commands, up to the first contact.

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim.base import Motion, Traces, driving, no_motion
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -58,10 +57,11 @@ class ContactSimulator:
         self.engines = engines
         self.size = len(engines)
         self.vehicle, self.drive = engines[0].vehicle, engines[0].drive
+        self.sensor = engines[0].vehicle.sensor
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), RAYS))
+        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.sensor.rays))
         for row, (i, world) in enumerate(worlds.items()):
             engine = self.engines[i]
             engine.reset(world)
@@ -78,7 +78,7 @@ class ContactSimulator:
         traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         """See `Simulator.advance`."""
-        motion, ray_distances, traces = no_motion(self.size), np.zeros((self.size, RAYS)), traces or {}
+        motion, ray_distances, traces = no_motion(self.size), np.zeros((self.size, self.sensor.rays)), traces or {}
         for i in driving(active, self.size):
             engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
             m = engine.advance(float(heading_changes[i]), traces.get(i), scale)

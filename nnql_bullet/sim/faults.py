@@ -11,7 +11,6 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.sensing import RAYS_PER_SECTOR
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.types import NonNegative
 from nnql_bullet.worlds.spec import WorldSpec
@@ -32,16 +31,17 @@ class SensorFaults:
         return self.noise > 0 or self.dead_sector is not None
 
 
-def degraded(distances: Array, faults: SensorFaults, generator: np.random.Generator) -> Array:
-    """Applies faults to ray distances (72,) [m]."""
+def degraded(
+    distances: Array, faults: SensorFaults, generator: np.random.Generator, sensor_range: float = paper.SENSOR_RANGE
+) -> Array:
+    """Applies faults to ray distances (rays,) [m]; one that meets nothing is `sensor_range` [m]."""
     seen = distances
     if faults.noise > 0:
-        noisy = np.clip(distances + generator.normal(0.0, faults.noise, len(distances)), 0.0, paper.SENSOR_RANGE)
-        seen = np.where(distances < paper.SENSOR_RANGE, noisy, distances)
+        noisy = np.clip(distances + generator.normal(0.0, faults.noise, len(distances)), 0.0, sensor_range)
+        seen = np.where(distances < sensor_range, noisy, distances)
     if faults.dead_sector is not None:
-        first = faults.dead_sector * RAYS_PER_SECTOR
         seen = seen.copy()
-        seen[first : first + RAYS_PER_SECTOR] = paper.SENSOR_RANGE
+        seen.reshape(paper.SECTORS, -1)[faults.dead_sector] = sensor_range
     return seen
 
 
@@ -50,6 +50,7 @@ class FaultySimulator:
 
     def __init__(self, simulator: Simulator, faults: SensorFaults) -> None:
         self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
+        self.sensor = simulator.sensor
         self._simulator = simulator
         self._faults = faults
         self._noise: dict[int, np.random.Generator] = {}
@@ -59,7 +60,7 @@ class FaultySimulator:
         poses, ray_distances = self._simulator.reset(worlds)
         for row, (i, world) in enumerate(worlds.items()):
             self._noise[i] = rng(world.seed, Stream.SENSOR_NOISE)
-            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i])
+            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i], self.sensor.range)
         return poses, ray_distances
 
     def advance(
@@ -72,7 +73,7 @@ class FaultySimulator:
         """See `Simulator.advance`."""
         motion, ray_distances = self._simulator.advance(heading_changes, active, speed_scales, traces)
         for i in driving(active, self.size):
-            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i])
+            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.sensor.range)
         return motion, ray_distances
 
     def close(self) -> None:

@@ -14,11 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, meet_circle, squared_distance, wrap_angle
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
-from nnql_bullet.sensing import RAYS, ray_angles
 from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, command_times
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
@@ -53,7 +51,11 @@ class _Constants(NamedTuple):
     sensor: Array
     """Position of the sensor in the vehicle frame: x, y (2,) [m]."""
     directions: Array
-    """Directions of the rays in the vehicle frame (72, 2)."""
+    """Directions of the rays in the vehicle frame (rays, 2)."""
+    blind: NDArray[np.int64]
+    """Rays that see nothing (k,)."""
+    sensor_range: float
+    """Length of a ray that meets nothing [m]."""
 
 
 class _State(NamedTuple):
@@ -100,7 +102,7 @@ class _Period(NamedTuple):
     event: NDArray[np.int64]
     """The event that ended the period (n,)."""
     ray_distances: Array
-    """Ray distances at the end (n, 72) [m]."""
+    """Ray distances at the end (n, rays) [m]."""
 
 
 class KinematicSimulator:
@@ -121,7 +123,8 @@ class KinematicSimulator:
         self.vehicle = vehicle
         self.drive = drive
         self.size = size
-        times, footprint, angles = command_times(drive), vehicle.footprint, ray_angles()
+        self.sensor = vehicle.sensor
+        times, footprint, sensor = command_times(drive), vehicle.footprint, vehicle.sensor
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         self._constants = _Constants(
             speed=drive.speed,
@@ -131,11 +134,13 @@ class KinematicSimulator:
             acceleration=vehicle.limits.acceleration,
             footprint=as_rows((footprint,))[0],
             farthest=farthest,
-            sensor=np.array(vehicle.sensor[:2]),
-            directions=np.stack([np.cos(angles), np.sin(angles)], axis=1),
+            sensor=np.array(sensor.position[:2]),
+            directions=sensor.directions,
+            blind=np.flatnonzero(~sensor.seen),
+            sensor_range=sensor.range,
         )
         self._state = _empty_state(size)
-        self._period = _empty_period(size, len(times) - 1)
+        self._period = _empty_period(size, len(times) - 1, sensor.rays)
         self._time, self._joint_angles = np.zeros(size), np.zeros((size, 4))
         self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
         self._threads = threads or allowed_cores()
@@ -249,7 +254,7 @@ def _empty_state(size: int) -> _State:
     )
 
 
-def _empty_period(size: int, commands: int) -> _Period:
+def _empty_period(size: int, commands: int, rays: int) -> _Period:
     return _Period(
         rates=np.zeros((size, commands + 1)),
         headings=np.zeros((size, commands + 1)),
@@ -261,7 +266,7 @@ def _empty_period(size: int, commands: int) -> _Period:
         clearance=np.zeros(size),
         heading_error=np.zeros(size),
         event=np.zeros(size, np.int64),
-        ray_distances=np.zeros((size, RAYS)),
+        ray_distances=np.zeros((size, rays)),
     )
 
 
@@ -269,10 +274,10 @@ def _empty_period(size: int, commands: int) -> _Period:
 def _compile() -> None:
     """Compiles the kernels, or loads them from disk, by a call without vehicles."""
     none, some = np.zeros(0, np.int64), np.zeros(1)
-    constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((RAYS, 2)))
+    constants = _Constants(0.0, some, 1.0, 1.0, 1.0, np.zeros(6), 1.0, np.zeros(2), np.zeros((0, 2)), none, 1.0)
     with announced():
-        _advance(none, some[:0], some[:0], constants, _empty_state(0), _empty_period(0, 0))
-        _scan(none, constants, _empty_state(0), _empty_period(0, 0))
+        _advance(none, some[:0], some[:0], constants, _empty_state(0), _empty_period(0, 0, 0))
+        _scan(none, constants, _empty_state(0), _empty_period(0, 0, 0))
 
 
 @njit(nogil=True)
@@ -444,7 +449,9 @@ def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> 
     c, s = np.cos(yaw), np.sin(yaw)
     solids = state.solids[i, : state.counts[i, 0]]
     x, y = x + c * ahead - s * left, y + s * ahead + c * left
-    cast_rays(x, y, yaw, constants.directions, solids, paper.SENSOR_RANGE, period.ray_distances[i])
+    cast_rays(x, y, yaw, constants.directions, solids, constants.sensor_range, period.ray_distances[i])
+    for ray in constants.blind:
+        period.ray_distances[i, ray] = constants.sensor_range
 
 
 @njit()

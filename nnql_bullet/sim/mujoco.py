@@ -20,7 +20,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, Pose, Shape
@@ -276,7 +275,7 @@ class MujocoEngine(ContactEngine):
     def _cast(self, begins: Array, ends: Array) -> Array:
         if len(self._tracks):
             mujoco.mj_kinematics(self._model, self._data)  # a step leaves the patrols of its beginning
-        count, furthest = len(begins), paper.SENSOR_RANGE
+        count, furthest = len(begins), self.vehicle.sensor.range
         directions = (ends - begins).ravel() / furthest
         distances, hits = np.empty(count), np.empty(count, np.int32)
         mujoco.mj_multiRay(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
+from nnql_bullet.sensing import Sensor
 from nnql_bullet.types import NonNegative, Positive
 
 
@@ -42,14 +43,6 @@ class ContactCoefficients:
     """Lever arm of the drive wheels' resistance to turning on the spot [m]."""
 
 
-@options
-class SensorMount:
-    """Origin of the rays."""
-
-    position: tuple[float, float, float]
-    """x, y, z in the chassis frame [m]."""
-
-
 @dataclass(frozen=True, slots=True)
 class Payload:
     """A load fixed to the vehicle: a solid cube."""
@@ -80,8 +73,7 @@ class VehicleSpec:
     """Names of the links that the joints move, by the fields of `joints`."""
     limits: Limits
     contact: ContactCoefficients
-    sensor: tuple[float, float, float]
-    """Origin of the rays [m]."""
+    sensor: Sensor
     footprint: OrientedBox
     """The collision box of the chassis, seen from above."""
     mass: float
@@ -128,7 +120,7 @@ class VehicleSpec:
     @property
     def sensor_height(self) -> float:
         """Height of the rays above the ground [m]."""
-        return self.sensor[2] + self.wheel_radius
+        return self.sensor.position[2] + self.wheel_radius
 
     @property
     def rolling_mass(self) -> float:

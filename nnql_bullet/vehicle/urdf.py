@@ -11,8 +11,9 @@ from nnql_bullet.config import options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.description import LARGEST, Description, Link, Solid, Unfit, describe, read
-from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, SensorMount, VehicleSpec
+from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, VehicleSpec
 
 NEAR = 1e-3
 """Tolerance of positions [m] and directions [rad]: URDFs round them, for example a quarter turn to 1.57."""
@@ -32,7 +33,7 @@ class RobotFile:
     joints: JointNames
     limits: Limits
     contact: ContactCoefficients
-    sensor: SensorMount
+    sensor: Sensor
 
 
 def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
@@ -94,7 +95,7 @@ def _spec(name: str, path: Path, robot: RobotFile, urdf: Description) -> Vehicle
         links=links,
         limits=robot.limits,
         contact=robot.contact,
-        sensor=robot.sensor.position,
+        sensor=robot.sensor,
         footprint=_footprint(box),
         mass=mass,
         com_ahead=float(com[0]),

@@ -145,8 +145,8 @@ def swapped(vehicle: VehicleSpec) -> VehicleSpec:
 
 def sensor_moved(x: float, y: float, z: float) -> Callable[[VehicleSpec], VehicleSpec]:
     def change(vehicle: VehicleSpec) -> VehicleSpec:
-        ahead, left, up = vehicle.sensor
-        return replace(vehicle, sensor=(ahead + x, left + y, up + z))
+        ahead, left, up = vehicle.sensor.position
+        return replace(vehicle, sensor=replace(vehicle.sensor, position=(ahead + x, left + y, up + z)))
 
     return change
 

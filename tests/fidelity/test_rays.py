@@ -35,7 +35,7 @@ def random_boxes(generator: np.random.Generator) -> tuple[OrientedBox, ...]:
 
 
 def origin_of(pose: Pose, vehicle: VehicleSpec) -> tuple[float, float]:
-    ahead, left, _ = vehicle.sensor
+    ahead, left, _ = vehicle.sensor.position
     return pose.x + cos(pose.yaw) * ahead - sin(pose.yaw) * left, pose.y + sin(pose.yaw) * ahead + cos(pose.yaw) * left
 
 

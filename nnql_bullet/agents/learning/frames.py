@@ -11,7 +11,7 @@ from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, m
 from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
-from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sensing import nearest_rays
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
@@ -79,7 +79,8 @@ class FrameMaker:
     """Makes frames of what vehicles see.
 
     A frame holds, each number as a byte from -1 to 1: nearness of the nearest of every few rays, what `grid_map` says
-    of the way, bearing and distance of the target, the yaw rate, and the action before.
+    of the way, bearing and distance of the target, the yaw rate, and the action before. Of another number of rays
+    than 72 it takes those nearest to these 72, so that a network sees the same through every sensor.
     """
 
     def __init__(self, rays: int, frames: int, with_map: bool, vehicle: VehicleSpec, drive: DriveOptions) -> None:
@@ -93,10 +94,11 @@ class FrameMaker:
             drive: Likewise speed and time between decisions.
         """
         self.rays, self.frames, self.with_map = rays, frames, with_map
-        self._limits, self._sensor = vehicle.limits, np.array(vehicle.sensor[:2])
+        self._limits, self._sensor = vehicle.limits, vehicle.sensor
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         self._speed = drive.speed
-        self._angles = ray_angles()
+        self._taken = nearest_rays(vehicle.sensor.rays)
+        self._angles, self._origin = vehicle.sensor.angles[self._taken], np.array(vehicle.sensor.position[:2])
         reaches = np.repeat(np.arange(len(grid_map.REACHES) if with_map else 0), grid_map.BEARINGS)
         around = mirrored_directions(grid_map.BEARINGS)[np.arange(len(reaches)) % grid_map.BEARINGS]
         parts = [
@@ -129,6 +131,7 @@ class FrameMaker:
     def look(self, memory: Memory, observations: Observation) -> Look:
         """Enters the observations of n vehicles into a copy of their memory."""
         o, new = observations, memory.age == 0
+        rays = o.ray_distances[:, self._taken]
         first = grid_map.first_poses(o.target_distance, o.target_bearing)
         later = grid_map.tracked(memory.poses, memory.steps, o.target_distance, o.target_bearing)
         poses = np.where(new[:, None], first, later)
@@ -136,12 +139,12 @@ class FrameMaker:
         corners, cells = memory.corners.copy(), memory.cells.copy()
         if self.with_map:
             cells[new] = 0
-            grid_map.add_scans(cells, corners, poses, o.ray_distances, self._sensor, self._angles)
+            grid_map.add_scans(cells, corners, poses, rays, self._origin, self._angles, self._sensor.range)
             around, ways, progress = grid_map.sensed(cells, corners, poses, before)
         else:
             around, ways = np.zeros((len(new), 0)), o.target_distance
             progress = np.hypot(*before.T) - o.target_distance
-        frame = self._frame(o, around, ways - o.target_distance, np.where(new, -1, memory.actions))
+        frame = self._frame(o, rays, around, ways - o.target_distance, np.where(new, -1, memory.actions))
         earlier = np.where(new[:, None, None], frame[:, None], memory.frames)
         frames = np.concatenate([frame[:, None], earlier[:, : self.frames - 1]], axis=1)
         seen = replace(memory, poses=poses, corners=corners, cells=cells, frames=frames)
@@ -164,9 +167,10 @@ class FrameMaker:
         seen = stacked.reshape(len(stacked), self.frames, self.width)[:, :, self._mirrored]
         return np.where(self._odd, 255 - seen, seen).reshape(stacked.shape)
 
-    def _frame(self, o: Observation, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
-        """Frames (n, width); an action of -1 is none."""
-        nearest = o.ray_distances.reshape(len(actions), self.rays, -1).min(axis=-1)
+    def _frame(self, o: Observation, rays: Array, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
+        """Frames (n, width) of 72 rays (n, 72) [m]; an action of -1 is none."""
+        far = np.where(self._sensor.met(rays), rays, paper.SENSOR_RANGE)
+        nearest = far.reshape(len(actions), self.rays, -1).min(axis=-1)
         reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)
         state = [
             np.cos(o.target_bearing),

@@ -120,6 +120,7 @@ class Fuzzy(Rule):
     def _memberships(self, readings: Array, target_bearing: Array) -> dict[str, dict[str, Array]]:
         """How true each term of each of `VARIABLES` is, each (n,)."""
         o, fuzz = self.options, self._fuzz
+        readings = np.minimum(readings, paper.SENSOR_RANGE)  # beyond it no term holds
         left, right = readings[:, FRONT_LEFT], readings[:, FRONT_RIGHT]
         more, bearing = left - right, np.degrees(target_bearing)
         near = fuzz.trapmf(readings[:, FRONT], [0.0, 0.0, o.front_near, o.front_far])

@@ -36,7 +36,7 @@ class LookAheadOptions:
 class LookAhead(Rule):
     """Among the actions that stay clear of the last scan the one nearest to the target's direction.
 
-    It sees the 72 rays, the yaw rate and the target's bearing, knows the drive's own profile and the footprint, and
+    It sees the rays, the yaw rate and the target's bearing, knows the drive's own profile and the footprint, and
     remembers nothing. If no action keeps the margin, it takes the one that stays free of contact longest; of several
     that do, the one with the most room.
     """

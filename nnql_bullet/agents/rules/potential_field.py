@@ -17,7 +17,7 @@ from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array, OrientedBox, wrap_angles
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.rollout import Actions
-from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.types import Positive
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -32,7 +32,7 @@ class PotentialFieldOptions:
 
     kind: Literal["potential_field"] = "potential_field"
     gain: Positive = 100.0
-    """eta, the strength of the repulsion [m3]."""
+    """eta, the strength of the repulsion by each of 72 rays [m3]; of more rays each repels less."""
     influence: Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)] = paper.SENSOR_RANGE
     """rho_0, the distance from which on an obstacle has no effect [m]."""
     view_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
@@ -46,22 +46,23 @@ class PotentialFieldOptions:
 class PotentialField(Rule):
     """The direction of the force is the wanted direction; the action nearest to it is taken.
 
-    It sees the 72 rays and the target's bearing, and remembers nothing. Every point where a ray
+    It sees the rays and the target's bearing, and remembers nothing. Every point where a ray
     ends repels.
     """
 
     def __init__(self, options: PotentialFieldOptions, vehicle: VehicleSpec) -> None:
         self.options = options
         self._vehicle = vehicle
-        self._in_view = np.abs(wrap_angles(ray_angles())) < radians(options.view_degrees) + 1e-9
+        self._gain = options.gain * (RAYS / vehicle.sensor.rays)
+        self._in_view = np.abs(wrap_angles(vehicle.sensor.angles)) < radians(options.view_degrees) + 1e-9
 
     def decide(self, observations: Observation) -> Actions:
         """Where the force points."""
-        o, bearing = self.options, observations.target_bearing
+        bearing = observations.target_bearing
         points = point_cloud(observations.ray_distances, self._vehicle.sensor)[:, self._in_view]
         # The attraction is as strong everywhere, as Khatib's is wherever the speed is limited.
         force = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-        force += repulsion(points, self._vehicle.footprint, o.gain, o.influence)
+        force += repulsion(points, self._vehicle.footprint, self._gain, self.options.influence)
         return nearest_actions(np.arctan2(force[:, 1], force[:, 0]), bearing)
 
 

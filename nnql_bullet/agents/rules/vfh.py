@@ -22,7 +22,7 @@ from nnql_bullet.geometry import Array, OrientedBox, wrap_angle, wrap_angles
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import seen_distances
 from nnql_bullet.rollout import Actions
-from nnql_bullet.sensing import ray_angles
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.types import NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import turn_headings
@@ -46,7 +46,7 @@ class VfhOptions:
     """d_s, clearance of the circle that holds the footprint [m]."""
     low_threshold: NonNegative = 2.0
     """tau_low, obstacle density below which a direction becomes free. A point at the window's edge counts 1, one at the
-    distance d [m] 1 + window^2 - d^2."""
+    distance d [m] 1 + window^2 - d^2, where there are 72 rays; of more rays each counts less."""
     high_threshold: NonNegative = 5.0
     """tau_high, obstacle density above which a direction becomes blocked; in between it stays as it was."""
     wide_degrees: Annotated[float, Field(gt=0, le=180)] = 40.0
@@ -101,7 +101,7 @@ class VfhState:
 class Vfh(NoValues):
     """Finds the direction of least cost among the openings, and takes the action nearest to it.
 
-    It sees the 72 rays, the yaw rate and the target's bearing, and knows the circle around the sensor that holds the
+    It sees the rays, the yaw rate and the target's bearing, and knows the circle around the sensor that holds the
     footprint, and the tightest turn. It remembers of a drive the direction that it chose last, which directions were
     blocked, and how far it has turned, reckoned by the drive's own profile.
 
@@ -114,9 +114,10 @@ class Vfh(NoValues):
         self._limits = vehicle.limits
         self._period = np.array([drive.decision_period])
         self._turning_radius = drive.speed / vehicle.limits.yaw_rate
-        self._sensor = vehicle.sensor[:2]
-        self._radius = _radius_about(self._sensor, vehicle.footprint) + options.safety_distance
-        self._bearings = wrap_angles(ray_angles())
+        self._sensor = vehicle.sensor
+        self._centre = vehicle.sensor.position[:2]
+        self._radius = _radius_about(self._centre, vehicle.footprint) + options.safety_distance
+        self._bearings = wrap_angles(vehicle.sensor.angles)
         self._weights = np.array([options.target_weight, options.heading_weight, options.previous_weight])
 
     def initial_state(self, size: int) -> VfhState:
@@ -136,10 +137,11 @@ class Vfh(NoValues):
     def act(self, observations: Observation, state: VfhState) -> tuple[Actions, VfhState]:
         """Chooses the action nearest to the opening of least cost."""
         o, bearing, headings = self.options, observations.target_bearing, state.headings
-        distances = seen_distances(observations.ray_distances)
+        distances = seen_distances(observations.ray_distances, self._sensor)
         density = primary_histograms(distances, headings[:, None] + self._bearings, o.window, self._radius)
+        density *= RAYS / self._sensor.rays
         blocked = binary_histograms(density, state.blocked, o.low_threshold, o.high_threshold)
-        limits = turning_limits(distances, self._bearings, o.window, self._radius, self._sensor, self._turning_radius)
+        limits = turning_limits(distances, self._bearings, o.window, self._radius, self._centre, self._turning_radius)
         masked = masked_histograms(blocked, headings, limits)
         chosen: Array = _chosen_directions(
             masked, density, headings, headings + bearing, state.chosen, radians(o.wide_degrees), self._weights
