@@ -70,7 +70,8 @@ def fallback(
     if not possible or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            action = predictor.first_safe(situation, scans, ranks, clear)
+            order = [action for action in np.argsort(-ranks, kind="stable").tolist() if clear[action]]
+            action = predictor.first_safe(situation, scans, order)
             if action >= 0:
                 return action, spin
     if not possible:

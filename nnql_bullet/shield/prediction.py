@@ -4,6 +4,7 @@ What recent scans saw has to stay clear of the course. Where they saw nothing at
 stand: the vehicle has to be able to stop before it comes near such a place.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import sqrt
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.env import SLOW, speed_scale
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
@@ -128,21 +130,21 @@ class Predictor:
             for limits in courses
         )
 
-    def first_safe(
-        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_]
-    ) -> int:
-        """The best of one vehicle's clear actions that keeps to where nothing can stand unseen; -1 if there is none.
+    def first_safe(self, situation: Situation, scans: RecentScans, order: Sequence[int]) -> int:
+        """The first of some actions at which one vehicle keeps to where nothing can stand unseen; -1 if there is none.
+
+        It carries them out slowly where that is safe and full speed is not.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
-            ranks: How good each action is held to be (6,).
-            clear: Whether each action stays clear of what was seen (6,).
+            order: The actions.
         """
-        for action in np.argsort(-ranks, kind="stable"):
+        for action in order:
             turn = float(situation.turns[0, action])
-            if clear[action] and self.stays_in_seen_space(situation, scans, turn, self._drive.speed):
-                return int(action)
+            for slowly in (0, SLOW):
+                if self.stays_in_seen_space(situation, scans, turn, float(speed_scale(slowly)) * self._drive.speed):
+                    return action + slowly
         return -1
 
     def drive_clearances(self, situation: Situation) -> Array:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import STOP, Observation, heading_change
+from nnql_bullet.env import Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.rollout import Actions, Policy, PolicyState
@@ -112,7 +112,8 @@ class Shield:
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
-            chosen[i], spin = self._predictor.first_safe(alone, recent, ranks[i], clear[i]), memory.spin
+            order = [action for action in np.argsort(-ranks[i], kind="stable").tolist() if clear[i, action]]
+            chosen[i], spin = self._predictor.first_safe(alone, recent, order), memory.spin
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
@@ -152,7 +153,7 @@ class Shield:
     ) -> tuple[Memory, ...]:
         """The memories after the decisions, with the pose that each vehicle should have then."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
-        goals = np.where(chosen < STOP, self._drive.speed, 0.0)
+        goals = speed_scale(chosen) * self._drive.speed
         distances = ramp_distances(o.speed, goals, limits.acceleration, times)
         turns = heading_change(chosen, o.target_bearing)
         moved = predicted_poses(o.yaw_rate, turns[:, None], distances, limits, times)[:, 0, -1]
