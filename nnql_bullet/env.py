@@ -35,11 +35,9 @@ ACTIONS = len(paper.TURNS) + 1
 STOP = ACTIONS
 """Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands. Agents choose
 among the actions alone; a shield may add this."""
-SLOW = 3 * ACTIONS
-"""Added to an action: the same turn, while the vehicle drives ahead as slowly as in reverse."""
-MANOEUVRES = 4 * ACTIONS
+MANOEUVRES = ACTIONS + STOP
 LARGEST_TURN = max(paper.TURNS)
-_TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
+_TURNS = np.tile([*paper.TURNS, np.nan], 2)
 
 
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
@@ -50,7 +48,7 @@ def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_beari
 
 def speed_scale(action: int | NDArray[np.int64]) -> Array:
     """Speeds (...) of actions (...), as shares of the drive's."""
-    return np.array([1.0, 0.0, -0.25, 0.25])[np.floor_divide(action, ACTIONS)]
+    return np.where(np.less(action, STOP), 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

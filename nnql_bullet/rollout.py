@@ -174,7 +174,7 @@ class Tally:
         t, m, on = transition, transition.motion, transition.active
         if overridden is not None:
             self._overridden += on & overridden
-        self._stops += on & (t.a_tm1 >= STOP) & (t.a_tm1 < 2 * STOP)
+        self._stops += on & (t.a_tm1 >= STOP)
         self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
