@@ -60,7 +60,7 @@ class Recording:
     q_values: Array
     """Of the five turns (n, 5); NaN where the agent did not ask itself."""
     action: NDArray[np.int64]
-    """(n,), `env.STOP` and more where the vehicle was to stop."""
+    """Numbers of manoeuvres (n,): see `env.MANOEUVRES`."""
     overridden: NDArray[np.bool_]
     """Where a shield took the decision in the agent's place (n,)."""
     heading_command: Array

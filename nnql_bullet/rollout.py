@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import STOP, Navigation, Observation, Transition
+from nnql_bullet.env import REVERSE, STOP, Navigation, Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
@@ -16,7 +16,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 PolicyState: TypeAlias = Any
 """What a policy remembers of n vehicles; None if it has no memory. Only the policy itself looks inside."""
 Actions: TypeAlias = NDArray[np.int64]
-"""An action of each vehicle (n,): one of `paper.TURNS`, `env.TOWARD_TARGET` or, from a shield, a manoeuvre of `env`."""
+"""A manoeuvre of each vehicle (n,): a number below `env.MANOEUVRES`."""
 
 
 @runtime_checkable
@@ -174,7 +174,7 @@ class Tally:
         t, m, on = transition, transition.motion, transition.active
         if overridden is not None:
             self._overridden += on & overridden
-        self._stops += on & (t.a_tm1 >= STOP)
+        self._stops += on & (t.a_tm1 >= STOP) & (t.a_tm1 < REVERSE)
         self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on

@@ -17,7 +17,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
-from nnql_bullet.types import Number, Steps
+from nnql_bullet.types import LARGEST, Number, Steps
 
 Properties = int | NDArray[np.int64]
 Booleans = bool | NDArray[np.bool_]
@@ -55,6 +55,10 @@ class TaskOptions:
     """Reward of a step from a non-safe to a safe state. The number is illegible in the paper."""
     max_steps: Steps = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
+    stuck_after: Annotated[float, Field(ge=0, le=LARGEST)] = 30.0
+    """Time after which an episode ends as stuck if the vehicle stays about one place [s]; 0 for never."""
+    stuck_radius: Annotated[float, Field(gt=0, le=1000)] = 0.5
+    """Distance from there up to which a vehicle stays about a place, as a multiple of its length."""
 
     # Other readings of the paper's text, for ablations.
 
@@ -231,9 +235,12 @@ def _got_closer(s_tm1: State, s_t: State, task: TaskOptions) -> NDArray[np.bool_
 
 # The end of an episode (IV.A)
 
-ENDINGS = ("goal", "collision", "timeout")
+ENDINGS = ("goal", "collision", "timeout", "stuck")
 """How an episode may end."""
-GOAL, COLLISION, TIMEOUT = range(3)
+GOAL, COLLISION, TIMEOUT, STUCK = range(4)
+TRUNCATIONS = ("timeout", "stuck")
+"""Endings that are no part of the task: the world would go on, and so would the discounted return. A vehicle that is
+stuck has not failed by the paper's rewards (II.C); it only wastes what is left of the time limit."""
 NO_ENDING = -1
 """Stands for an index into `ENDINGS` while an episode goes on."""
 
@@ -243,8 +250,19 @@ def is_terminal(state_property: Properties) -> NDArray[np.bool_]:
     return np.greater_equal(state_property, WINNING)
 
 
-def ending(state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions) -> NDArray[np.int64]:
-    """How episodes ended that came to such states after so many steps: indices into `ENDINGS` or `NO_ENDING` (...)."""
-    timeout = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
-    collision = np.where(np.equal(state_property, FAILURE), COLLISION, timeout)
-    return np.where(np.equal(state_property, WINNING), GOAL, collision)
+def ending(
+    state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions, staying: float | Array = 0.0
+) -> NDArray[np.int64]:
+    """How episodes ended: indices into `ENDINGS` or `NO_ENDING` (...).
+
+    Args:
+        state_property: `StateProperty` of the states that they came to (...).
+        steps: Number of steps so far (...).
+        task: The limits.
+        staying: Time for which the vehicles have stayed about one place (...) [s].
+    """
+    ends = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
+    if task.stuck_after > 0:
+        ends = np.where(np.greater_equal(staying, task.stuck_after), STUCK, ends)
+    ends = np.where(np.equal(state_property, FAILURE), COLLISION, ends)
+    return np.where(np.equal(state_property, WINNING), GOAL, ends)

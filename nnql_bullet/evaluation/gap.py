@@ -107,7 +107,7 @@ def drive_pairs(task: PairTask) -> list[Pair]:
         (first, one), (second, other) = drives
         explanation = None
         if first.ending != second.ending:
-            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive.speed)
+            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive)
         k = parting(one, other)
         times, distances = apart(one, other)
         parted = float(times[k]) if k < len(times) else float("inf")
@@ -267,7 +267,7 @@ def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
 
 
 def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
-    """How many drives ended how, (3, 3) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    """How many drives ended how, (4, 4) in the order of `task.ENDINGS`: rows the first side, columns the second."""
     matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
     for pair in pairs:
         matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1

@@ -61,7 +61,7 @@ def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[st
 
 QUALITY = (
     "method",
-    *("worlds", "goal %", "collision %", "timeout %", "SPL", "path ratio", "time [s]"),
+    *("worlds", *(f"{ending} %" for ending in ENDINGS), "SPL", "path ratio", "time [s]"),
     *("clearance [m]", "mean clearance [m]", "lateral acceleration [m/s2]", "non-safe steps %"),
 )
 

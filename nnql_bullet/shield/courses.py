@@ -37,7 +37,7 @@ def drives_then_stops(
     change = acceleration if goal > speed else deceleration
     first = _course(yaw_rate, speed, turn, goal, period, max_rate, yaw_acceleration, change)
     rate, at_end = first[-1, 3], first[-1, 4]
-    stop = max(at_end / deceleration, sum(turn_profile(rate, 0.0, max_rate, yaw_acceleration)[1:]))
+    stop = max(abs(at_end) / deceleration, sum(turn_profile(rate, 0.0, max_rate, yaw_acceleration)[1:]))
     then = _course(rate, at_end, 0.0, 0.0, stop, max_rate, yaw_acceleration, deceleration)
     x, y, yaw = first[-1, 0], first[-1, 1], first[-1, 2]
     c, s = np.cos(yaw), np.sin(yaw)

@@ -1,4 +1,7 @@
-"""What a vehicle does when no action stays clear: it brakes, and once it stands it turns on the spot."""
+"""What a vehicle does when no action stays clear: it brakes, and once it stands it turns on the spot.
+
+Where it cannot, or has turned all round in vain, it backs out the way it came until it can turn round.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +26,9 @@ class Spin:
     side: int = 0
     """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
     decisions: int = 0
-    """Decisions to turn on the spot since it last drove at speed."""
+    """Decisions to turn on the spot since it last drove on."""
+    backs: bool = False
+    """Whether it backs out of where it can neither drive on nor turn round."""
 
 
 def fallback(
@@ -61,9 +66,13 @@ def fallback(
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
         scores = course_scores(stops, lengths.margin) + seen
         return STOP + int(order[scores[order].argmax()]), spin
+    tight = min(margin, lengths.tight_margin)
+    if spin.backs and not predictor.can_turn_round(situation):
+        action = predictor.reverses(situation, scans, tight)
+        if action >= 0:
+            return action, spin
     side = spin.side or preferred_side or predictor.open_side(situation, target_bearing)
     spin = Spin(side, spin.decisions + 1)
-    tight = min(margin, lengths.tight_margin)
     clearances = stops.min(axis=-1)
     turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
     possible = [turn for turn in turns if clearances[turn] >= tight and seen[turn]]
@@ -74,6 +83,9 @@ def fallback(
             action = predictor.first_safe(situation, scans, order)
             if action >= 0:
                 return action, spin
+        action = predictor.reverses(situation, scans, tight)
+        if action >= 0:
+            return action, Spin(side, backs=True)
     if not possible:
         return STOP, spin
     return STOP + possible[0], replace(spin, side=1 if possible[0] in LEFT_TURNS else -1)

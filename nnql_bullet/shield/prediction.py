@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import SLOW, speed_scale
+from nnql_bullet.env import REVERSE, SLOW, speed_scale
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
@@ -30,6 +30,9 @@ APPROACH = 0.03
 LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
 
+AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+"""The rear-axle centre as a footprint without size."""
+
 
 @dataclass(frozen=True, slots=True)
 class Situation:
@@ -38,7 +41,7 @@ class Situation:
     yaw_rate: Array
     """Yaw rates (n,) [rad/s]."""
     speed: Array
-    """Speeds (n,) [m/s]."""
+    """Measured speeds (n,) [m/s], negative backwards."""
     turns: Array
     """Heading changes of the six actions (n, 6) [rad]."""
     points: Array
@@ -116,19 +119,47 @@ class Predictor:
             turn: Heading change of the decision [rad].
             goal: Speed that the decision asks for [m/s].
         """
-        courses = dict.fromkeys((self._asked, self._followed_changing))
         return not any(
             meets_unseen(
-                drives_then_stops(
-                    *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal),
-                    *(self._drive.decision_period, limits.yaw_rate, limits.yaw_acceleration, limits.acceleration),
-                    self.lengths.deceleration,
-                ),
-                *(self._footprint, self.lengths.tight_margin, self.lengths.least_width),
+                *(course, self._footprint, self.lengths.tight_margin, self.lengths.least_width),
                 *(scans.rays, scans.poses, scans.strayed, self._sensor, self._first_angle),
             )
-            for limits in courses
+            for course in self._until_it_stands(situation, turn, goal)
         )
+
+    def _until_it_stands(self, situation: Situation, turn: float, goal: float) -> list[Array]:
+        """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
+        return [
+            drives_then_stops(
+                *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal, self._drive.decision_period),
+                *(limits.yaw_rate, limits.yaw_acceleration, limits.acceleration, self.lengths.deceleration),
+            )
+            for limits in dict.fromkeys((self._asked, self._followed_changing))
+        ]
+
+    def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
+        """How one vehicle reverses, as straight as it can; -1 if it cannot.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            margin: Clearance that it keeps [m].
+        """
+        for action in np.argsort(np.abs(situation.turns[0]), kind="stable").tolist():
+            turn, goal = float(situation.turns[0, action]), float(speed_scale(REVERSE, self._drive)) * self._drive.speed
+            courses = self._until_it_stands(situation, turn, goal)
+            clear = all(
+                scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin
+                for course in courses
+            )
+            if clear and self.stays_in_seen_space(situation, scans, turn, goal):
+                return REVERSE + action
+        return -1
+
+    def can_turn_round(self, situation: Situation) -> bool:
+        """Whether one vehicle has room to turn round on the spot."""
+        here = np.zeros((1, 1, 1, 3))
+        return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
 
     def first_safe(self, situation: Situation, scans: RecentScans, order: Sequence[int]) -> int:
         """The first of some actions at which one vehicle keeps to where nothing can stand unseen; -1 if there is none.
@@ -143,7 +174,7 @@ class Predictor:
         for action in order:
             turn = float(situation.turns[0, action])
             for slowly in (0, SLOW):
-                if self.stays_in_seen_space(situation, scans, turn, float(speed_scale(slowly)) * self._drive.speed):
+                if self.stays_in_seen_space(situation, scans, turn, float(speed_scale(slowly, self._drive)) * self._drive.speed):
                     return action + slowly
         return -1
 

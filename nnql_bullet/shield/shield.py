@@ -106,13 +106,14 @@ class Shield:
         ranks, memories = action_ranks(values, wanted, turns), state.memories
         if self.options.recovers:
             memories = self._recovering(ranks, o, turns, memories)
-        situation = Situation(o.yaw_rate, np.maximum(o.speed, 0.0), turns, seen.points, seen.moving)
+        situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
-            order = [action for action in np.argsort(-ranks[i], kind="stable").tolist() if clear[i, action]]
+            backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
+            order = [a for a in np.argsort(-ranks[i], kind="stable").tolist() if clear[i, a] and not backs]
             chosen[i], spin = self._predictor.first_safe(alone, recent, order), memory.spin
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
@@ -153,14 +154,14 @@ class Shield:
     ) -> tuple[Memory, ...]:
         """The memories after the decisions, with the pose that each vehicle should have then."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
-        goals = speed_scale(chosen) * self._drive.speed
+        goals = speed_scale(chosen, self._drive) * self._drive.speed
         distances = ramp_distances(o.speed, goals, limits.acceleration, times)
         turns = heading_change(chosen, o.target_bearing)
         moved = predicted_poses(o.yaw_rate, turns[:, None], distances, limits, times)[:, 0, -1]
         after = []
         for i, memory in enumerate(memories):
             spin = spins[i]
-            if o.speed[i] >= 0.9 * self._drive.speed:
+            if o.speed[i] >= 0.9 * goals[i] > 0:
                 spin = Spin(spin.side if memory.recovery.side else 0)
             after.append(Memory(spin, replace(scans[i], moved=moved[i]), memory.recovery))
         return tuple(after)

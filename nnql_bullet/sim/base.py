@@ -49,7 +49,7 @@ class Motion:
     duration: Array
     """(n,) [s]"""
     path_length: Array
-    """Length of the path of the rear-axle centre (n,) [m]."""
+    """Length of the path of the rear-axle centre (n,) [m], ahead and back."""
     clearance: Array
     """Smallest distance from the footprint to an obstacle or wall (n,) [m], checked at least 30 times a second."""
     heading_error: Array
@@ -114,8 +114,8 @@ class Simulator(Protocol):
                 stands turns on the spot, about its rear-axle centre.
             active: Vehicles that drive (n,), all by default. The others stand by, and their rows in the result have no
                 meaning.
-            speed_scales: Wanted speeds as shares of the drive's (n,), 1 by default; 0 is to stop. The vehicle's limits
-                say how fast a speed is reached.
+            speed_scales: Wanted speeds as shares of the drive's (n,), from -1 to 1, which is the default; 0 is to stop,
+                and the vehicle reverses below. Its limits say how fast a speed is reached.
             traces: Lists that receive samples between the decisions, by vehicle.
 
         Returns:

@@ -144,7 +144,7 @@ class ContactEngine(VehiclePhysics):
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
             trace: Receives samples, if given.
-            speed_scale: Wanted speed as a share of the drive's.
+            speed_scale: Wanted speed as a share of the drive's, from -1 to 1; negative backwards.
             look: Called after every physics step; it may read the engine, not change it.
         """
         first_step, (position, orientation) = self._steps, self._frame()

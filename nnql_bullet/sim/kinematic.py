@@ -25,6 +25,9 @@ from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 VEHICLES_PER_THREAD = 16
 """Smallest number of vehicles in a thread."""
+UNEVENNESS = 1e-3
+"""Least angle by which the swivel of a caster that points against its motion is off [rad]. In exact balance it would
+stay there for good; on any real ground it swings round."""
 STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
 
@@ -329,7 +332,7 @@ def _advance_one(
         path[k, 2] = yaw + headings[k]
     # From one command to the next, no point of the footprint comes nearer to a solid by more than `hop` [m].
     quickest = max(abs(start_rate), abs(peak))
-    hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
+    hop = max(abs(start_speed), abs(goal)) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
     count, moving, clock = state.counts[i]
     tracks = state.solids[i, count : count + moving]
     hop = max(hop + _fastest(tracks) / COMMAND_RATE, STILL)
@@ -343,10 +346,10 @@ def _advance_one(
     state.counts[i, 2] = clock + last
     follow_tracks(tracks, (clock + last) / COMMAND_RATE, state.solids[i, count - moving : count])
     period.commands[i] = last
-    period.path_length[i] = last * stride
+    period.path_length[i] = last * abs(stride)
     if not steady:  # the trapezoidal rule
-        ends = speeds[0] + speeds[last]
-        period.path_length[i] = (speeds[: last + 1].sum() - ends / 2) / COMMAND_RATE
+        ends, paces = abs(speeds[0]) + abs(speeds[last]), np.abs(speeds[: last + 1])
+        period.path_length[i] = (paces.sum() - ends / 2) / COMMAND_RATE
     period.clearance[i] = smallest
     period.heading_error[i] = wrap_angle(heading_change - headings[last])
     period.event[i] = event
@@ -507,8 +510,12 @@ def _caster_rates(
     """Computes the rates [rad/s] of the swivel angle and the wheel of a trailing caster that rolls without slip.
 
     The swivel axis is `ahead` of the axle and moves at (speed, yaw_rate * ahead). The wheel is `trail` behind it along
-    the fork and does not move sideways.
+    the fork and does not move sideways. Where the wheel points against the motion, which no caster keeps, it counts as
+    at least `UNEVENNESS` off, to the left if nothing says to which side.
     """
-    along = speed * np.cos(swivel) + yaw_rate * ahead * np.sin(swivel)
-    across = yaw_rate * ahead * np.cos(swivel) - speed * np.sin(swivel)
+    s = np.sin(swivel)
+    if speed * np.cos(swivel) < 0.0 and abs(s) < UNEVENNESS:
+        s = np.copysign(UNEVENNESS, s)
+    along = speed * np.cos(swivel) + yaw_rate * ahead * s
+    across = yaw_rate * ahead * np.cos(swivel) - speed * s
     return across / trail - yaw_rate, along / radius
