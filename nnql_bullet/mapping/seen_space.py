@@ -16,6 +16,8 @@ SCANS = 12
 """Most scans that are remembered, the present one among them."""
 APART, TURNED = 0.02, 0.003
 """Distance [m] and angle [rad] by which a vehicle has to move before its scan tells more than the one before."""
+CERTAIN = 0.01
+"""Distance by which a ray has to go on behind the near side of an obstacle before it shows that none is there [m]."""
 CONTACT = 0.005
 """Distance by which a possible obstacle may come nearer to a vehicle that has less than its margin already [m]."""
 
@@ -64,6 +66,7 @@ def covered_half_width(radius: float, beyond: float) -> float:
         radius: Of the discs [m].
         beyond: Distance of their centres beyond the end of the ray, along it [m]; negative before its end.
     """
+    beyond += CERTAIN
     if beyond <= 0.0:
         return radius
     return float(np.sqrt(radius * radius - beyond * beyond)) if beyond < radius else 0.0

@@ -57,16 +57,18 @@ def fallback(
         The manoeuvre, and the turning on the spot with it.
     """
     lengths = predictor.lengths
+    tight = min(margin, lengths.tight_margin)
     stops = predictor.stop_clearances(situation)
+    seen = predictor.can_stop_after(situation, scans, STOP, tight)
     if situation.moving.any():
         courses = np.concatenate([predictor.drive_clearances(situation), stops])
-        return int(course_scores(courses, lengths.margin).argmax()), spin
-    seen = np.array([predictor.stays_in_seen_space(situation, scans, turn, 0.0) for turn in situation.turns[0]])
+        safe = np.concatenate([predictor.can_stop_after(situation, scans, 0, tight), seen])
+        safe[STOP:] |= not safe.any()
+        return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
     if situation.speed[0] >= STANDSTILL_SPEED:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
         scores = course_scores(stops, lengths.margin) + seen
         return STOP + int(order[scores[order].argmax()]), spin
-    tight = min(margin, lengths.tight_margin)
     if spin.backs and not predictor.can_turn_round(situation):
         action = predictor.reverses(situation, scans, tight)
         if action >= 0:
@@ -80,7 +82,7 @@ def fallback(
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
             order = [action for action in np.argsort(-ranks, kind="stable").tolist() if clear[action]]
-            action = predictor.first_safe(situation, scans, order)
+            action = predictor.first_safe(situation, scans, order, tight)
             if action >= 0:
                 return action, spin
         action = predictor.reverses(situation, scans, tight)

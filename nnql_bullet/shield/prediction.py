@@ -110,22 +110,42 @@ class Predictor:
                 clear[some] &= self._keeps(s.of(some), margins[some], turns_round, followed)
         return clear
 
-    def stays_in_seen_space(self, situation: Situation, scans: RecentScans, turn: float, goal: float) -> bool:
-        """Whether one vehicle that carries out a decision and then brakes keeps to where nothing can stand unseen.
+    def can_stop(self, situation: Situation, scans: RecentScans, turn: float, goal: float, margin: float) -> bool:
+        """Whether one vehicle that carries out a decision and then brakes straight ahead stays clear.
+
+        It stays clear of what was seen, and keeps to where nothing can stand unseen.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
             turn: Heading change of the decision [rad].
             goal: Speed that the decision asks for [m/s].
+            margin: Clearance from what was seen [m].
         """
-        return not any(
+        courses = self._until_it_stands(situation, turn, goal)
+        return all(
+            scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
+        ) and not any(
             meets_unseen(
                 *(course, self._footprint, self.lengths.tight_margin, self.lengths.least_width),
                 *(scans.rays, scans.poses, scans.strayed, self._sensor, self._first_angle),
             )
-            for course in self._until_it_stands(situation, turn, goal)
+            for course in courses
         )
+
+    def can_stop_after(
+        self, situation: Situation, scans: RecentScans, manner: int, margin: float
+    ) -> NDArray[np.bool_]:
+        """Whether one vehicle can stop after each of the six actions (6,), see `can_stop`.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            manner: 0, `STOP`, `REVERSE` or `SLOW`.
+            margin: Clearance from what was seen [m].
+        """
+        goal = float(speed_scale(manner, self._drive)) * self._drive.speed
+        return np.array([self.can_stop(situation, scans, float(turn), goal, margin) for turn in situation.turns[0]])
 
     def _until_it_stands(self, situation: Situation, turn: float, goal: float) -> list[Array]:
         """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
@@ -147,12 +167,7 @@ class Predictor:
         """
         for action in np.argsort(np.abs(situation.turns[0]), kind="stable").tolist():
             turn, goal = float(situation.turns[0, action]), float(speed_scale(REVERSE, self._drive)) * self._drive.speed
-            courses = self._until_it_stands(situation, turn, goal)
-            clear = all(
-                scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin
-                for course in courses
-            )
-            if clear and self.stays_in_seen_space(situation, scans, turn, goal):
+            if self.can_stop(situation, scans, turn, goal, margin):
                 return REVERSE + action
         return -1
 
@@ -161,20 +176,22 @@ class Predictor:
         here = np.zeros((1, 1, 1, 3))
         return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
 
-    def first_safe(self, situation: Situation, scans: RecentScans, order: Sequence[int]) -> int:
-        """The first of some actions at which one vehicle keeps to where nothing can stand unseen; -1 if there is none.
+    def first_safe(self, situation: Situation, scans: RecentScans, order: Sequence[int], margin: float) -> int:
+        """The first of some actions after which one vehicle can stop; -1 if there is none.
 
-        It carries them out slowly where that is safe and full speed is not.
+        It carries an action out slowly where it can stop after that and not after full speed.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
             order: The actions.
+            margin: Clearance that it keeps up to the stop [m].
         """
         for action in order:
             turn = float(situation.turns[0, action])
             for slowly in (0, SLOW):
-                if self.stays_in_seen_space(situation, scans, turn, float(speed_scale(slowly, self._drive)) * self._drive.speed):
+                goal = float(speed_scale(slowly, self._drive)) * self._drive.speed
+                if self.can_stop(situation, scans, turn, goal, margin):
                     return action + slowly
         return -1
 

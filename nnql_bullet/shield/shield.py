@@ -109,12 +109,13 @@ class Shield:
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
+        tight = self._lengths.tight_margin
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
             order = [a for a in np.argsort(-ranks[i], kind="stable").tolist() if clear[i, a] and not backs]
-            chosen[i], spin = self._predictor.first_safe(alone, recent, order), memory.spin
+            chosen[i], spin = self._predictor.first_safe(alone, recent, order, min(margins[i], tight)), memory.spin
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
