@@ -4,7 +4,7 @@ A disc of that width is not at a place if a ray that would have met it went past
 what lies between two rays, behind an obstacle, in a blind arc, or out of range.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,8 @@ CONTACT = 0.005
 """Distance by which a possible obstacle may come nearer to a vehicle that has less than its margin already [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecentScans:
-    """Recent scans of one vehicle (k of them), the newest first."""
+class RecentScans(NamedTuple):
+    """Recent scans of one vehicle (k of them), the newest first. The rays are evenly spaced all round."""
 
     rays: Array
     """Ray distances (k, r) [m]; 0 for a ray that tells nothing."""
@@ -80,30 +79,29 @@ def shown_free(
     half_length: float,
     half_width: float,
     radius: float,
-    rays: Array,
-    poses: Array,
-    strayed: Array,
+    scans: RecentScans,
+    newest: int,
     sensor: Array,
     first_angle: float,
 ) -> bool:
     """Whether a scan shows that no disc has its centre in a rectangle.
 
     Args:
-        x: Centre of the rectangle, in the frame of `poses` [m].
+        x: Centre of the rectangle, in the present frame [m].
         y: The same [m].
         direction: Of its length [rad].
         half_length: [m]
         half_width: [m]
         radius: Of the discs [m].
-        rays: Scans (k, r) [m]; the rays are evenly spaced all round.
-        poses: Of the vehicle at the scans (k, 3).
-        strayed: Possible errors of their positions (k,) [m].
+        scans: The scans.
+        newest: Number of the first scan that is asked.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
         first_angle: Of the first ray in the vehicle frame [rad].
     """
+    rays, poses, strayed = scans
     count = rays.shape[1]
     step = 2 * np.pi / count
-    for j in range(len(rays)):
+    for j in range(newest, len(rays)):
         c, s = np.cos(poses[j, 2]), np.sin(poses[j, 2])
         dx, dy = x - poses[j, 0], y - poses[j, 1]
         px, py = c * dx + s * dy - sensor[0], c * dy - s * dx - sensor[1]
@@ -126,9 +124,7 @@ def meets_unseen(
     footprint: Array,
     margin: float,
     width: float,
-    rays: Array,
-    poses: Array,
-    strayed: Array,
+    scans: RecentScans,
     sensor: Array,
     first_angle: float,
 ) -> bool:
@@ -141,12 +137,11 @@ def meets_unseen(
         footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
         margin: Smallest distance that it has to keep from possible obstacles [m]; where it has less already, that.
         width: Least width of an obstacle [m].
-        rays: See `RecentScans`, and so `poses` and `strayed`.
-        poses: See `rays`.
-        strayed: See `rays`.
+        scans: Its recent scans.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
         first_angle: Of the first ray in the vehicle frame [rad].
     """
+    rays = scans.rays
     count, radius = rays.shape[1], width / 2
     step = 2 * np.pi / count
     sine, grown = np.sin(step / 2), radius + margin
@@ -172,10 +167,7 @@ def meets_unseen(
                 half_width = (high - low) / pieces / 2
                 along, across = end - half_length, low + (2 * piece + 1) * half_width
                 x, y = sensor[0] + c * along - s * across, sensor[1] + s * along + c * across
-                if shown_free(
-                    *(x, y, direction, half_length, half_width, radius),
-                    *(rays[1:], poses[1:], strayed[1:], sensor, first_angle),
-                ):
+                if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, sensor, first_angle):
                     continue
                 here = np.sqrt(squared_distance(x, y, footprint))
                 least = min(grown, here - CONTACT)

@@ -62,7 +62,7 @@ def _course(
 ) -> Array:
     """x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s] at equal intervals up to a duration (k, 5)."""
     count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
-    times = np.arange(1, count + 1) * (duration / count)
+    times: Array = np.arange(1.0, count + 1.0) * (duration / count)
     course, headings, rates, speeds = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
     peak, rise, hold, fall = turn_profile(yaw_rate, turn, max_rate, yaw_acceleration)
     sample_profile(yaw_rate, peak, rise, hold, fall, times, rates, headings)
@@ -115,9 +115,7 @@ def clear_courses(
                 if not _keeps_distance(poses[i, j, k], points[i], closing[i], times[k], footprint, margins[i]):
                     break
                 ahead = ahead or distances[i, k] >= look_ahead
-                turns = turns or (
-                    distances[i, k] >= stops[i] and _has_room(poses[i, j, k], points[i], turning_circle)
-                )
+                turns = turns or (distances[i, k] >= stops[i] and _has_room(poses[i, j, k], points[i], turning_circle))
                 if ahead and turns:
                     clear[i, j] = True
                     break

@@ -13,8 +13,6 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.mapping.seen_space import RecentScans
 from nnql_bullet.shield.prediction import Predictor, Situation
 
-STANDSTILL_SPEED = 0.05
-"""Speed below which a vehicle stands [m/s]."""
 FULL_TURN = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
 
@@ -65,7 +63,7 @@ def fallback(
         safe = np.concatenate([predictor.can_stop_after(situation, scans, 0, tight), seen])
         safe[STOP:] |= not safe.any()
         return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
-    if situation.speed[0] >= STANDSTILL_SPEED:
+    if situation.speed[0] >= lengths.standstill:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
         scores = course_scores(stops, lengths.margin) + seen
         return STOP + int(order[scores[order].argmax()]), spin
@@ -81,8 +79,7 @@ def fallback(
     if not possible or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            order = [action for action in np.argsort(-ranks, kind="stable").tolist() if clear[action]]
-            action = predictor.first_safe(situation, scans, order, tight)
+            action = predictor.first_safe(situation, scans, ranks, clear, tight)
             if action >= 0:
                 return action, spin
         action = predictor.reverses(situation, scans, tight)

@@ -8,7 +8,6 @@ from math import hypot, pi, sin
 
 import numpy as np
 
-from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox
@@ -23,8 +22,8 @@ USUAL = OrientedBox(0.35, 0.0, 0.55, 0.325)
 """Footprint of the vehicle for which the lengths below are stated."""
 MARGIN, TIGHT_MARGIN, LOOK_AHEAD, CORRIDOR = 0.3, 0.06, 2.0, 6.0
 """Of that vehicle [m]; see `ShieldOptions`."""
-BOX_SPEED = 0.5
-"""Speed at which moving obstacles may come nearer, as a share of the vehicle's."""
+BOX_SPEED, STANDSTILL = 0.5, 0.025
+"""Speed at which moving obstacles may come nearer, and speed below which a vehicle stands, as shares of the drive's."""
 
 
 @options
@@ -68,6 +67,8 @@ class Lengths:
     look_ahead: float
     corridor: float
     box_speed: float
+    standstill: float
+    """Speed below which the vehicle stands [m/s]."""
 
     def times(self, length: float) -> float:
         """A length that is stated for the usual vehicle [m], for this one."""
@@ -107,6 +108,7 @@ def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions
         look_ahead=max(_or(options.look_ahead, LOOK_AHEAD * scale), stop),
         corridor=_or(options.corridor, CORRIDOR * scale),
         box_speed=_or(options.box_speed, BOX_SPEED * drive.speed),
+        standstill=STANDSTILL * drive.speed,
     )
 
 

@@ -4,7 +4,6 @@ What recent scans saw has to stay clear of the course. Where they saw nothing at
 stand: the vehicle has to be able to stop before it comes near such a place.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import sqrt
 
@@ -122,20 +121,18 @@ class Predictor:
             goal: Speed that the decision asks for [m/s].
             margin: Clearance from what was seen [m].
         """
+        tight, width, sensor, first = (
+            self.lengths.tight_margin,
+            self.lengths.least_width,
+            self._sensor,
+            self._first_angle,
+        )
         courses = self._until_it_stands(situation, turn, goal)
         return all(
             scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
-        ) and not any(
-            meets_unseen(
-                *(course, self._footprint, self.lengths.tight_margin, self.lengths.least_width),
-                *(scans.rays, scans.poses, scans.strayed, self._sensor, self._first_angle),
-            )
-            for course in courses
-        )
+        ) and not any(meets_unseen(course, self._footprint, tight, width, scans, sensor, first) for course in courses)
 
-    def can_stop_after(
-        self, situation: Situation, scans: RecentScans, manner: int, margin: float
-    ) -> NDArray[np.bool_]:
+    def can_stop_after(self, situation: Situation, scans: RecentScans, manner: int, margin: float) -> NDArray[np.bool_]:
         """Whether one vehicle can stop after each of the six actions (6,), see `can_stop`.
 
         Args:
@@ -144,8 +141,8 @@ class Predictor:
             manner: 0, `STOP`, `REVERSE` or `SLOW`.
             margin: Clearance from what was seen [m].
         """
-        goal = float(speed_scale(manner, self._drive)) * self._drive.speed
-        return np.array([self.can_stop(situation, scans, float(turn), goal, margin) for turn in situation.turns[0]])
+        turns, goal = situation.turns[0].tolist(), self._speed(manner)
+        return np.array([self.can_stop(situation, scans, turn, goal, margin) for turn in turns])
 
     def _until_it_stands(self, situation: Situation, turn: float, goal: float) -> list[Array]:
         """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
@@ -165,35 +162,38 @@ class Predictor:
             scans: Its recent scans.
             margin: Clearance that it keeps [m].
         """
-        for action in np.argsort(np.abs(situation.turns[0]), kind="stable").tolist():
-            turn, goal = float(situation.turns[0, action]), float(speed_scale(REVERSE, self._drive)) * self._drive.speed
-            if self.can_stop(situation, scans, turn, goal, margin):
-                return REVERSE + action
-        return -1
+        possible = np.flatnonzero(self.can_stop_after(situation, scans, REVERSE, margin))
+        return REVERSE + int(min(possible, key=lambda action: abs(situation.turns[0, action]))) if len(possible) else -1
 
     def can_turn_round(self, situation: Situation) -> bool:
         """Whether one vehicle has room to turn round on the spot."""
         here = np.zeros((1, 1, 1, 3))
         return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
 
-    def first_safe(self, situation: Situation, scans: RecentScans, order: Sequence[int], margin: float) -> int:
-        """The first of some actions after which one vehicle can stop; -1 if there is none.
+    def first_safe(
+        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_], margin: float
+    ) -> int:
+        """The best of one vehicle's clear actions after which it can stop; -1 if there is none.
 
         It carries an action out slowly where it can stop after that and not after full speed.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
-            order: The actions.
+            ranks: How good each action is held to be (6,).
+            clear: Whether each action stays clear (6,).
             margin: Clearance that it keeps up to the stop [m].
         """
-        for action in order:
-            turn = float(situation.turns[0, action])
+        for action in np.argsort(-ranks, kind="stable").tolist():
             for slowly in (0, SLOW):
-                goal = float(speed_scale(slowly, self._drive)) * self._drive.speed
-                if self.can_stop(situation, scans, turn, goal, margin):
-                    return action + slowly
+                turn, goal = float(situation.turns[0, action]), self._speed(slowly)
+                if clear[action] and self.can_stop(situation, scans, turn, goal, margin):
+                    return int(action + slowly)
         return -1
+
+    def _speed(self, manner: int) -> float:
+        """The speed that an action asks for with 0, `STOP`, `REVERSE` or `SLOW` added to it [m/s]."""
+        return float(speed_scale(manner, self._drive)) * self._drive.speed
 
     def drive_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that drives on along the six turns (6, k) [m], for as long as braking takes."""
@@ -231,9 +231,16 @@ class Predictor:
         """`stays_clear` under the limits that the vehicle follows."""
         poses, distances = self._poses(s, self._drive.speed, self._times, limits)
         clear: NDArray[np.bool_] = clear_courses(
-            *(poses, np.cumsum(distances, axis=-1), s.points, s.moving * self.lengths.box_speed, self._times),
-            *(self._footprint, margins, self.stopping_distance(s.speed)),
-            *((self.lengths.look_ahead, self._turning_circle) if turns_round else (0.0, 0.0)),
+            poses,
+            np.cumsum(distances, axis=-1),
+            s.points,
+            s.moving * self.lengths.box_speed,
+            self._times,
+            self._footprint,
+            margins,
+            self.stopping_distance(s.speed),
+            self.lengths.look_ahead if turns_round else 0.0,
+            self._turning_circle if turns_round else 0.0,
         )
         return clear
 

@@ -1,11 +1,12 @@
 """A shield around any agent: it admits only actions that leave the vehicle room to stop.
 
-Before each decision it predicts every action against the last scan: the turn under the drive's own profile and straight
-on after it, over one control period and the distance in which the vehicle, with its load and grip, comes to a stop
-(`prediction`). It takes the agent's best action that stays clear. If there is none, the vehicle brakes; once it stands,
-it turns on the spot, to one side, until there is one (`fallback`). It leads an agent that gets no nearer to the target
-(`recovery`). It completes sensors that read nothing against all evidence, and expects moving obstacles to come nearer
-(`perception`).
+Before each decision it predicts every action from the measured speed: the turn under the drive's own profile and
+straight on after it. It takes the agent's best action that stays clear of what recent scans saw, and after which the
+vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
+`mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
+it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
+no nearer to the target (`recovery`). It completes sensors that read nothing against all evidence, and expects moving
+obstacles to come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
@@ -24,7 +25,7 @@ from nnql_bullet.env import Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.rollout import Actions, Policy, PolicyState
-from nnql_bullet.shield.fallback import STANDSTILL_SPEED, Spin, fallback
+from nnql_bullet.shield.fallback import Spin, fallback
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import LastScan, Perception, perceived
 from nnql_bullet.shield.prediction import Predictor, Situation
@@ -109,13 +110,12 @@ class Shield:
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
-        tight = self._lengths.tight_margin
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
-            order = [a for a in np.argsort(-ranks[i], kind="stable").tolist() if clear[i, a] and not backs]
-            chosen[i], spin = self._predictor.first_safe(alone, recent, order, min(margins[i], tight)), memory.spin
+            admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            chosen[i], spin = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin), memory.spin
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
@@ -129,7 +129,7 @@ class Shield:
 
     def perceived(self, observations: Observation, memories: Sequence[Memory]) -> Perception:
         """What n vehicles know of their surroundings; see `perception.perceived`."""
-        standing = observations.speed < STANDSTILL_SPEED
+        standing = observations.speed < self._lengths.standstill
         last = [memory.scan for memory in memories]
         return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
 
@@ -138,9 +138,12 @@ class Shield:
         after = []
         for i, memory in enumerate(memories):
             distance = float(o.target_distance[i])
-            recovery = memory.recovery.updated(distance, o.readings[i], memory.spin.side, self._drive.decision_period)
+            recovery = memory.recovery.updated(
+                distance, o.readings[i], memory.spin.side, self._drive.decision_period, self._lengths.scale
+            )
             if recovery.leads(distance):
-                heading = recovery.heading(float(o.target_bearing[i]), o.ray_distances[i], self._vehicle.sensor)
+                sensor, bearing = self._vehicle.sensor, float(o.target_bearing[i])
+                heading = recovery.heading(bearing, o.ray_distances[i], sensor, self._lengths.scale)
                 ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
             after.append(replace(memory, recovery=recovery))
         return tuple(after)
