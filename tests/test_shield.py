@@ -48,7 +48,8 @@ from nnql_bullet.shield.recovery import (
     STUCK_AFTER,
     Recovery,
 )
-from nnql_bullet.shield.shield import Shield, ShieldOptions
+from nnql_bullet.shield.lengths import ShieldOptions
+from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults

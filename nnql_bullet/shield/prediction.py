@@ -130,7 +130,10 @@ class Predictor:
         courses = self._until_it_stands(situation, turn, goal)
         return all(
             scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
-        ) and not any(meets_unseen(course, self._footprint, tight, width, scans, sensor, first) for course in courses)
+        ) and not any(
+            meets_unseen(course, self._footprint, tight, width, scans, self._sensor, self._first_angle)
+            for course in courses
+        )
 
     def can_stop_after(self, situation: Situation, scans: RecentScans, manner: int, margin: float) -> NDArray[np.bool_]:
         """Whether one vehicle can stop after each of the six actions (6,), see `can_stop`.
@@ -230,11 +233,12 @@ class Predictor:
     def _keeps(self, s: Situation, margins: Array, turns_round: bool, limits: Limits) -> NDArray[np.bool_]:
         """`stays_clear` under the limits that the vehicle follows."""
         poses, distances = self._poses(s, self._drive.speed, self._times, limits)
+        closing: Array = np.where(s.moving, self.lengths.box_speed, 0.0)
         clear: NDArray[np.bool_] = clear_courses(
             poses,
             np.cumsum(distances, axis=-1),
             s.points,
-            s.moving * self.lengths.box_speed,
+            closing,
             self._times,
             self._footprint,
             margins,
