@@ -13,6 +13,8 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.mapping.seen_space import RecentScans
 from nnql_bullet.shield.prediction import Predictor, Situation
 
+STILL = 0.1
+"""Yaw rate up to which a vehicle that cannot follow its turns starts another on the spot [rad/s]."""
 FULL_TURN = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
 
@@ -67,6 +69,8 @@ def fallback(
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
         scores = course_scores(stops, lengths.margin) + seen
         return STOP + int(order[scores[order].argmax()]), spin
+    if not predictor.follows and abs(float(situation.yaw_rate[0])) > STILL:
+        return STOP, spin
     if spin.backs and not predictor.can_turn_round(situation):
         action = predictor.reverses(situation, scans, tight)
         if action >= 0:

@@ -100,12 +100,11 @@ def perceived(
         )
         evidence = np.where(silent_sectors(rays[i], sensor.range), evidence, 0.0)
         scan = LastScan(points, rays[i], target, before.moved, evidence)
-        telling = np.where(sensor.seen, rays[i], 0.0)
         if scan.dead.any():
-            telling = np.where(np.repeat(scan.dead, sensor.rays // paper.SECTORS), 0.0, telling)
             rays[i], remembered = completed(rays[i], scan.dead, expected, origin, sensor.range)
             scan = replace(scan, points=np.where(np.isnan(remembered), points, remembered))
             points = point_cloud(rays[i], sensor)
+        telling = np.where(sensor.seen, rays[i], 0.0)
         kept = remembered_points(before.standing, moved, telling, sensor, lengths)
         stands = points[~moving & np.isfinite(points[:, 0])]
         stands = np.concatenate([np.c_[stands, np.zeros(len(stands))], kept])

@@ -78,6 +78,11 @@ class Predictor:
         self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
         self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
 
+    @property
+    def follows(self) -> bool:
+        """Whether load and grip let the vehicle follow the turns that the drive asks for."""
+        return self._followed_changing == self._asked
+
     def stopping_distance(self, speeds: Array) -> Array:
         """Distances up to a stop of vehicles that drive on for one more control period (...) [m]."""
         period = self._drive.decision_period
@@ -121,12 +126,7 @@ class Predictor:
             goal: Speed that the decision asks for [m/s].
             margin: Clearance from what was seen [m].
         """
-        tight, width, sensor, first = (
-            self.lengths.tight_margin,
-            self.lengths.least_width,
-            self._sensor,
-            self._first_angle,
-        )
+        tight, width = self.lengths.tight_margin, self.lengths.least_width
         courses = self._until_it_stands(situation, turn, goal)
         return all(
             scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
