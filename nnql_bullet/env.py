@@ -46,6 +46,21 @@ LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
 
 
+def as_actions(given: object, size: int, count: int = MANOEUVRES) -> NDArray[np.int64]:
+    """Actions (n,) that a caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are not as many whole numbers from 0 to `count` - 1.
+    """
+    try:
+        actions = np.asarray(given)
+    except ValueError:  # of lists of several lengths
+        actions = np.empty(())
+    if actions.shape != (size,) or actions.dtype.kind not in "iu" or not ((actions >= 0) & (actions < count)).all():
+        raise UserError(f"give {size} whole numbers from 0 to {count - 1} as actions, not {given}")
+    return actions.astype(np.int64)
+
+
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
     """Heading changes (...) [rad] of manoeuvres (...): a turn of the paper, or toward the target up to the largest."""
     toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
@@ -55,18 +70,6 @@ def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_beari
 def speed_scale(action: int | NDArray[np.int64], drive: DriveOptions) -> Array:
     """Wanted speeds (...) of manoeuvres (...), as shares of the drive's, negative in reverse."""
     return np.array([1.0, 0.0, -drive.reverse_share, drive.reverse_share])[np.floor_divide(action, ACTIONS)]
-
-
-def checked_actions(actions: ArrayLike, size: int, count: int) -> NDArray[np.int64]:
-    """The actions of n vehicles as an array (size,).
-
-    Raises:
-        UserError: If they are not as many whole numbers from 0 to `count` - 1.
-    """
-    array = np.asarray(actions)
-    if array.shape != (size,) or array.dtype.kind not in "iu" or not ((array >= 0) & (array < count)).all():
-        raise UserError(f"give {size} whole numbers from 0 to {count - 1} as actions, not {actions!r}")
-    return array.astype(np.int64, copy=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +140,18 @@ Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
 of n vehicles. Beside a function, the terms stay the paper's."""
 
 
+def _as_rewards(given: object, size: int) -> Array:
+    """Rewards (n,) that a function of the caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are no finite numbers.
+    """
+    rewards = np.asarray(given)
+    if rewards.shape != (size,) or rewards.dtype.kind not in "fiub" or not np.isfinite(rewards).all():
+        raise UserError(f"the reward must be {size} finite numbers, one for each vehicle, not {given}")
+    return rewards.astype(np.float64)
+
+
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
@@ -172,7 +187,7 @@ class Navigation:
             yaw_rate=np.zeros(n),
             speed=np.zeros(n),
             state_property=np.zeros(n, np.int64),
-            ray_distances=np.zeros((n, simulator.sensor.rays)),
+            ray_distances=np.zeros((n, simulator.vehicle.sensor.rays)),
         )
 
     @property
@@ -207,7 +222,7 @@ class Navigation:
         Raises:
             UserError: If they are not such numbers.
         """
-        actions = checked_actions(actions, self.simulator.size, MANOEUVRES)
+        actions = as_actions(actions, self.simulator.size)
         s_tm1 = self._observation
         turns = heading_change(actions, s_tm1.target_bearing)
         scales = speed_scale(actions, self.simulator.drive)
@@ -241,7 +256,7 @@ class Navigation:
             active=active,
             term_names=self.term_names,
         )
-        return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
+        return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(actions)))
 
     def _stay(self, motion: Motion, active: NDArray[np.bool_]) -> None:
         """Adds a control period to the time for which the active vehicles (n,) have stayed about one place."""

@@ -39,8 +39,8 @@ from nnql_bullet.env import (
     Observation,
     Reward,
     Transition,
+    as_actions,
     as_numbers,
-    checked_actions,
 )
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -139,7 +139,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         Raises:
             UserError: If there is no such action.
         """
-        t = self._navigation.step(checked_actions([action], 1, self._count))
+        t = self._navigation.step(as_actions([action], 1, self._count))
         terminated, truncated = _over(t)
         info = {name: values.item() for name, values in _infos(t).items()}
         return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
@@ -237,7 +237,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             UserError: If these are not an action for each vehicle.
         """
         begun, active = self._over.copy(), ~self._over
-        actions = checked_actions(actions, self.num_envs, self._count)
+        actions = as_actions(actions, self.num_envs, self._count)
         t = self._navigation.step(actions, None if active.all() else active)
         terminated, truncated = _over(t)
         named = _infos(t)

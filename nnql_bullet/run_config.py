@@ -59,7 +59,7 @@ class Conditions:
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """Sensor that sees nothing, unknown to the policy; 0 is the front, the others follow counter-clockwise."""
     rays: RayCount | None = None
-    """Number of the sensor's rays, a multiple of 8; by default the vehicle's own."""
+    """Number of the sensor's rays, a multiple of 4; by default the vehicle's own."""
     sensor_range: SensorRange | None = None
     """Distance from which on the sensor sees nothing [m]; by default the vehicle's own."""
     blind_arc_degrees: BlindArc | None = None

@@ -33,7 +33,7 @@ def _checked_arc(arc: tuple[float, float]) -> tuple[float, float]:
 
 
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
-RayCount = Annotated[int, Field(ge=paper.SECTORS, le=MOST_RAYS, multiple_of=paper.SECTORS)]
+RayCount = Annotated[int, Field(ge=paper.SECTORS, le=MOST_RAYS, multiple_of=4)]
 SensorRange = Annotated[float, Field(gt=0, le=100)]
 BlindArc = Annotated[tuple[_Degrees, _Degrees], AfterValidator(_checked_arc)]
 
@@ -45,7 +45,7 @@ class Sensor:
     position: tuple[float, float, float]
     """Origin of the rays: x, y, z in the chassis frame [m]."""
     rays: RayCount = RAYS
-    """Number of rays, as many in each of the 8 sectors."""
+    """Number of rays, a multiple of 4. Where it is not one of 8, every other sector has a ray more."""
     range: SensorRange = paper.SENSOR_RANGE
     """Length of a ray that meets nothing [m]."""
     blind_arc_degrees: BlindArc | None = None
@@ -77,9 +77,9 @@ class Sensor:
 
 
 def ray_angles(rays: int = RAYS) -> Array:
-    """Directions of rays in the vehicle frame (rays,) [rad]: evenly spaced, as many in each sector.
+    """Directions of rays in the vehicle frame (rays,) [rad]: evenly spaced, the same to the left and to the right.
 
-    Every odd multiple of 72 rays contains the same 72.
+    The first is that of sector 0, in its right corner. Every odd multiple of 72 rays contains the same 72.
     """
     return np.asarray(_in_72(np.arange(rays), rays) * (paper.SECTOR_ANGLE / (RAYS // paper.SECTORS)))
 
@@ -92,8 +92,17 @@ def nearest_rays(rays: int) -> NDArray[np.int64]:
 
 def _in_72(places: NDArray[np.int64], rays: int) -> Array:
     """The places of rays among `rays` rays, as places among 72 from straight ahead; exact for common places."""
-    in_sector = rays // paper.SECTORS
-    return np.asarray((places - (in_sector - 1) / 2) * (RAYS // paper.SECTORS) / in_sector)
+    ahead = (first_ray(1, rays) - 1) / 2
+    return np.asarray((places - ahead) * (RAYS // paper.SECTORS) / (rays / paper.SECTORS))
+
+
+@njit()
+def first_ray(sector: int, rays: int) -> int:
+    """Finds the first ray of a sector, of so many rays; that of sector 8 is the number of rays.
+
+    Where sectors cannot have as many rays each, the numbers are such that a ray points straight ahead.
+    """
+    return (sector * rays + (0 if rays // paper.SECTORS % 2 else paper.SECTORS - 1)) // paper.SECTORS
 
 
 def middle_readings(distances: Array) -> Array:
@@ -101,18 +110,15 @@ def middle_readings(distances: Array) -> Array:
 
     An even number of rays in a sector has two in the middle; the shorter one counts.
     """
-    by_sector, in_sector = _by_sector(distances), distances.shape[-1] // paper.SECTORS
-    return np.minimum(by_sector[..., (in_sector - 1) // 2], by_sector[..., in_sector // 2])
+    first = np.array([first_ray(sector, distances.shape[-1]) for sector in range(paper.SECTORS + 1)])
+    twice = first[:-1] + first[1:]
+    return np.minimum(distances[..., (twice - 1) // 2], distances[..., twice // 2])
 
 
 def sector_readings(distances: Array) -> Array:
     """Takes the readings of sectors (..., 8) [m] from the shortest ray of each, of distances (..., rays) [m]."""
-    return smallest(_by_sector(distances))
-
-
-def _by_sector(distances: Array) -> Array:
-    """Ray distances (..., rays) by sector (..., 8, rays / 8)."""
-    return distances.reshape(*distances.shape[:-1], paper.SECTORS, distances.shape[-1] // paper.SECTORS)
+    rows: Array = _smallest_by_sector(distances.reshape(-1, distances.shape[-1]))
+    return rows.reshape(*distances.shape[:-1], paper.SECTORS)
 
 
 def smallest(values: Array) -> Array:
@@ -129,4 +135,17 @@ def _smallest(rows: Array) -> Array:
         found[i] = rows[i, 0]
         for j in range(1, rows.shape[1]):
             found[i] = min(found[i], rows[i, j])
+    return found
+
+
+@njit()
+def _smallest_by_sector(rows: Array) -> Array:
+    """Finds the smallest value in each sector (k, 8) of each row (k, rays)."""
+    found = np.empty((len(rows), paper.SECTORS))
+    for i in range(len(rows)):
+        for sector in range(paper.SECTORS):
+            first = first_ray(sector, rows.shape[1])
+            found[i, sector] = rows[i, first]
+            for j in range(first + 1, first_ray(sector + 1, rows.shape[1])):
+                found[i, sector] = min(found[i, sector], rows[i, j])
     return found

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from math import isfinite
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
 from nnql_bullet.types import LARGEST, Number, Steps
@@ -140,6 +142,13 @@ class RewardTerm:
     """Value (...) of the steps from observations `s_tm1` to observations `s_t`; its name is the term's."""
     scale: float
 
+    def __post_init__(self) -> None:
+        """Refuses a function without a name, such as a `functools.partial`, and a scale that is no number."""
+        if not hasattr(self.function, "__name__"):
+            raise UserError("a term of the reward needs a function with a name; define it with def")
+        if not isinstance(self.scale, int | float) or not isfinite(self.scale):
+            raise UserError(f"term '{self.name}' of the reward: its scale must be a finite number, not {self.scale}")
+
     @property
     def name(self) -> str:
         """The name of the function."""
@@ -196,7 +205,10 @@ def reward_terms(s_tm1: State, s_t: State, task: TaskOptions, reward: tuple[Rewa
     """Each term's part of the reward (..., number of terms) of steps from `s_tm1` to `s_t`; the reward is their sum."""
     terms = np.empty((*s_t.readings.shape[:-1], len(reward)))
     for k, term in enumerate(reward):
-        terms[..., k] = term.function(s_tm1, s_t, task)
+        values = np.asarray(term.function(s_tm1, s_t, task))
+        if values.shape != terms.shape[:-1] or values.dtype.kind not in "fiub" or not np.isfinite(values).all():
+            raise UserError(f"term '{term.name}' of the reward must be finite numbers {terms.shape[:-1]}, not {values}")
+        terms[..., k] = values
     return terms * [term.scale for term in reward] + 0.0  # adding 0.0 makes 0.0 of a -0.0
 
 

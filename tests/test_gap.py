@@ -343,7 +343,7 @@ class TestCommand:
 
     def test_a_fault_takes_the_place_of_the_same_condition_only(self) -> None:
         sides = Side("kinematic", "fast"), Side("bullet", "fast")
-        work = tasks(open_policies("straight"), None, range(1), *sides, Conditions(payload=10.0, dead_sector=3), True)
+        work = tasks(open_policies("straight"), None, [range(1)], *sides, Conditions(payload=10.0, dead_sector=3), True)
         under = {task.fault: task.conditions for task in work if isinstance(task, FaultTask)}
         assert under["friction 0.5"] == Conditions(payload=10.0, dead_sector=3, wheel_friction=0.5)
         assert under["payload 80 kg"] == Conditions(payload=80.0, dead_sector=3)

@@ -122,7 +122,6 @@ class Mortal:
     def __init__(self, simulator: Simulator, verb: str, call: int) -> None:
         self._simulator, self._verb, self._left = simulator, verb, call
         self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
-        self.sensor = simulator.sensor
 
     def _count(self, verb: str) -> None:
         self._left -= verb == self._verb

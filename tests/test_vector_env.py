@@ -190,6 +190,16 @@ class TestActions:
             with pytest.raises(UserError, match="give 2 whole numbers from 0 to 23 as actions"):
                 envs.step(np.array([0, 18]))
 
+    def test_one_that_stands_is_truncated_as_stuck(self) -> None:
+        task = {"stuck_after": 3.0}
+        options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "manoeuvres": True, "task": task}
+        with closing(gymnasium.make_vec(NAME, 2, **options)) as envs:
+            envs.reset(seed=0)
+            for _ in range(7):
+                _, _, terminated, truncated, infos = envs.step(np.array([6, 0]))
+            assert (terminated.tolist(), truncated.tolist()) == ([False, False], [True, False])
+            assert infos["ending"].tolist() == ["stuck", None]
+
 
 class TestEpisodes:
     def test_a_vehicle_whose_time_is_up_is_put_into_its_next_world_by_the_step_after(self) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sensing import RAYS, Sensor
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
 from nnql_bullet.sim.base import Motion, Sample, Traces, WorkerDied, no_motion
 from nnql_bullet.sim.workers import WorkerSimulator
@@ -41,7 +41,6 @@ class FakeSimulator:
 
     def __init__(self, size: int) -> None:
         self.size, self.vehicle, self.drive = size, load_vehicle("tricycle"), DriveOptions()
-        self.sensor = Sensor(position=(0.0, 0.0, 0.0))
         self._yaws = np.zeros(size)
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:

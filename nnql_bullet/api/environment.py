@@ -3,11 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
 from nnql_bullet.gym_env import TricycleEnv, TricycleVectorEnv
 from nnql_bullet.run_config import RunConfig
 
 
+@checked
 def make_env(
     config: str | Path | RunConfig = "paper",
     *,

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
-from nnql_bullet.sensing import Sensor
+from nnql_bullet.sensing import Sensor, first_ray
 
 MOVING_POINT, MOVING_POINT_SHARE = 0.06, 0.03
 """Smallest distance of a moving point in front of the last scan [m], and the share of the point's distance that is
@@ -31,9 +31,8 @@ def point_cloud(ray_distances: Array, sensor: Sensor) -> Array:
 @njit()
 def place_among_rays(x: float, y: float, sensor: Array, rays: int) -> float:
     """Computes the index of the ray, of `rays`, toward a point in the vehicle frame [m], as a fraction between two."""
-    in_sector = rays // paper.SECTORS
-    step = paper.SECTOR_ANGLE / in_sector
-    return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (in_sector - 1) / 2) % rays)
+    step = paper.SECTOR_ANGLE / (rays / paper.SECTORS)
+    return float((np.arctan2(y - sensor[1], x - sensor[0]) / step + (first_ray(1, rays) - 1) / 2) % rays)
 
 
 @njit()

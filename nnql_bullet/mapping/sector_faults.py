@@ -11,7 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.point_cloud import place_among_rays
-from nnql_bullet.sensing import RAYS
+from nnql_bullet.sensing import RAYS, first_ray
 
 ENOUGH = 3.0
 """Number of contradictions from which a sensor counts as dead, until it reads something."""
@@ -26,10 +26,9 @@ ALIKE = 2.0
 @njit()
 def silent_sectors(distances: Array, sensor_range: float) -> NDArray[np.bool_]:
     """Marks the sectors (8,) in which no ray of a scan (rays,) [m] is shorter than the range [m]."""
-    silent, in_sector = np.empty(paper.SECTORS, np.bool_), len(distances) // paper.SECTORS
+    silent, rays = np.empty(paper.SECTORS, np.bool_), len(distances)
     for sector in range(paper.SECTORS):
-        first = sector * in_sector
-        silent[sector] = distances[first : first + in_sector].min() >= sensor_range
+        silent[sector] = distances[first_ray(sector, rays) : first_ray(sector + 1, rays)].min() >= sensor_range
     return silent
 
 
@@ -46,12 +45,12 @@ def contradictions(distances: Array, expected: Array, sensor: Array, sensor_rang
         sensor_range: Distance of a ray that meets nothing [m].
     """
     silent, against = silent_sectors(distances, sensor_range), np.zeros(paper.SECTORS)
-    rays, in_sector = len(distances), len(distances) // paper.SECTORS
+    rays = len(distances)
     for x, y in expected:
         if np.hypot(x - sensor[0], y - sensor[1]) < NEAR:
             place = place_among_rays(x, y, sensor, rays)
-            sector, inside = int(place) // in_sector % paper.SECTORS, place % in_sector
-            if silent[sector] and 1.0 <= inside <= in_sector - 2.0:
+            sector = _sector_of(int(place), rays)
+            if silent[sector] and first_ray(sector, rays) + 1.0 <= place <= first_ray(sector + 1, rays) - 2.0:
                 against[sector] += RAYS / rays
     for sector in range(paper.SECTORS):
         right, left = borders(distances, sector)
@@ -64,9 +63,17 @@ def contradictions(distances: Array, expected: Array, sensor: Array, sensor_rang
 @njit()
 def borders(distances: Array, sector: int) -> tuple[float, float]:
     """Returns the distances of the rays next to a sector, on its right and on its left [m]."""
-    rays, in_sector = len(distances), len(distances) // paper.SECTORS
-    first = sector * in_sector
-    return distances[(first - 1) % rays], distances[(first + in_sector) % rays]
+    rays = len(distances)
+    return distances[(first_ray(sector, rays) - 1) % rays], distances[first_ray(sector + 1, rays) % rays]
+
+
+@njit()
+def _sector_of(ray: int, rays: int) -> int:
+    """Finds the sector that a ray is in."""
+    sector = 0
+    while ray >= first_ray(sector + 1, rays):
+        sector += 1
+    return sector
 
 
 @njit()
@@ -85,19 +92,18 @@ def completed(
     Returns:
         The distances (rays,) [m], and the remembered point of each ray in a dead sector (rays, 2) [m].
     """
-    rays, in_sector = len(distances), len(distances) // paper.SECTORS
+    rays = len(distances)
     whole, remembered = distances.copy(), np.full((rays, 2), np.nan)
     for sector in range(paper.SECTORS):
         if dead[sector]:
-            first = sector * in_sector
             right, left = borders(distances, sector)
-            whole[first : first + in_sector] = min(right, left)
+            whole[first_ray(sector, rays) : first_ray(sector + 1, rays)] = min(right, left)
     nearest = np.full(rays, sensor_range)
     for x, y in expected:
         distance = np.hypot(x - sensor[0], y - sensor[1])
         if distance < sensor_range:
             ray = int(np.rint(place_among_rays(x, y, sensor, rays))) % rays
-            if dead[ray // in_sector] and distance < nearest[ray]:
+            if dead[_sector_of(ray, rays)] and distance < nearest[ray]:
                 nearest[ray] = distance
                 remembered[ray, 0], remembered[ray, 1] = x, y
                 whole[ray] = min(whole[ray], distance)

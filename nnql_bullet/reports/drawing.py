@@ -33,6 +33,7 @@ from nnql_bullet.colours import (
     TARGET,
     VEHICLE,
 )
+from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, moved
@@ -78,7 +79,12 @@ def picture(
         width: Width [inches].
         height: Height [inches].
         settings: Settings of Matplotlib (rcParams) beside its defaults.
+
+    Raises:
+        UserError: If the file is no .png.
     """
+    if path.suffix.lower() != ".png":
+        raise UserError(f"{path}: pictures are .png; give such a name")
     its: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
     its |= {"text.parse_math": False, **settings}  # a dollar in a name is a dollar
     with _one_at_a_time, rc_context(its):

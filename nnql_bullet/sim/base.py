@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
@@ -88,10 +87,6 @@ class Simulator(Protocol):
     @property
     def drive(self) -> DriveOptions:
         """Options of their controllers."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor of every vehicle."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.

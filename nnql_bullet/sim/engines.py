@@ -57,11 +57,10 @@ class ContactSimulator:
         self.engines = engines
         self.size = len(engines)
         self.vehicle, self.drive = engines[0].vehicle, engines[0].drive
-        self.sensor = engines[0].vehicle.sensor
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.sensor.rays))
+        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.vehicle.sensor.rays))
         for row, (i, world) in enumerate(worlds.items()):
             engine = self.engines[i]
             engine.reset(world)
@@ -78,7 +77,8 @@ class ContactSimulator:
         traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         """See `Simulator.advance`."""
-        motion, ray_distances, traces = no_motion(self.size), np.zeros((self.size, self.sensor.rays)), traces or {}
+        motion, traces = no_motion(self.size), traces or {}
+        ray_distances = np.zeros((self.size, self.vehicle.sensor.rays))
         for i in driving(active, self.size):
             engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
             m = engine.advance(float(heading_changes[i]), traces.get(i), scale)

@@ -11,6 +11,7 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sensing import first_ray
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.types import NonNegative
 from nnql_bullet.worlds.spec import WorldSpec
@@ -41,7 +42,8 @@ def degraded(
         seen = np.where(distances < sensor_range, noisy, distances)
     if faults.dead_sector is not None:
         seen = seen.copy()
-        seen.reshape(paper.SECTORS, -1)[faults.dead_sector] = sensor_range
+        first, end = (first_ray(sector, len(seen)) for sector in (faults.dead_sector, faults.dead_sector + 1))
+        seen[first:end] = sensor_range
     return seen
 
 
@@ -50,7 +52,6 @@ class FaultySimulator:
 
     def __init__(self, simulator: Simulator, faults: SensorFaults) -> None:
         self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
-        self.sensor = simulator.sensor
         self._simulator = simulator
         self._faults = faults
         self._noise: dict[int, np.random.Generator] = {}
@@ -60,7 +61,7 @@ class FaultySimulator:
         poses, ray_distances = self._simulator.reset(worlds)
         for row, (i, world) in enumerate(worlds.items()):
             self._noise[i] = rng(world.seed, Stream.SENSOR_NOISE)
-            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i], self.sensor.range)
+            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i], self.vehicle.sensor.range)
         return poses, ray_distances
 
     def advance(
@@ -73,7 +74,7 @@ class FaultySimulator:
         """See `Simulator.advance`."""
         motion, ray_distances = self._simulator.advance(heading_changes, active, speed_scales, traces)
         for i in driving(active, self.size):
-            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.sensor.range)
+            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.vehicle.sensor.range)
         return motion, ray_distances
 
     def close(self) -> None:

@@ -126,7 +126,6 @@ class KinematicSimulator:
         self.vehicle = vehicle
         self.drive = drive
         self.size = size
-        self.sensor = vehicle.sensor
         times, footprint, sensor = command_times(drive), vehicle.footprint, vehicle.sensor
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         self._constants = _Constants(

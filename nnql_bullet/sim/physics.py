@@ -165,9 +165,9 @@ class VehiclePhysics(ABC):
 
     def speed(self) -> float:
         """Speed of the rear-axle centre along the vehicle [m/s]."""
-        vx, vy, _ = self.velocity()
+        (vx, vy, _), (_, _, yaw_rate) = self._velocities()
         yaw, left = self.pose().yaw, self._com[1]
-        return float(vx * cos(yaw) + vy * sin(yaw) + self.yaw_rate() * left)
+        return float(vx * cos(yaw) + vy * sin(yaw) + yaw_rate * left)
 
     def yaw_rate(self) -> float:
         """Yaw rate [rad/s]."""

@@ -9,18 +9,23 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from nnql_bullet import assets, paper
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Pose, bearing
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import Extent, NonNegative, Number
-from nnql_bullet.worlds.layouts import AnyLayout, Arena
+from nnql_bullet.worlds.layouts import AnyLayout, Arena, Layout
+from nnql_bullet.worlds.layouts.base import Densifiable
+from nnql_bullet.worlds.narrowing import as_narrow_as
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_NARROWINGS = 50
+"""Largest number of random layouts that are narrowed to the bottleneck of a seed."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
 FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
@@ -66,6 +71,9 @@ class World:
     """Height of boxes and walls [m]."""
     clearance: NonNegative = 0.1
     """How much wider than the vehicle the narrowest passage is at least [m]."""
+    max_clearance: NonNegative | None = None
+    """How much wider it is at most [m]: each seed then has a bottleneck between the two, every width as often, for
+    which obstacles are added to the layout. Without it bottlenecks are as they come."""
 
     def __post_init__(self) -> None:
         """Refuses a name that no file could be named for, and a target that is reached at the start."""
@@ -76,8 +84,20 @@ class World:
                 f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
                 f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
             )
+        if self.max_clearance is None:
+            return
+        if self.max_clearance < self.clearance:
+            raise ValueError(f"max_clearance {self.max_clearance:g} is less than clearance {self.clearance:g}")
+        if not isinstance(self.layout, Densifiable):
+            raise ValueError(f"max_clearance: a layout '{self.layout.kind}' cannot be made denser; leave it out")
+
+    @property
+    def is_random(self) -> bool:
+        """Whether seeds give different worlds."""
+        return self.layout.is_random or self.patrols is not None
 
     @staticmethod
+    @checked
     def load(name: "str | Path | World") -> "World":
         """Reads a shipped world or a TOML file; a `World` is returned as it is.
 
@@ -87,6 +107,7 @@ class World:
         return name if isinstance(name, World) else load_world(str(name))
 
     @staticmethod
+    @checked
     def from_toml(path: str | Path) -> "World":
         """Reads a TOML file, and the files that its `base` names under it.
 
@@ -96,6 +117,7 @@ class World:
         return load_world(str(path))
 
     @staticmethod
+    @checked
     def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
         """Makes a world with boxes at given places.
 
@@ -110,17 +132,20 @@ class World:
         layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
         return parse(World, {**values, "layout": layout}, "world")
 
+    @checked
     def plot(self, path: Path | str, seed: int = 0) -> None:
         """Draws the world of a seed as a picture (.png)."""
         from nnql_bullet.reports.plots import draw_map
 
         draw_map(self.draw(seed), Path(path))
 
+    @checked
     def draw(self, seed: int, vehicle_width: float = WIDTH, allow_impassable: bool = False) -> WorldSpec:
         """Draws the world of a seed, whose widest path is wider than the vehicle by `clearance` everywhere.
 
-        A random layout is drawn again until it leaves such a path. The result depends on the arguments alone. Patrols
-        are drawn last, so they do not change the other obstacles; they may cross the path.
+        A random layout is drawn again until it leaves such a path. With `max_clearance`, the bottleneck is as wide as
+        the seed says, to a centimetre. The result depends on the arguments alone. Patrols are drawn last, so they do
+        not change the other obstacles; they may cross the path.
 
         Args:
             seed: The seed.
@@ -130,12 +155,16 @@ class World:
         Raises:
             UserError: If the path is too narrow, an end is outside the arena, or there is no room for the patrols.
         """
+        if not 0 <= seed < 2**63:
+            raise UserError(f"a world seed must be from 0 to 2^63 - 1, not {seed}")
         for name, (x, y) in (("start", self.start), ("target", self.target)):
             if not (0 < x < self.width and 0 < y < self.depth):
                 raise UserError(f"world '{self.name}': its {name} ({x:g}, {y:g}) is outside the arena; move it inside")
+        if isinstance(self.layout, Densifiable) and self.max_clearance is not None:
+            return self._with_patrols(self._as_narrow_as_drawn(self.layout, seed, vehicle_width, self.max_clearance))
         attempts = MOST_ATTEMPTS if self.layout.is_random else 1
         for attempt in range(attempts):
-            world = self._attempt(seed, attempt)
+            world = self._attempt(seed, attempt, self.layout)
             if allow_impassable or world.bottleneck.width >= vehicle_width + self.clearance:
                 return self._with_patrols(world)
             if attempt == 0 and replace(world, obstacles=()).bottleneck.width < vehicle_width + self.clearance:
@@ -150,7 +179,19 @@ class World:
             "allow impassable worlds"
         )
 
-    def _attempt(self, seed: int, attempt: int) -> WorldSpec:
+    def _as_narrow_as_drawn(self, layout: Densifiable, seed: int, width: float, most: float) -> WorldSpec:
+        """Draws the bottleneck of a seed, and a world that has it."""
+        wanted = width + round(float(rng(seed, Stream.BOTTLENECK).uniform(self.clearance, most)), 3)
+        for attempt in range(MOST_NARROWINGS):
+            world = as_narrow_as(wanted, lambda share: self._attempt(seed, attempt, layout.denser(share)))  # noqa: B023
+            if world is not None:
+                return world
+        raise UserError(
+            f"world '{self.name}', seed {seed}: in {MOST_NARROWINGS} attempts none had a bottleneck of {wanted:.2f} m; "
+            "make the layout sparser, or smaller obstacles possible, or change 'clearance' and 'max_clearance'"
+        )
+
+    def _attempt(self, seed: int, attempt: int, layout: Layout) -> WorldSpec:
         arena = Arena(self.width, self.depth, (self.start, self.target))
         yaw = bearing(Pose(*self.start, 0.0), *self.target)
         if self.start_yaw_degrees is not None:
@@ -160,7 +201,7 @@ class World:
             seed=seed,
             width=self.width,
             depth=self.depth,
-            obstacles=self.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
+            obstacles=layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
             start=Pose(*self.start, round(yaw, 6)),
             target=self.target,
             target_radius=self.target_radius,
