@@ -205,7 +205,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier.world, task.setting, len(seeds))
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.config.task)
+            navigation = Navigation(simulator, experiment.task)
             return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
     experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
     return run_episodes(experiment.navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
