@@ -58,7 +58,7 @@ class Experiment:
     @cached_property
     def task(self) -> TaskOptions:
         """The task, with distances that follow the vehicle."""
-        return self.config.task.scaled(length_scale(self.vehicle), self.vehicle.sensor.range)
+        return self.config.task.scaled(length_scale(self.vehicle.footprint), self.vehicle.sensor.range)
 
     def world(self, seed: int) -> WorldSpec:
         """Draws the world of a seed.

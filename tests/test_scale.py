@@ -102,7 +102,7 @@ def test_drives_are_as_large_as_vehicle_and_world(policy: str, k: float) -> None
 
 
 def test_the_lengths_of_the_shipped_vehicle_are_those_that_are_stated() -> None:
-    assert length_scale(TRICYCLE) == 1.0
+    assert length_scale(TRICYCLE.footprint) == 1.0
     task = TaskOptions(other_distance=1.0, hysteresis=0.5)
     assert task.scaled(1.0, 10.0) == task
     assert (task.scaled(2.0, 8.0).front_distance, task.scaled(2.0, 8.0).front_side_distance) == (8.0, 7.0)

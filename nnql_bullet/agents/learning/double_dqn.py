@@ -157,7 +157,7 @@ class DoubleDqn:
     def __init__(self, options: DoubleDqnOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self.options = options
         self._seed = seed
-        self._scale = length_scale(vehicle, drive)
+        self._scale = length_scale(vehicle.footprint)
         self._frames = FrameMaker(options.rays, options.frames, options.grid_map, vehicle, drive)
         self._inputs = options.frames * self._frames.width
         with fenced(rng(seed, Stream.WEIGHTS)):

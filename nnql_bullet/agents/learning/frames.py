@@ -95,12 +95,15 @@ class FrameMaker:
             drive: Likewise speed and time between decisions.
         """
         self.rays, self.frames, self.with_map = rays, frames, with_map
-        self._limits, self._scale = vehicle.limits, length_scale(vehicle, drive)
+        self._limits, self._scale = vehicle.limits, length_scale(vehicle.footprint)
         self._range = vehicle.sensor.range / self._scale
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         self._speed, self._acceleration = drive.speed / self._scale, vehicle.limits.acceleration / self._scale
         self._taken = nearest_rays(vehicle.sensor.rays)
-        self._angles, self._origin = vehicle.sensor.angles[self._taken], np.array(vehicle.sensor.position[:2]) / self._scale
+        self._angles, self._origin = (
+            vehicle.sensor.angles[self._taken],
+            np.array(vehicle.sensor.position[:2]) / self._scale,
+        )
         reaches = np.repeat(np.arange(len(grid_map.REACHES) if with_map else 0), grid_map.BEARINGS)
         around = mirrored_directions(grid_map.BEARINGS)[np.arange(len(reaches)) % grid_map.BEARINGS]
         parts = [

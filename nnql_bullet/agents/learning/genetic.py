@@ -68,7 +68,7 @@ class GeneticOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Genetic":
         """Builds the agent."""
-        return Genetic(self, seed, length_scale(vehicle, drive))
+        return Genetic(self, seed, length_scale(vehicle.footprint))
 
 
 class Genetic(TurnChooser):
@@ -119,7 +119,7 @@ def layers(genomes: Array) -> dict[str, Array]:
 
 
 def network_outputs(genomes: Array, readings: Array) -> Array:
-    """What the networks of n genomes (n, 89) put out (n, 5), each for readings of its own (n, 8), in metres of the shipped vehicle."""
+    """What the networks of n genomes (n, 89) put out (n, 5), each for readings of its own (n, 8) [m], scaled."""
     w1, b1, w2, b2 = layers(genomes).values()
     hidden = expit(np.einsum("nij,nj->ni", w1, encode(readings, "proximity")) + b1)
     return np.asarray(np.einsum("nij,nj->ni", w2, hidden) + b2)

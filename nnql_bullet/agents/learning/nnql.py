@@ -47,7 +47,7 @@ class NnqlOptions(QLearningOptions):
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Nnql":
         """Builds the untrained agent."""
-        return Nnql(self, seed, length_scale(vehicle, drive))
+        return Nnql(self, seed, length_scale(vehicle.footprint))
 
 
 class Nnql(QLearning):

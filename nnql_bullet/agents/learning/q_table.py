@@ -54,7 +54,7 @@ class QTableOptions(QLearningOptions):
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "QTable":
         """Builds the agent."""
-        return QTable(self, length_scale(vehicle, drive))
+        return QTable(self, length_scale(vehicle.footprint))
 
 
 class QTable(QLearning):

@@ -73,7 +73,7 @@ class Sb3DqnOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Sb3Dqn":
         """Builds the agent."""
-        return Sb3Dqn(self, seed, length_scale(vehicle, drive))
+        return Sb3Dqn(self, seed, length_scale(vehicle.footprint))
 
 
 class Sb3Dqn(NoMemory):

@@ -76,7 +76,7 @@ class FuzzyOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Fuzzy":
         """Builds the agent."""
-        return Fuzzy(self, length_scale(vehicle, drive))
+        return Fuzzy(self, length_scale(vehicle.footprint))
 
 
 class Fuzzy(Rule):

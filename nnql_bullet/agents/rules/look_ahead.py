@@ -46,7 +46,7 @@ class LookAhead(Rule):
         self.options = options
         self._vehicle = vehicle
         self._footprint = as_rows((vehicle.footprint,))[0]
-        self._margin = options.margin * length_scale(vehicle)
+        self._margin = options.margin * length_scale(vehicle.footprint)
         self._speed = drive.speed
         self._times = PREDICTION_STEP * np.arange(1.0, options.horizon / PREDICTION_STEP + 1e-9)
 

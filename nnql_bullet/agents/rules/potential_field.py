@@ -41,7 +41,7 @@ class PotentialFieldOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "PotentialField":
         """Builds the agent."""
-        return PotentialField(self, vehicle, length_scale(vehicle, drive))
+        return PotentialField(self, vehicle, length_scale(vehicle.footprint))
 
 
 class PotentialField(Rule):

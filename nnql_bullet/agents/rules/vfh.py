@@ -114,7 +114,7 @@ class Vfh(NoValues):
         self.options = options
         self._limits = vehicle.limits
         self._period = np.array([drive.decision_period])
-        self._scale = length_scale(vehicle, drive)
+        self._scale = length_scale(vehicle.footprint)
         self._turning_radius = drive.speed / vehicle.limits.yaw_rate / self._scale
         self._sensor = vehicle.sensor
         ahead, left, _ = vehicle.sensor.position
