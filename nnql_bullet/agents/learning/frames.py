@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
-from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import nearest_rays
@@ -99,6 +99,7 @@ class FrameMaker:
         self._range = vehicle.sensor.range / self._scale
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         self._speed, self._acceleration = drive.speed / self._scale, vehicle.limits.acceleration / self._scale
+        self._drive = drive
         self._taken = nearest_rays(vehicle.sensor.rays)
         self._angles, self._origin = (
             vehicle.sensor.angles[self._taken],
@@ -158,14 +159,14 @@ class FrameMaker:
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
-        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
-        turns = heading_change(actions, o.target_bearing)
+        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
+        turns, top = heading_change(actions, o.target_bearing), self._drive.speed
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
         ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
         change = self._acceleration * self._times[-1] / self._speed
         speeds = np.clip(goals, speeds - change, speeds + change)
-        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % STOP, speeds=speeds)
+        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % ACTIONS, speeds=speeds)
 
     def mirrored(self, stacked: Bytes) -> Bytes:
         """Mirror images of network inputs (m, frames * width)."""
