@@ -18,9 +18,11 @@ from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
+from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
@@ -59,6 +61,11 @@ class Experiment:
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
+
+    @cached_property
+    def task(self) -> TaskOptions:
+        """The task, with distances that follow the vehicle."""
+        return self.config.task.scaled(length_scale(self.vehicle.footprint), self.vehicle.sensor.range)
 
     def world(self, seed: int) -> WorldSpec:
         """Draws the world of a seed.
@@ -117,7 +124,7 @@ class Experiment:
     @cached_property
     def navigation(self) -> Navigation:
         """The task over `simulator`."""
-        return Navigation(self.simulator, self.config.task)
+        return Navigation(self.simulator, self.task)
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator with the configuration's number of vehicles; the caller closes it.
@@ -161,7 +168,7 @@ class Experiment:
     def policy(self) -> Policy:
         """The policy that drives after training: the agent, in its shield if it has one."""
         c = self.config
-        return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:
@@ -209,4 +216,4 @@ class Experiment:
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
         with closing(kinematic.new_simulator(workers)) as simulator:
-            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.config.task), worlds)
+            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.task), worlds)

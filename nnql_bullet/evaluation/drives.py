@@ -306,7 +306,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.config.task)
+            navigation = Navigation(simulator, experiment.task)
             return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
     experiment = _experiment(task.policy, task.tier, task.setting, 1)
     return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)
