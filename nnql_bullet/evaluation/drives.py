@@ -113,7 +113,8 @@ def check_setting(policy: Policy, setting: Setting) -> None:
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes).experiment.simulator.close()
+    own_world = {**setting.changes, "start": None, "target": None}
+    load_policy(policy.source, own_world).experiment.simulator.close()
 
 
 def distinct(seeds: range, experiment: Experiment, policies: Sequence[Policy]) -> range:
