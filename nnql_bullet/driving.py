@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet import __version__
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.recording import Recorder, Recording
@@ -22,6 +23,7 @@ RECORDING = "trajectory.npz"
 """File that a drive is kept in."""
 
 
+@checked
 def drive(
     policy: PolicyLike,
     *,

@@ -85,8 +85,14 @@ class TestSilence:
         def reward(transitions: Transition) -> np.ndarray:
             return np.full(len(transitions.r_t), 1e300)
 
-        with pytest.raises(WorkFailed, match=r"the training diverged: after \d+ episodes 'td_error' is not finite"):
+        with pytest.raises(
+            WorkFailed, match=r"the training diverged: after \d+ episodes 'td_error' is not finite"
+        ) as e:
             nb.train("paper", out=tmp_path / "run", simulator="kinematic", vehicles=4, episodes=40, reward=reward)
+        assert "it came to no checkpoint, so nothing is kept; begin anew, in the same folder if you like" in str(
+            e.value
+        )
+        nb.train("paper", out=tmp_path / "run", simulator="kinematic", vehicles=4, episodes=2)
 
     def test_a_fixed_world_is_one_drive(self, tmp_path: Path) -> None:
         (tmp_path / "fixed.toml").write_text(FIXED)

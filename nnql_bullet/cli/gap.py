@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import gap as api
-from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.console import progress, say, seed_range
 from nnql_bullet.cli.flags import KeyFlags, Place
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.evaluation.splits import SplitName
@@ -25,8 +25,9 @@ def gap(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
-    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
-    split: SplitName = "validation",
+    worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    split: SplitName | None = None,
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="FROM:TO")] = None,
     faults: bool = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -56,8 +57,9 @@ def gap(
             default that of the training.
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
-        worlds: Number of worlds.
-        split: Worlds to choose with, or those for the final table.
+        worlds: Number of worlds; default 100.
+        split: Worlds to choose with (validation, the default), or those for the final table.
+        seeds: Worlds of these seeds in place of --split and --worlds; TO is left out.
         faults: Leave out the drives with faults, which take some twelve times as long as the rest.
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/gap.
@@ -76,6 +78,7 @@ def gap(
             target=target,
             split=split,
             n_worlds=worlds,
+            seeds=seed_range(seeds),
             conditions=conditions_of(conditions),
             faults=faults,
             executor="processes",

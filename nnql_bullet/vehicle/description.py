@@ -5,7 +5,7 @@ they are folded into the link that carries them, because PyBullet would give eac
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import atan2, cos, sin
 from pathlib import Path
@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
 from nnql_bullet.markup import parse_xml
 
@@ -32,6 +33,19 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re
 
 class Unfit(Exception):
     """The URDF does not describe a vehicle that this package can drive; the text names the change needed."""
+
+
+def refuse(problems: Sequence[str]) -> None:
+    """Refuses a URDF with problems, and names all of them.
+
+    Raises:
+        Unfit: If there are any.
+    """
+    if len(problems) == 1:
+        raise Unfit(problems[0])
+    if problems:
+        listed = "; ".join(f"({number}) {problem}" for number, problem in enumerate(problems, 1))
+        raise Unfit(f"{len(problems)} things are wrong: {listed}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +126,7 @@ def read(path: Path) -> Element:
         UserError: If the file cannot be read, is not XML, or its links and joints are not a tree with proper numbers.
     """
     try:
-        size = path.stat().st_size
+        size = plain_file(path).stat().st_size
         if size > MOST_BYTES:
             raise Unfit(f"has {size} bytes; a URDF is read up to {MOST_BYTES} bytes")
         return parse(path.read_bytes())
@@ -132,7 +146,7 @@ def parse(source: str | bytes) -> Element:
         robot = parse_xml(source)
         if robot.tag != "robot":
             raise Unfit(f"its root is <{robot.tag}>, not <robot>")
-        _check_numbers(robot)
+        refuse(list(_check_numbers(robot)))
         _check_tree(robot)
     except (Unfit, ValueError) as error:
         raise Unfit(f"cannot be read as a URDF: {error}") from None
@@ -192,7 +206,7 @@ def text_of(robot: Element) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _check_numbers(robot: Element) -> None:
+def _check_numbers(robot: Element) -> Iterator[str]:
     """Checks the form of all numbers of links and joints, and writes one space between them, as PyBullet needs it."""
     for part in [*robot.findall("link"), *robot.findall("joint"), *robot.findall("material")]:
         for element in part.iter():
@@ -202,12 +216,13 @@ def _check_numbers(robot: Element) -> None:
                 words, count = element.attrib[key].split(), NUMBERS[key]
                 given = f'<{element.tag} {key}="{element.attrib[key]}"> of {part.tag} {part.get("name")!r}'
                 if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
-                    raise Unfit(f"{given} must be {count} number{'s' * (count > 1)}")
+                    yield f"{given} must be {count} number{'s' * (count > 1)}"
+                    continue
                 numbers = [float(word) for word in words]
                 if key not in ("effort", "value") and not all(abs(number) <= LARGEST for number in numbers):
-                    raise Unfit(f"{given} must be finite, and at most {LARGEST:g} in size")
-                if key in ("size", "length") and min(numbers) <= 0:
-                    raise Unfit(f"{given} must be positive")
+                    yield f"{given} must be finite, and at most {LARGEST:g} in size"
+                elif key in ("size", "length") and min(numbers) <= 0:
+                    yield f"{given} must be positive"
                 element.set(key, " ".join(words))
 
 

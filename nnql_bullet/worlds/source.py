@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Tag, ValidationError
 
 from nnql_bullet import assets, paper
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
@@ -16,12 +17,16 @@ from nnql_bullet.geometry import Pose, bearing, placed, wrap_angle
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import LARGEST, Extent, NonNegative, Number
 from nnql_bullet.worlds.importers import is_foreign
-from nnql_bullet.worlds.layouts import AnyLayout, Arena
+from nnql_bullet.worlds.layouts import AnyLayout, Arena, Layout
+from nnql_bullet.worlds.layouts.base import Densifiable
+from nnql_bullet.worlds.narrowing import as_narrow_as
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_NARROWINGS = 50
+"""Largest number of random layouts that are narrowed to the bottleneck of a seed."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
 MOST_NAME = 100
@@ -65,6 +70,9 @@ class World:
     """Height of boxes and walls [m]."""
     clearance: NonNegative = 0.1
     """How much wider than the vehicle the narrowest passage is at least [m]."""
+    max_clearance: NonNegative | None = None
+    """How much wider it is at most [m]: each seed then has a bottleneck between the two, every width as often, for
+    which obstacles are added to the layout. Without it bottlenecks are as they come."""
     origin: tuple[Number, Number] = (0.0, 0.0)
     """The arena's lower left corner in the frame of the map that it was made from [m], in which no other key is."""
     origin_yaw_degrees: Number = 0.0
@@ -79,6 +87,17 @@ class World:
                 f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
                 f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
             )
+        if self.max_clearance is None:
+            return
+        if self.max_clearance < self.clearance:
+            raise ValueError(f"max_clearance {self.max_clearance:g} is less than clearance {self.clearance:g}")
+        if not isinstance(self.layout, Densifiable):
+            raise ValueError(f"max_clearance: a layout '{self.layout.kind}' cannot be made denser; leave it out")
+
+    @property
+    def is_random(self) -> bool:
+        """Whether seeds give different worlds."""
+        return self.layout.is_random or self.patrols is not None
 
     @property
     def frame(self) -> Pose:
@@ -120,6 +139,7 @@ class World:
             check_inside(f"world '{self.name}': its {name}", point, (self.width, self.depth), self.frame)
 
     @staticmethod
+    @checked
     def load(name: "str | Path | World") -> "World":
         """Reads a shipped world, a TOML file, or a map or world of another program; a `World` is returned as it is.
 
@@ -132,6 +152,7 @@ class World:
         return name if isinstance(name, World) else load_world(str(name))
 
     @staticmethod
+    @checked
     def from_toml(path: str | Path) -> "World":
         """Reads a TOML file, and the files that its `base` names under it.
 
@@ -141,6 +162,7 @@ class World:
         return load_world(str(path))
 
     @staticmethod
+    @checked
     def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
         """Makes a world with boxes at given places.
 
@@ -155,17 +177,20 @@ class World:
         layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
         return parse(World, {**values, "layout": layout}, "world")
 
+    @checked
     def plot(self, path: Path | str, seed: int = 0) -> None:
         """Draws the world of a seed as a picture (.png)."""
         from nnql_bullet.reports.plots import draw_map
 
         draw_map(self.draw(seed), Path(path))
 
+    @checked
     def draw(self, seed: int, vehicle_width: float = WIDTH, allow_impassable: bool = False) -> WorldSpec:
         """Draws the world of a seed, whose widest path is wider than the vehicle by `clearance` everywhere.
 
-        A random layout is drawn again until it leaves such a path. The result depends on the arguments alone. Patrols
-        are drawn last, so they do not change the other obstacles; they may cross the path.
+        A random layout is drawn again until it leaves such a path. With `max_clearance`, the bottleneck is as wide as
+        the seed says, to a centimetre. The result depends on the arguments alone. Patrols are drawn last, so they do
+        not change the other obstacles; they may cross the path.
 
         Args:
             seed: The seed.
@@ -179,9 +204,11 @@ class World:
             given = f", not {seed}" if abs(seed) < 10**30 else ""
             raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
         self.check_ends()
+        if isinstance(self.layout, Densifiable) and self.max_clearance is not None:
+            return self._with_patrols(self._as_narrow_as_drawn(self.layout, seed, vehicle_width, self.max_clearance))
         attempts = MOST_ATTEMPTS if self.layout.is_random else 1
         for attempt in range(attempts):
-            world = self._attempt(seed, attempt)
+            world = self._attempt(seed, attempt, self.layout)
             if allow_impassable or world.bottleneck.admits(vehicle_width + self.clearance):
                 return self._with_patrols(world)
             if attempt == 0 and not replace(world, obstacles=()).bottleneck.admits(vehicle_width + self.clearance):
@@ -196,7 +223,19 @@ class World:
             "allow impassable worlds"
         )
 
-    def _attempt(self, seed: int, attempt: int) -> WorldSpec:
+    def _as_narrow_as_drawn(self, layout: Densifiable, seed: int, width: float, most: float) -> WorldSpec:
+        """Draws the bottleneck of a seed, and a world that has it."""
+        wanted = width + round(float(rng(seed, Stream.BOTTLENECK).uniform(self.clearance, most)), 3)
+        for attempt in range(MOST_NARROWINGS):
+            world = as_narrow_as(wanted, lambda share: self._attempt(seed, attempt, layout.denser(share)))  # noqa: B023
+            if world is not None:
+                return world
+        raise UserError(
+            f"world '{self.name}', seed {seed}: in {MOST_NARROWINGS} attempts none had a bottleneck of {wanted:.2f} m; "
+            "make the layout sparser, or smaller obstacles possible, or change 'clearance' and 'max_clearance'"
+        )
+
+    def _attempt(self, seed: int, attempt: int, layout: Layout) -> WorldSpec:
         arena = Arena(self.width, self.depth, (self.start, self.target))
         yaw = bearing(Pose(*self.start, 0.0), *self.target)
         if self.start_yaw_degrees is not None:
@@ -206,7 +245,7 @@ class World:
             seed=seed,
             width=self.width,
             depth=self.depth,
-            obstacles=self.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
+            obstacles=layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
             start=Pose(*self.start, round(yaw, 6)),
             target=self.target,
             target_radius=self.target_radius,

@@ -14,10 +14,11 @@ import nnql_bullet as nb
 from nnql_bullet import assets
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.env import Navigation
+from nnql_bullet.evaluation.drives import Setting, draw_tiers
 from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.evaluation.replays import open_evaluation
-from nnql_bullet.evaluation.splits import load_frozen
+from nnql_bullet.evaluation.splits import Draws, load_frozen
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import PRESETS, load_config
 from nnql_bullet.recording import load_recording
@@ -72,6 +73,9 @@ def targets(home: Path) -> dict[str, Target]:
         (worlds / path.name).write_bytes(path.read_bytes())
     (worlds / "fixed.toml").write_text(_BOXES)
     (worlds / "based.toml").write_text('base = "fixed"\nwidth = 60\n')
+    maps = _made(home / "maps")
+    for name in ("fixed", "based", "rooms"):
+        (maps / f"{name}.toml").write_bytes((worlds / f"{name}.toml").read_bytes())
     foreign = _foreign_files(_made(home / "foreign"))
     configs = _made(home / "configs")
     for name, config in PRESETS.items():
@@ -92,6 +96,9 @@ def targets(home: Path) -> dict[str, Target]:
     return {
         "configuration": Target(configs, {f"{name}.toml": toml for name in PRESETS}, _configure),
         "worlds": Target(worlds, {path.name: toml for path in worlds.iterdir()}, _draw),
+        "folders of worlds": Target(
+            maps, {"fixed.toml": mutators.bytes_changed, "based.toml": toml, "rooms.toml": toml}, _draw_folder
+        ),
         "maps": Target(foreign, _FOREIGN, _import),
         "robots": Target(robots, {"tricycle.toml": toml, "tricycle.urdf": mutators.bytes_changed}, _load_robot),
         "policies": Target(run, {"policy.safetensors": st}, lambda folder: load_policy(folder / "policy.safetensors")),
@@ -202,6 +209,13 @@ def _import(folder: Path) -> None:
         return
     path = changed.with_suffix(".yaml") if changed.suffix in (".pgm", ".png") else changed
     nb.import_world(path).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)
+
+
+def _draw_folder(folder: Path) -> None:
+    kinematic, draws = Setting("kinematic", "reference"), Draws(range(700_000, 700_002), None)
+    (tier,), refused = draw_tiers([folder], draws, kinematic, open_policies("straight"))
+    if {its.file for its in (*tier.worlds, *refused)} != {str(path) for path in folder.iterdir()}:
+        raise RuntimeError(f"{folder}: a file is neither drawn nor refused")
 
 
 def _load_robot(folder: Path) -> None:
