@@ -113,8 +113,6 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
-            "start": self.start,
-            "target": self.target,
         }
 
     @property
@@ -139,8 +137,7 @@ def check_setting(policy: Policy, setting: Setting) -> None:
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    own_world = {**setting.changes, "start": None, "target": None}
-    load_policy(policy.source, own_world).experiment.simulator.close()
+    load_policy(policy.source, setting.changes).experiment.simulator.close()
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -388,5 +385,6 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
-    changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
+    ends = {"start": setting.start, "target": setting.target}
+    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes, **policy.changes}
     return load_policy(policy.source, changes).experiment
