@@ -403,9 +403,9 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
     [
         (
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
-            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, name, "
-            r"obstacle_height, origin, origin_yaw_degrees, patrols, start, start_yaw_degrees, target, target_radius, "
-            "width",
+            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, "
+            r"max_clearance, name, obstacle_height, origin, origin_yaw_degrees, patrols, start, "
+            r"start_yaw_degrees, target, target_radius, width",
         ),
         (
             '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',

@@ -163,7 +163,7 @@ def evaluate(
         worlds: Shipped worlds, TOML files, maps and worlds of other programs, folders of such files, or `World`
             objects.
         split: "validation", the default, has worlds to choose with, "test" those for a final table.
-        n_worlds: Worlds of each file, by default 100.
+        n_worlds: Worlds of each file, by default 100; a world in which nothing is random counts once.
         seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.

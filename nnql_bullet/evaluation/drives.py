@@ -254,11 +254,10 @@ def _files(given: str | World) -> Sequence[str | World]:
     if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
         assets.find("worlds", given)
         return [given]
-    kinds = (".toml", *READERS)
-    files = sorted(its for its in Path(given).iterdir() if its.suffix.lower() in kinds and is_file(its))
-    files = [path for path in files if not path.name.startswith(".")]
+    suffixes = (".toml", *READERS)
+    files = sorted(path for path in Path(given).glob("[!.]*") if path.suffix.lower() in suffixes and is_file(path))
     if not files:
-        raise UserError(f"{given}: is a folder without worlds (*{', *'.join(kinds)}); give another one")
+        raise UserError(f"{given}: is a folder without worlds; give another one")
     return [str(path) for path in files]
 
 

@@ -147,8 +147,8 @@ def draw_world(axes: Axes, world: WorldSpec, time: float, outline: float = 0.8) 
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
     outlines = [_rim(its) if isinstance(its, Circle) else its.corners() for its in world.obstacles]
-    looks: dict[str, Any] = {"facecolor": BOX if outline else BOX_EDGE, "linewidth": outline or 0.1}
-    axes.add_collection(PolyCollection(outlines, edgecolor=BOX_EDGE, **looks))
+    fill = BOX if outline else BOX_EDGE
+    axes.add_collection(PolyCollection(outlines, facecolor=fill, edgecolor=BOX_EDGE, linewidth=outline or 0.1))
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)

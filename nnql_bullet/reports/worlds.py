@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import degrees
+from math import degrees, inf
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from nnql_bullet.colours import BOX_EDGE, SAFE, TEMPERATURE
 from nnql_bullet.geometry import Array, Circle, Pose, placed
 from nnql_bullet.reports.drawing import draw_world, finish_axes, legend_below, legend_entries, picture
 from nnql_bullet.reports.tables import finite
-from nnql_bullet.worlds.paths import shortest_path
+from nnql_bullet.worlds.paths import path_length, shortest_path
 from nnql_bullet.worlds.spec import WorldSpec
 
 LONGER, SHORTER = 9.0, 3.4
@@ -37,9 +37,9 @@ class WorldView:
     """Width of the narrowest passage that the world asks for: that of the vehicle and its clearance [m]."""
 
     @cached_property
-    def shortest(self) -> tuple[Array, float]:
-        """Corners and length of the shortest path of a disc of the vehicle's width, or of the bottleneck's if less."""
-        return shortest_path(self.world, min(self.vehicle_width, self.world.bottleneck.width) / 2)
+    def path(self) -> Array:
+        """Corners of the shortest path of a disc of the vehicle's width, or of the bottleneck's if that is less."""
+        return shortest_path(self.world, min(self.vehicle_width, self.world.bottleneck.width) / 2)[0]
 
     @property
     def values(self) -> dict[str, Any]:
@@ -65,7 +65,7 @@ class WorldView:
                 "bottleneck_at": [x, y],
                 "needed": self.needed,
                 "passable": found.admits(self.needed),
-                "path_length": self.shortest[1],
+                "path_length": path_length(self.path) if len(self.path) else inf,
                 "digest": w.digest,
             }
         )
@@ -97,9 +97,8 @@ class WorldView:
             axes = figure.add_subplot()
             fine = len(world.obstacles) > 200
             draw_world(axes, world, 0.0, outline=0.0 if fine else 0.8)
-            corners, length = self.shortest
-            if len(corners):
-                axes.plot(*corners.T, color=SAFE, lw=1.8, zorder=4, solid_joinstyle="round")
+            if len(self.path):
+                axes.plot(*self.path.T, color=SAFE, lw=1.8, zorder=4, solid_joinstyle="round")
             narrow = world.bottleneck
             radius = max(narrow.width / 2, 0.012 * longer)
             axes.add_patch(Disc((narrow.x, narrow.y), radius, fc="none", ec=TEMPERATURE, lw=1.8, zorder=6))
@@ -107,7 +106,7 @@ class WorldView:
             axes.set(xlim=(-margin, world.width + margin), ylim=(-margin, world.depth + margin), aspect="equal")
             self._scale(axes)
             finish_axes(axes, self._title(), 10, grid="none")
-            way = f"shortest path, {length:.1f} m" if len(corners) else "no path"
+            way = f"shortest path, {path_length(self.path):.1f} m" if len(self.path) else "no path"
             handles = [
                 Patch(fc=BOX_EDGE, label="obstacle") if fine else legend_entries(obstacle="obstacle")[0],
                 *legend_entries(**({"moving": "moving"} if world.patrols else {}), start="start", target="target"),

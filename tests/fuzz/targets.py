@@ -202,6 +202,13 @@ def _draw(folder: Path) -> None:
     world.draw(0).digest  # noqa: B018 (hashes it)
 
 
+def _draw_folder(folder: Path) -> None:
+    kinematic, draws = Setting("kinematic", "reference"), Draws(range(700_000, 700_002), None)
+    (tier,), refused = draw_tiers([folder], draws, kinematic, open_policies("straight"))
+    if {its.file for its in (*tier.worlds, *refused)} != {str(path) for path in folder.iterdir()}:
+        raise RuntimeError(f"{folder}: a file is neither drawn nor refused")
+
+
 def _import(folder: Path) -> None:
     changed = _changed_file(folder)
     if changed.suffix == ".npy":
@@ -209,13 +216,6 @@ def _import(folder: Path) -> None:
         return
     path = changed.with_suffix(".yaml") if changed.suffix in (".pgm", ".png") else changed
     nb.import_world(path).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)
-
-
-def _draw_folder(folder: Path) -> None:
-    kinematic, draws = Setting("kinematic", "reference"), Draws(range(700_000, 700_002), None)
-    (tier,), refused = draw_tiers([folder], draws, kinematic, open_policies("straight"))
-    if {its.file for its in (*tier.worlds, *refused)} != {str(path) for path in folder.iterdir()}:
-        raise RuntimeError(f"{folder}: a file is neither drawn nor refused")
 
 
 def _load_robot(folder: Path) -> None:
