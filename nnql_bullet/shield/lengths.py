@@ -6,22 +6,18 @@ A length that is not given is a multiple of the vehicle's turning radius, its st
 from dataclasses import dataclass
 from math import hypot, pi, sin
 
-import numpy as np
-
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.types import NonNegative, Positive, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import turning_deceleration
+from nnql_bullet.vehicle.scale import length_scale, turning_radius
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 GRIP_SHARE = 0.9
 """Fraction of the hardest braking that load and friction allow, which the prediction counts on."""
-USUAL = OrientedBox(0.35, 0.0, 0.55, 0.325)
-"""Footprint of the vehicle for which the lengths below are stated."""
 MARGIN, TIGHT_MARGIN, LOOK_AHEAD, CORRIDOR = 0.3, 0.06, 2.0, 6.0
-"""Of that vehicle [m]; see `ShieldOptions`."""
+"""Of the shipped vehicle [m]; see `ShieldOptions`."""
 BOX_SPEED, STANDSTILL = 0.5, 0.025
 """Speed at which moving obstacles may come nearer, and speed below which a vehicle stands, as shares of the drive's."""
 
@@ -54,7 +50,7 @@ class Lengths:
     """What `ShieldOptions` come to for a vehicle."""
 
     scale: float
-    """Turning radius of the vehicle over that of the vehicle for which lengths are stated."""
+    """See `vehicle.scale`."""
     turning_radius: float
     """Largest distance of the footprint from the rear-axle centre [m]."""
     deceleration: float
@@ -71,7 +67,7 @@ class Lengths:
     """Speed below which the vehicle stands [m/s]."""
 
     def times(self, length: float) -> float:
-        """A length that is stated for the usual vehicle [m], for this one."""
+        """A length that is stated for the shipped vehicle [m], for this one."""
         return length * self.scale
 
 
@@ -86,8 +82,7 @@ def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions
     Raises:
         UserError: If obstacles of the least width could stand unseen right beside the vehicle.
     """
-    radius = turning_radius(vehicle.footprint)
-    scale = radius / turning_radius(USUAL)
+    scale = length_scale(vehicle.footprint)
     deceleration = min(vehicle.limits.acceleration, GRIP_SHARE * turning_deceleration(vehicle, drive.speed))
     stop = drive.speed * drive.decision_period + drive.speed * drive.speed / (2 * deceleration)
     tight = _or(options.tight_margin, TIGHT_MARGIN * scale)
@@ -99,7 +94,7 @@ def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions
         )
     return Lengths(
         scale=scale,
-        turning_radius=radius,
+        turning_radius=turning_radius(vehicle.footprint),
         deceleration=deceleration,
         stopping_distance=stop,
         least_width=_or(options.least_width, missed_width(vehicle, tight + stop)),
@@ -110,11 +105,6 @@ def lengths_of(options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions
         box_speed=_or(options.box_speed, BOX_SPEED * drive.speed),
         standstill=STANDSTILL * drive.speed,
     )
-
-
-def turning_radius(footprint: OrientedBox) -> float:
-    """The largest distance of a footprint from the rear-axle centre [m]."""
-    return float(np.hypot(*footprint.corners().T).max())
 
 
 def missed_width(vehicle: VehicleSpec, ahead: float) -> float:

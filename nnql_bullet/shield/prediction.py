@@ -23,7 +23,7 @@ from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 DISTANCE_STEP = 0.1
-"""Distance between predicted places along a straight line, for the usual vehicle [m]."""
+"""Distance between predicted places along a straight line, for the shipped vehicle [m]."""
 APPROACH = 0.03
 """Distance by which that vehicle may get nearer still in a decision if it is nearer than the margin [m]."""
 LEAST_CLEARANCE = 0.1

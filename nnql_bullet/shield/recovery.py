@@ -1,6 +1,6 @@
 """Recovery of a vehicle that gets no nearer to its target: it follows the obstacle until it is nearer than ever.
 
-The lengths are those of the usual vehicle (see `lengths`); another's are multiples of them.
+The lengths are those of the shipped vehicle (see `vehicle.scale`); another's are multiples of them.
 
 The method is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
 Principles of Robot Motion, chapter 2), with limits of time and distance, after which the vehicle tries the other side.
