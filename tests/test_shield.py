@@ -21,7 +21,9 @@ from nnql_bullet.agents.rules.vfh import Vfh, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.env import (
     ACTIONS,
+    MANOEUVRES,
     REVERSE,
+    SLOW,
     STOP,
     TOWARD_TARGET,
     Navigation,
@@ -165,6 +167,34 @@ class TestWhatPasses:
             assert summary.ending in ("timeout", "stuck")
             assert summary.clearance > 0.02
             assert summary.overridden_steps > 5
+
+    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("manner", [STOP, REVERSE, SLOW])
+    def test_no_manoeuvre_gets_it_to_touch_what_stands(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], manner: int, seed: int
+    ) -> None:
+        chance, world = np.random.default_rng(seed), load_world("cover_20").draw(seed, 0.8)
+        for agent in (always(manner), Wilful(lambda o: manner + chance.integers(ACTIONS, size=len(o.speed)))):
+            summary, done, _ = drive(kinematic, world, around(agent), steps=100)
+            assert summary.ending in ("timeout", "stuck")
+            assert summary.clearance > 0.02
+            assert any(action >= manner for action in done)
+
+    def test_a_manoeuvre_is_done_where_the_vehicle_can_stop_after_it(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf, empty_world: WorldSpec
+    ) -> None:
+        """Elsewhere its heading change counts: one that cannot go backwards goes ahead."""
+        blocked = world_of(OrientedBox(MIDDLE.x - 0.6, MIDDLE.y, 0.2, 2.0), target=(190.0, 100.0))
+        for wanted in range(ACTIONS, MANOEUVRES):
+            for world in (empty_world, blocked):
+                shield = Driving(around(always(wanted)))
+                observed = replace(begun(Navigation(kinematic, TaskOptions()), world), speed=np.zeros(1))
+                done = int(shield.act(observed)[0])
+                if world is empty_world:
+                    assert done == wanted
+                elif REVERSE <= wanted < SLOW:
+                    assert done < STOP
+                assert shield.overridden == [done != wanted]
 
     @pytest.mark.parametrize("offset", [0.0, 0.4])
     @pytest.mark.parametrize("gap", np.linspace(3.0, 5.0, 7).tolist())

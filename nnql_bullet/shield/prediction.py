@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import REVERSE, SLOW, speed_scale
+from nnql_bullet.env import ACTIONS, REVERSE, SLOW, speed_scale
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
@@ -114,20 +114,19 @@ class Predictor:
                 clear[some] &= self._keeps(s.of(some), margins[some], turns_round, followed)
         return clear
 
-    def can_stop(self, situation: Situation, scans: RecentScans, turn: float, goal: float, margin: float) -> bool:
-        """Whether one vehicle that carries out a decision and then brakes straight ahead stays clear.
+    def can_stop(self, situation: Situation, scans: RecentScans, manoeuvre: int, margin: float) -> bool:
+        """Whether one vehicle that carries out a manoeuvre and then brakes straight ahead stays clear.
 
         It stays clear of what was seen, and keeps to where nothing can stand unseen.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
-            turn: Heading change of the decision [rad].
-            goal: Speed that the decision asks for [m/s].
+            manoeuvre: A number below `env.MANOEUVRES`.
             margin: Clearance from what was seen [m].
         """
         tight, width = self.lengths.tight_margin, self.lengths.least_width
-        courses = self._until_it_stands(situation, turn, goal)
+        courses = self._until_it_stands(situation, manoeuvre)
         return all(
             scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
         ) and not any(
@@ -144,11 +143,12 @@ class Predictor:
             manner: 0, `STOP`, `REVERSE` or `SLOW`.
             margin: Clearance from what was seen [m].
         """
-        turns, goal = situation.turns[0].tolist(), self._speed(manner)
-        return np.array([self.can_stop(situation, scans, turn, goal, margin) for turn in turns])
+        return np.array([self.can_stop(situation, scans, manner + action, margin) for action in range(ACTIONS)])
 
-    def _until_it_stands(self, situation: Situation, turn: float, goal: float) -> list[Array]:
+    def _until_it_stands(self, situation: Situation, manoeuvre: int) -> list[Array]:
         """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
+        turn = float(situation.turns[0, manoeuvre % ACTIONS])
+        goal = float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
         return [
             drives_then_stops(
                 *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal, self._drive.decision_period),
@@ -188,15 +188,10 @@ class Predictor:
             margin: Clearance that it keeps up to the stop [m].
         """
         for action in np.argsort(-ranks, kind="stable").tolist():
-            for slowly in (0, SLOW):
-                turn, goal = float(situation.turns[0, action]), self._speed(slowly)
-                if clear[action] and self.can_stop(situation, scans, turn, goal, margin):
-                    return int(action + slowly)
+            for manoeuvre in (action, action + SLOW):
+                if clear[action] and self.can_stop(situation, scans, manoeuvre, margin):
+                    return int(manoeuvre)
         return -1
-
-    def _speed(self, manner: int) -> float:
-        """The speed that an action asks for with 0, `STOP`, `REVERSE` or `SLOW` added to it [m/s]."""
-        return float(speed_scale(manner, self._drive)) * self._drive.speed
 
     def drive_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that drives on along the six turns (6, k) [m], for as long as braking takes."""

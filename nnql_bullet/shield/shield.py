@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, SLOW, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.rollout import Actions, Policy, PolicyState
@@ -98,13 +98,17 @@ class Shield:
         return state.overridden
 
     def act(self, observations: Observation, state: ShieldState) -> tuple[Actions, ShieldState]:
-        """Chooses the agent's best action that stays clear or, where there is none, the fallback."""
+        """Chooses the agent's best action that stays clear or, where there is none, the fallback.
+
+        What the agent wants beyond the actions (`env.MANOEUVRES`) is done where the vehicle can stop after it; elsewhere,
+        and beside moving obstacles, its heading change counts alone.
+        """
         seen = self.perceived(observations, state.memories)
         o = seen.observation
         values = self.agent.action_values(o, state.agent)
         wanted, agent_state = self.agent.act(o, state.agent)
         turns = offered_turns(o.target_bearing)
-        ranks, memories = action_ranks(values, wanted, turns), state.memories
+        ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
         if self.options.recovers:
             memories = self._recovering(ranks, o, turns, memories)
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
@@ -115,7 +119,11 @@ class Shield:
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
             admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
-            chosen[i], spin = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin), memory.spin
+            chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
+            calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
+            follows = wanted[i] >= ACTIONS and calm and not memory.recovery.leads(float(o.target_distance[i]))
+            if not (follows and self._predictor.can_stop(alone, recent, int(wanted[i]), margin)):
+                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin)
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
@@ -178,7 +186,7 @@ def action_ranks(values: Array, wanted: NDArray[np.int64], turns: Array) -> Arra
 
     Args:
         values: The agent's values of the five turns (n, 5); NaN for none.
-        wanted: Its choices (n,).
+        wanted: Its choices (n,), below `env.ACTIONS`.
         turns: Heading changes of the six actions (n, 6) [rad].
     """
     toward = np.take_along_axis(values, nearest_turns(turns[:, -1])[:, None], axis=1)
