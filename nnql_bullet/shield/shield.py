@@ -100,8 +100,8 @@ class Shield:
     def act(self, observations: Observation, state: ShieldState) -> tuple[Actions, ShieldState]:
         """Chooses the agent's best action that stays clear or, where there is none, the fallback.
 
-        What the agent wants beyond the actions (`env.MANOEUVRES`) is done where the vehicle can stop after it; elsewhere,
-        and beside moving obstacles, its heading change counts alone.
+        What the agent wants beyond the actions (`env.MANOEUVRES`) is done where the vehicle can stop after it;
+        elsewhere, and beside moving obstacles, its heading change counts alone.
         """
         seen = self.perceived(observations, state.memories)
         o = seen.observation
