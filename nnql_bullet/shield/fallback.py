@@ -13,8 +13,6 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.mapping.seen_space import RecentScans
 from nnql_bullet.shield.prediction import Predictor, Situation
 
-STILL = 0.1
-"""Yaw rate up to which a vehicle that cannot follow its turns starts another on the spot [rad/s]."""
 FULL_TURN = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
 
@@ -43,6 +41,8 @@ def fallback(
 ) -> tuple[int, Spin]:
     """Brakes or turns one vehicle on the spot; beside a moving obstacle, what stays out of contact longest.
 
+    A vehicle that slides when it turns on the spot has no tighter margin than the one it keeps elsewhere.
+
     Args:
         predictor: Predicts clearances.
         situation: Of this vehicle alone.
@@ -57,7 +57,7 @@ def fallback(
         The manoeuvre, and the turning on the spot with it.
     """
     lengths = predictor.lengths
-    tight = min(margin, lengths.tight_margin)
+    tight = margin if predictor.slides else min(margin, lengths.tight_margin)
     stops = predictor.stop_clearances(situation)
     seen = predictor.can_stop_after(situation, scans, STOP, tight)
     if situation.moving.any():
@@ -69,8 +69,6 @@ def fallback(
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
         scores = course_scores(stops, lengths.margin) + seen
         return STOP + int(order[scores[order].argmax()]), spin
-    if not predictor.follows and abs(float(situation.yaw_rate[0])) > STILL:
-        return STOP, spin
     if spin.backs and not predictor.can_turn_round(situation):
         action = predictor.reverses(situation, scans, tight)
         if action >= 0:

@@ -72,16 +72,13 @@ class Predictor:
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
+        self.slides = followed_limits(vehicle, lengths.standstill) != limits
+        """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they begin and end."""
         self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
         longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / lengths.deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
         self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
         self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
-
-    @property
-    def follows(self) -> bool:
-        """Whether load and grip let the vehicle follow the turns that the drive asks for."""
-        return self._followed_changing == self._asked
 
     def stopping_distance(self, speeds: Array) -> Array:
         """Distances up to a stop of vehicles that drive on for one more control period (...) [m]."""
