@@ -73,7 +73,7 @@ class Predictor:
         self._followed = followed_limits(vehicle, drive.speed)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
         self.slides = followed_limits(vehicle, lengths.standstill) != limits
-        """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they begin and end."""
+        """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they end."""
         self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
         longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / lengths.deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
