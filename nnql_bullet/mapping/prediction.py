@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, squared_distance
+from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.vehicle.profiles import rolled_path, turn_headings
 from nnql_bullet.vehicle.spec import Limits
 
 PREDICTION_STEP = 0.1
 """Time between predicted poses [s]."""
+ROUNDING = 1e-6
+"""Largest error of squared distances by rounding [m2]."""
 
 
 def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limits, times: Array) -> Array:
@@ -22,7 +24,9 @@ def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limi
         times: Times of the poses (k,) [s].
     """
     headings = turn_headings(yaw_rates[:, None], turns, limits, times)
-    places = rolled_path(0.0, lengths[:, None, :], np.diff(headings, prepend=0.0))
+    changes = headings.copy()
+    changes[..., 1:] -= headings[..., :-1]
+    places = rolled_path(0.0, lengths[:, None, :], changes)
     return np.concatenate([places, headings[..., None]], axis=-1)
 
 
@@ -35,16 +39,22 @@ def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
         points: Points of each vehicle's scan, in its present frame (n, r, 2) [m]; NaN for none.
         footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
     """
-    clearances = np.empty(poses.shape[:-1])
+    clearances, reach = np.empty(poses.shape[:-1]), reach_of(footprint)
     for i in range(len(poses)):
         seen = points[i][np.isfinite(points[i, :, 0])]
         for j in range(poses.shape[1]):
             for k in range(poses.shape[2]):
                 x, y, yaw = poses[i, j, k]
                 c, s = np.cos(yaw), np.sin(yaw)
-                nearest = np.inf
-                for point in seen:
-                    dx, dy = point[0] - x, point[1] - y
-                    nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
+                middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+                nearest = within = np.inf  # a point farther from the middle than that is not the nearest
+                for r in range(len(seen)):
+                    dx, dy = seen[r, 0] - middle_x, seen[r, 1] - middle_y
+                    if dx * dx + dy * dy > within:
+                        continue
+                    dx, dy = seen[r, 0] - x, seen[r, 1] - y
+                    squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
+                    if squared < nearest:
+                        nearest, within = squared, (np.sqrt(squared) + reach) ** 2 + ROUNDING
                 clearances[i, j, k] = np.sqrt(nearest)
     return clearances

@@ -149,11 +149,19 @@ def meets_unseen(
     frames = np.empty((len(path), 4))
     for k in range(len(path)):
         frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
+    # A circle round the grown footprint at every frame: a ray that leaves it before its gap opens meets nothing.
+    middle_x, middle_y = path[:, 0].mean() - sensor[0], path[:, 1].mean() - sensor[1]
+    away = np.hypot(path[:, 0] - sensor[0] - middle_x, path[:, 1] - sensor[1] - middle_y).max()
+    box = abs(footprint[0]) + footprint[2] + grown, abs(footprint[1]) + footprint[3] + grown
+    circle = middle_x * middle_x + middle_y * middle_y - (away + np.hypot(box[0], box[1])) ** 2
     for ray in range(count):
         right, left = rays[0, ray], rays[0, (ray + 1) % count]
         start = min(together, right, left)
         direction = first_angle + (ray + 0.5) * step
         c, s = np.cos(direction), np.sin(direction)
+        towards = c * middle_x + s * middle_y
+        if towards * towards < circle or towards + np.sqrt(towards * towards - circle) < start:
+            continue
         near, far = _span(sensor[0], sensor[1], c, s, frames, footprint, grown)
         near = max(near, start)
         cells = int(np.ceil((far - near) / radius))

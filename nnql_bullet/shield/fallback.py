@@ -59,15 +59,14 @@ def fallback(
     lengths = predictor.lengths
     tight = margin if predictor.slides else min(margin, lengths.tight_margin)
     stops = predictor.stop_clearances(situation)
-    seen = predictor.can_stop_after(situation, scans, STOP, tight)
     if situation.moving.any():
         courses = np.concatenate([predictor.drive_clearances(situation), stops])
-        safe = np.concatenate([predictor.can_stop_after(situation, scans, 0, tight), seen])
+        safe = np.concatenate([predictor.can_stop_after(situation, scans, manner, tight) for manner in (0, STOP)])
         safe[STOP:] |= not safe.any()
         return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
     if situation.speed[0] >= lengths.standstill:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
-        scores = course_scores(stops, lengths.margin) + seen
+        scores = course_scores(stops, lengths.margin) + predictor.can_stop_after(situation, scans, STOP, tight)
         return STOP + int(order[scores[order].argmax()]), spin
     if spin.backs and not predictor.can_turn_round(situation):
         action = predictor.reverses(situation, scans, tight)
@@ -77,8 +76,9 @@ def fallback(
     spin = Spin(side, spin.decisions + 1)
     clearances = stops.min(axis=-1)
     turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
-    possible = [turn for turn in turns if clearances[turn] >= tight and seen[turn]]
-    if not possible or spin.decisions > FULL_TURN:
+    possible = (turn for turn in turns if clearances[turn] >= tight)
+    turn = next((turn for turn in possible if predictor.can_stop(situation, scans, STOP + turn, tight)), None)
+    if turn is None or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
             action = predictor.first_safe(situation, scans, ranks, clear, tight)
@@ -87,9 +87,9 @@ def fallback(
         action = predictor.reverses(situation, scans, tight)
         if action >= 0:
             return action, Spin(side, backs=True)
-    if not possible:
+    if turn is None:
         return STOP, spin
-    return STOP + possible[0], replace(spin, side=1 if possible[0] in LEFT_TURNS else -1)
+    return STOP + turn, replace(spin, side=1 if turn in LEFT_TURNS else -1)
 
 
 def course_scores(clearances: Array, margin: float) -> Array:

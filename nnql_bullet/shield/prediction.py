@@ -28,6 +28,8 @@ APPROACH = 0.03
 """Distance by which that vehicle may get nearer still in a decision if it is nearer than the margin [m]."""
 LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
+SLIDING = 0.1
+"""Share of the drive's speed below which a vehicle that is to stop turns as on the spot."""
 
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 """The rear-axle centre as a footprint without size."""
@@ -72,7 +74,8 @@ class Predictor:
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
-        self.slides = followed_limits(vehicle, lengths.standstill) != limits
+        self._followed_standing = followed_limits(vehicle, lengths.standstill)
+        self.slides = self._followed_standing != limits
         """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they end."""
         self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
         longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
@@ -151,7 +154,7 @@ class Predictor:
                 *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal, self._drive.decision_period),
                 *(limits.yaw_rate, limits.yaw_acceleration, limits.acceleration, self.lengths.deceleration),
             )
-            for limits in dict.fromkeys((self._asked, self._followed_changing))
+            for limits in dict.fromkeys((self._asked, self._followed_until(goal, situation)))
         ]
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
@@ -198,7 +201,12 @@ class Predictor:
 
     def stop_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that brakes along the six turns (6, k) [m], for as long as that takes."""
-        return self._worse(situation, 0.0, self._followed_changing)
+        return self._worse(situation, 0.0, self._followed_until(0.0, situation))
+
+    def _followed_until(self, goal: float, situation: Situation) -> Limits:
+        """The limits that one vehicle follows while its speed changes to another [m/s]."""
+        stands = goal == 0 and abs(situation.speed[0]) < SLIDING * self._drive.speed
+        return self._followed_standing if stands else self._followed_changing
 
     def open_side(self, situation: Situation, target_bearing: float) -> int:
         """The side, 1 left or -1 right, on which one vehicle has to turn less for a clear path ahead.
@@ -247,7 +255,7 @@ class Predictor:
         """
         worse = np.full((s.turns.shape[1], len(self._stop_times)), np.inf)
         moving, nearer = np.where(s.moving[..., None], s.points, np.nan), self.lengths.box_speed * self._stop_times
-        for limits in (self._asked, followed):
+        for limits in dict.fromkeys((self._asked, followed)):
             poses, _ = self._poses(s, goal, self._stop_times, limits)
             worse = np.minimum(worse, scan_clearances(poses, s.points, self._footprint)[0])
             if s.moving.any():
