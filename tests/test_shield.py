@@ -42,6 +42,7 @@ from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, Sensor, ray_angles
+from nnql_bullet.shield.courses import drives_then_stops
 from nnql_bullet.shield.lengths import ShieldOptions
 from nnql_bullet.shield.recovery import (
     FARTHEST,
@@ -299,6 +300,31 @@ class TestStops:
         assert summary.overridden_steps >= summary.stop_steps > 0
         assert 0 < summary.standing_time < summary.duration / 2
 
+    def test_it_backs_out_of_a_dead_end_that_is_too_narrow_to_turn_in(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
+    ) -> None:
+        end = OrientedBox(MIDDLE.x + 4.5, MIDDLE.y, 0.5, 2.0)
+        sides = [OrientedBox(MIDDLE.x + 1.5, MIDDLE.y + side * 1.2, 3.0, 0.5) for side in (1, -1)]
+        world = world_of(end, *sides, target=(70.0, 100.0))
+        summary, done, poses = drive(kinematic, world, around(always(TOWARD_TARGET)), steps=120)
+        assert summary.ending == "goal"
+        turned = next(pose for pose in poses if abs(pose.yaw) > pi / 2)
+        assert turned.x < MIDDLE.x - 1.0
+        assert sum(REVERSE <= action < SLOW for action in done) > 3
+
+    @pytest.mark.parametrize("speed", [-0.5, 0.0, 0.7, 2.0])
+    @pytest.mark.parametrize("goal", [-0.5, 0.0, 0.5, 2.0])
+    def test_the_way_until_it_stands_is_that_of_even_acceleration(self, speed: float, goal: float) -> None:
+        period, acceleration, deceleration = 0.5, 2.5, 2.0
+        change = acceleration if goal > speed else deceleration
+        ramp = min(abs(goal - speed) / change, period)
+        after = speed + np.sign(goal - speed) * change * ramp
+        way = (speed + after) / 2 * ramp + after * (period - ramp) + after * abs(after) / (2 * deceleration)
+        limits = 1.5, 7.0, acceleration, deceleration
+        course = drives_then_stops(0.0, speed, 0.0, goal, period, *limits)
+        assert course[-1] == pytest.approx([way, 0.0, 0.0], abs=0.01)
+        assert drives_then_stops(0.0, speed, 0.3, goal, period, *limits)[-1, 2] == pytest.approx(0.3)
+
     @pytest.mark.parametrize(("friction", "load"), [(0.4, 0.0), (0.4, 80.0), (0.8, 80.0)])
     def test_slippery_ground_and_a_load_take_more_room(
         self, vehicle: VehicleSpec, world_of: WorldOf, friction: float, load: float
@@ -348,6 +374,25 @@ class TestMemory:
             c, s = cos(before.yaw), sin(before.yaw)
             assert memory.scan.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
             before = pose
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_what_it_remembers_stands_where_it_remembers_it(
+        self, kinematic: KinematicSimulator, around: Callable[..., Shield], seed: int
+    ) -> None:
+        world = load_world("cover_20").draw(seed, 0.8)
+        solids = shapely.union_all([shapely.Polygon(box.corners()) for box in world.obstacles + world.walls])
+        shield, navigation = Driving(around(Wilful(suicidal))), Navigation(kinematic, TaskOptions())
+        observed, pose, missed = begun(navigation, world), world.start, 0
+        for _ in range(40):
+            actions = shield.act(observed)
+            points = shield.state.memories[0].scan.standing
+            places = (points[:, :2] @ [1, 1j]) * np.exp(1j * pose.yaw) + complex(pose.x, pose.y)
+            apart = shapely.distance(shapely.points(places.real, places.imag), solids.boundary)
+            assert (apart < 0.05).all()
+            missed += int((points[:, 2] > 0).sum())
+            transition = navigation.step(actions)
+            observed, pose = transition.s_t, row(transition.motion, 0).pose
+        assert missed > 40
 
     def test_an_agent_that_remembers_is_told_what_was_done(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
