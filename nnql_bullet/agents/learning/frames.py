@@ -160,7 +160,7 @@ class FrameMaker:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
         speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
-        turns, top = heading_change(actions, o.target_bearing), self._drive.speed
+        turns = heading_change(actions, o.target_bearing)
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
         ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
