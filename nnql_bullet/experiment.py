@@ -46,14 +46,18 @@ class Experiment:
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.worlds = self.kind(config.world)
 
-    def kind(self, name: str | World) -> World:
+    def kind(self, name: str | World, own_ends: bool = False) -> World:
         """Reads a kind of worlds for this vehicle.
+
+        Args:
+            name: Its name.
+            own_ends: Whether its start and target stay, whatever the configuration says.
 
         Raises:
             UserError: If it cannot be read, or its obstacles do not reach up to the vehicle's sensor.
         """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
-        if name == self.config.world:
+        if not own_ends:
             source = source.between(self.config.start, self.config.target)
         if source.obstacle_height <= sensor_height:
             raise UserError(
@@ -86,7 +90,7 @@ class Experiment:
         if selection is None:
             return []
         names = selection.worlds or self.config.training.worlds or (self.config.world,)
-        sources = [self.kind(name) for name in dict.fromkeys(names)]
+        sources = [self.kind(name, name != self.config.world) for name in dict.fromkeys(names)]
         return [self.draw(source, seed) for source in sources for seed in selection.seeds]
 
     def draw(self, source: World, seed: int) -> WorldSpec:
@@ -114,7 +118,7 @@ class Experiment:
         Raises:
             UserError: If one cannot be read.
         """
-        return [self.kind(name) for name in self.config.training.worlds] or [self.worlds]
+        return [self.kind(name, name != self.config.world) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:

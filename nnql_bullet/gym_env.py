@@ -10,7 +10,8 @@ Observation, `Box` of 11 float32:
 | 10 | yaw rate, positive to the left | rad/s | -10 to 10, clipped |
 
 Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target. With
-`manoeuvres=True` it is `Discrete(18)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards.
+`manoeuvres=True` it is `Discrete(24)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards, 18 to
+drive slowly.
 
 Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
 terminates at the target or at a collision; it is truncated after 500 steps, or as `stuck` once the vehicle has stayed
