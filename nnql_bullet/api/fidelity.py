@@ -11,7 +11,7 @@ from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
 from nnql_bullet.fidelity.probe import Bench
-from nnql_bullet.fidelity.probes import PROBES, run_probes
+from nnql_bullet.fidelity.probes import probes_for, run_probes
 from nnql_bullet.fidelity.stopping import Stop, measure_stop, stopping_tasks
 from nnql_bullet.files import write_text
 from nnql_bullet.reports import envelope as envelope_report
@@ -91,7 +91,7 @@ def check_fidelity(
     bench = Bench(spec, simulator, physics)
     with bench.open_engine() as engine:  # an engine that is not installed shows here
         time_step = engine.time_step
-    total, done = 2 * len(PROBES) + len(REFINEMENTS), count(1)
+    total, done = 2 * len(probes_for(spec)) + len(REFINEMENTS), count(1)
     measured, halved, actions = [], [], []
     report_to(Progress("probing", 0, total))
     for probe, found in run_probes(bench):

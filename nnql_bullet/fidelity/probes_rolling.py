@@ -8,11 +8,18 @@ from scipy.integrate import solve_ivp
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground, step_factor
-from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
+from nnql_bullet.fidelity.probes_vehicles import (
+    driven_by,
+    gentlest_torque,
+    has_swivel_in_front,
+    rolling_freely,
+    swivels_all,
+    turning_within_its_means,
+)
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
-from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.controller import COMMAND_RATE, own_speed
 from nnql_bullet.vehicle.limits import grip_acceleration, quasi_steady, tip_acceleration
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
@@ -90,7 +97,7 @@ def _unicycle(start: Pose, speed: float, turn: float, limits: Limits, times: Arr
 
 
 def _actions(bench: Bench) -> list[Measurement]:
-    vehicle, share = turning_within_its_means(bench.vehicle, DriveOptions().speed)
+    vehicle, share = turning_within_its_means(bench.vehicle, own_speed(bench.vehicle))
     at_share = "" if share == 1 else f" at {share:.2f} of its yaw rate"
     longest = max(_quickest(turn, vehicle.limits)[1] for turn in paper.TURNS)
     rows, gaps, slips, rates = [], [], [], []
@@ -179,12 +186,13 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
 def _caster(bench: Bench) -> list[Measurement]:
     vehicle, begin, end = bench.vehicle, radians(30.0), radians(1.0)
     decay = 0.08  # trail over speed [s]: much longer than a physics step
-    slowly = vehicle.caster_trail / decay
+    trail = vehicle.casters[0].trail
+    slowly = trail / decay
     expected = decay * log(tan(begin / 2) / tan(end / 2))
     with bench.open_engine() as engine:
         tolerance = 0.05 * step_factor(engine)
         trailing = _trailing_after(engine, slowly, begin, end, 3 * expected)
-        limit = 6 * vehicle.caster_trail / engine.drive.speed
+        limit = 6 * trail / engine.drive.speed
         at_speed = _trailing_after(engine, engine.drive.speed, begin, end, 3 * limit)
     return [
         close_to(f"from 30 to 1 deg at {slowly:.3g} m/s", "s", expected, trailing, relative=tolerance),
@@ -199,6 +207,7 @@ ROLLING = (
         closed_form="v = 2 tau t / (r m_eff), m_eff = m + 2 I_wheel/r^2 + I_caster/r_c^2",
         source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 2 (effective mass)",
         measure=_acceleration,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="coast",
@@ -206,6 +215,7 @@ ROLLING = (
         closed_form="v(t) = v(0)",
         source="Goldstein, Poole and Safko, Classical Mechanics, 1.1 (conservation of momentum)",
         measure=_coast,
+        applies=swivels_all,
     ),
     Probe(
         name="rolling-resistance",
@@ -213,6 +223,7 @@ ROLLING = (
         closed_form="v = v(0) - b N_rear t / (r m_eff), b the lever arm of rolling friction",
         source="Beer and Johnston, Vector Mechanics for Engineers: Statics, ch. 8 (rolling resistance)",
         measure=_rolling_resistance,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="straight",
@@ -243,6 +254,7 @@ ROLLING = (
             "Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)"
         ),
         measure=_steady_turn,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="caster",
@@ -250,5 +262,6 @@ ROLLING = (
         closed_form="swivel' = -(v/trail) sin(swivel): t = (trail/v) ln(tan(15 deg) / tan(0.5 deg))",
         source="Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)",
         measure=_caster,
+        applies=has_swivel_in_front,
     ),
 )
