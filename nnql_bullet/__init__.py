@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from nnql_bullet.run_config import Conditions
     from nnql_bullet.runs import load_policy, load_run
     from nnql_bullet.vehicle.spec import VehicleSpec as Vehicle
+    from nnql_bullet.vehicle.translation import read_robot
     from nnql_bullet.work import Progress
     from nnql_bullet.worlds.source import World
 
@@ -52,6 +53,7 @@ _HOMES = {
     "load_policy": "runs",
     "load_run": "runs",
     "make_env": "api.environment",
+    "read_robot": "vehicle.translation",
     "resume": "api.training",
     "train": "api.training",
 }
@@ -75,6 +77,7 @@ __all__ = [
     "load_policy",
     "load_run",
     "make_env",
+    "read_robot",
     "resume",
     "train",
 ]

@@ -1,6 +1,7 @@
 """Makes the objects of a run from its configuration."""
 
 from contextlib import closing
+from dataclasses import replace
 from functools import cached_property, partial
 
 from nnql_bullet.agents import LearningAgent, Trainable
@@ -21,9 +22,28 @@ from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
+from nnql_bullet.vehicle.controller import DriveOptions, own_speed
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+
+def at_own_speed(config: RunConfig, vehicle: VehicleSpec) -> RunConfig:
+    """A configuration whose default speed is the vehicle's own, if it has one that is less.
+
+    Raises:
+        UserError: If another speed is asked for that is more than the vehicle's own.
+    """
+    speed, own = config.drive.speed, own_speed(vehicle)
+    if speed <= own:
+        return config
+    if speed != DriveOptions().speed:
+        raise UserError(
+            f"robot '{vehicle.name}' drives at {own:g} m/s at most, not at {speed:g} m/s; lower the speed, or raise "
+            "limits.speed in its TOML"
+        )
+    return replace(config, drive=replace(config.drive, speed=own))
 
 
 class Experiment:
@@ -39,9 +59,9 @@ class Experiment:
         Raises:
             UserError: If vehicle or world cannot be read.
         """
-        self.config = config
         self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
+        self.config = config = at_own_speed(config, self.vehicle)
         self.worlds = self._source(config.world)
 
     def _source(self, name: str | World) -> World:

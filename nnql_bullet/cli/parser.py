@@ -22,6 +22,7 @@ VERBS = (
     "ablate",
     "gap",
     "report",
+    "robot",
     "fidelity",
     "envelope",
     "doctor",

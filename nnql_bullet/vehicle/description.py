@@ -173,7 +173,7 @@ def parse(source: str | bytes) -> Element:
 
 def _decoded(source: str | bytes) -> str | bytes:
     """Returns text that declares no encoding or UTF-8 and is not UTF-8 as the Latin-1 that it then is."""
-    if isinstance(source, str) or (encoding := _ENCODING.match(source)) and encoding[1].lower() != b"utf-8":
+    if isinstance(source, str) or ((encoding := _ENCODING.match(source)) and encoding[1].lower() != b"utf-8"):
         return source
     try:
         source.decode()
@@ -504,7 +504,7 @@ def _solid(element: Element) -> Solid:
 def _friction(gazebo: Element) -> float | None:
     """Reads the friction that Gazebo is told, as text or as an attribute."""
     mu = gazebo.find("mu1")
-    text = "" if mu is None else (mu.text or mu.get("value", "")).strip()
+    text = "" if mu is None else (mu.text or "").strip() or mu.get("value", "").strip()
     return abs(float(text)) if _NUMBER.fullmatch(text) else None
 
 

@@ -240,8 +240,9 @@ def _hulls(search: _Search, link: Link) -> list[Hull]:
         if known:
             lost = [solid for solid, hull in found if hull is None]
             if lost and solids is link.solids:
-                search.notes += [f"{solid.title} of link '{link.name}' is not found; its extent is not known"
-                                 for solid in lost]
+                search.notes += [
+                    f"{solid.title} of link '{link.name}' is not found; its extent is not known" for solid in lost
+                ]
             return known
     if link.solids or link.looks:
         search.unknown.add(link.name)
@@ -378,9 +379,11 @@ def _axle(search: _Search, one: _Candidate, other: _Candidate) -> tuple[_Candida
     if abs(a - b) > ROUNDED * max(a, b):
         search.problems.append(f"the drive wheels differ in radius: {a:.4g} and {b:.4g} m")
     for its in (one, other):
-        off = max(float(np.linalg.norm(_middle_off_axis(hull, its))) for hull in its.hulls if len(hull.points) == 1) if (
-            its.is_ball
-        ) else 0.0
+        off = (
+            max(float(np.linalg.norm(_middle_off_axis(hull, its))) for hull in its.hulls if len(hull.points) == 1)
+            if (its.is_ball)
+            else 0.0
+        )
         if off > max(NEAR, ROUNDED * its.radius):
             search.problems.append(
                 f"the sphere of the wheel on joint '{its.joint.name}' is {off:.4g} m off its axle, and its radius is "
@@ -461,12 +464,10 @@ class _Assembly:
         else:
             notes.append(f"caster '{name}' starts turned to where it trails, by {degrees(turn) % 360:.0f} degrees")
             turned = _turn_about(pivot, turn)
-        rolling = self._wheel(wheel, turned)
-        origin = np.array([pivot[0], pivot[1], rolling.part.origin[2]])
-        rolling = self._set_down(rolling)
+        rolling = self._set_down(self._wheel(wheel, turned))
         if rolling is None:
             return None
-        origin[2] = rolling.part.origin[2]
+        origin = np.array([pivot[0], pivot[1], rolling.part.origin[2]])
         fork = self._part(swivel.joint.child, swivel.links, turned, origin)
         return Caster(rolling, fork, name)
 
@@ -483,8 +484,9 @@ class _Assembly:
             return None
         if abs(above) > NEAR / 2:
             way = "above" if above > 0 else "below"
-            self._search.notes.append(f"caster '{part.name}' ends {1000 * abs(above):.2g} mm {way} the ground; it is "
-                                      "put on it")
+            self._search.notes.append(
+                f"caster '{part.name}' ends {1000 * abs(above):.2g} mm {way} the ground; it is put on it"
+            )
         shift = np.array([0.0, 0.0, above])
         if abs(above) < 1e-12:
             return wheel
@@ -570,7 +572,16 @@ class _Assembly:
             corner, other = np.array([low[0], low[1], bottom]), np.array([high[0], high[1], top])
             box = (corner + other) / 2, (other - corner) / 2
         return Mechanism(
-            search.urdf, self._frame, body, *wheels, tuple(casters), low, high, box, self._lidar(box), tuple(search.notes)
+            search.urdf,
+            self._frame,
+            body,
+            *wheels,
+            tuple(casters),
+            low,
+            high,
+            box,
+            self._lidar(box),
+            tuple(search.notes),
         )
 
     def _covered(self, body: Part) -> Iterator[tuple[Array, Array]]:

@@ -56,14 +56,12 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load.
-    """
+    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load."""
     return text_of(_with_load(vehicle))
 
 
 def physics_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load.
-    """
+    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load."""
     return for_physics(_with_load(vehicle))
 
 

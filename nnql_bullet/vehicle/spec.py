@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.types import NonNegative, Positive
+
+if TYPE_CHECKING:
+    from nnql_bullet.vehicle.stances import Stance
 
 
 @options
@@ -152,10 +156,10 @@ class VehicleSpec:
 
     @staticmethod
     def from_urdf(path: str | Path) -> "VehicleSpec":
-        """Reads a robot's URDF or xacro, with the limits that suit it; see `translation.translate`."""
-        from nnql_bullet.vehicle.translation import translate
+        """Reads a robot's URDF or xacro, with the limits that suit it; see `translation.read_robot`."""
+        from nnql_bullet.vehicle.translation import read_robot
 
-        return translate(Path(path)).vehicle
+        return read_robot(path).vehicle
 
     @property
     def sensor_height(self) -> float:

@@ -4,9 +4,11 @@ What a URDF does not say follows from the shipped vehicle by scale: a robot of h
 so that it turns and stops in the same times. Grip, tipping and the drives' torque bound that, each by half.
 """
 
-from dataclasses import dataclass, replace
+import json
+from dataclasses import asdict, dataclass, replace
 from math import inf
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,11 +19,13 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, write_text
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.canonical import canonical
+from nnql_bullet.vehicle.controller import own_speed
 from nnql_bullet.vehicle.description import Unfit, parse, read, text_of
 from nnql_bullet.vehicle.limits import grip_acceleration, static_rear_load, tip_acceleration
 from nnql_bullet.vehicle.mechanism import Mechanism
 from nnql_bullet.vehicle.shapes import Meshes
 from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, VehicleSpec
+from nnql_bullet.vehicle.stances import loads_at_rest
 from nnql_bullet.vehicle.urdf import RobotFile, mechanism_of, vehicle_of
 
 LENGTH = 1.1
@@ -47,6 +51,53 @@ class Translation:
     notes: tuple[str, ...]
     """What was assumed, in sentences."""
 
+    def record(self) -> dict[str, Any]:
+        """Returns what is known of the robot, for JSON [m, kg, s, rad]."""
+        vehicle = self.vehicle
+        box = vehicle.footprint
+        return {
+            "name": vehicle.name,
+            "track": vehicle.track,
+            "wheel_radius": vehicle.wheel_radius,
+            "mass": vehicle.mass,
+            "centre_of_mass": [vehicle.com_ahead, vehicle.com_left, vehicle.com_height],
+            "footprint": {"x": box.x, "y": box.y, "length": 2 * box.half_length, "width": 2 * box.half_width},
+            "drive_wheels_share": vehicle.rear_share,
+            "joints": vehicle.joints,
+            "casters": [asdict(caster) for caster in vehicle.casters],
+            "limits": asdict(vehicle.limits),
+            "wheel_torque": vehicle.wheel_torque,
+            "sensor": list(vehicle.sensor.position),
+            "notes": list(self.notes),
+        }
+
+    def table(self) -> str:
+        """Says what was read, for reading."""
+        vehicle, box = self.vehicle, self.vehicle.footprint
+        kinds = ["swivels" if its.swivels else "slides" for its in vehicle.casters]
+        places = "; ".join(
+            f"{kind} at {its.x:.3f}, {its.y:.3f}" for kind, its in zip(kinds, vehicle.casters, strict=True)
+        )
+        rows = (
+            ("drive wheels", f"{vehicle.joints['left_drive']}, {vehicle.joints['right_drive']}"),
+            ("track, wheel radius", f"{vehicle.track:.4g}, {vehicle.wheel_radius:.4g} m"),
+            ("casters", f"{len(kinds)}: {places} m of the middle of the drive axle"),
+            (
+                "footprint",
+                f"{2 * box.half_length:.3f} x {2 * box.half_width:.3f} m around ({box.x:.3f}, {box.y:.3f}), the "
+                "rectangle around all that sticks out",
+            ),
+            ("mass", f"{vehicle.mass:.4g} kg, {100 * vehicle.rear_share:.0f} % on the drive wheels"),
+            (
+                "centre of mass",
+                f"{vehicle.com_ahead:.4f} m ahead, {vehicle.com_left:.4f} m left, {vehicle.com_height:.4f} m high",
+            ),
+            ("speed", f"{own_speed(vehicle):.3g} m/s, {vehicle.limits.acceleration:.3g} m/s2"),
+            ("turning", f"{vehicle.limits.yaw_rate:.3g} rad/s, {vehicle.limits.yaw_acceleration:.3g} rad/s2"),
+            ("wheel torque", f"{vehicle.wheel_torque:.3g} N m"),
+        )
+        return "\n".join([*(f"{name:<20} {value}" for name, value in rows), *(f"- {note}" for note in self.notes)])
+
     def toml(self, urdf: str) -> str:
         """Writes the text of its TOML.
 
@@ -60,7 +111,8 @@ class Translation:
         return (
             f"# {vehicle.name}, translated; the limits are those of the shipped vehicle, scaled by length.\n"
             f"urdf = {_quoted(urdf)}\n\n"
-            f"[joints]\nleft_drive = {_quoted(joints['left_drive'])}\nright_drive = {_quoted(joints['right_drive'])}\n\n"
+            f"[joints]\nleft_drive = {_quoted(joints['left_drive'])}\n"
+            f"right_drive = {_quoted(joints['right_drive'])}\n\n"
             f"[limits]\nspeed = {limits.speed:.4g}  # [m/s]\nyaw_rate = {limits.yaw_rate:.4g}  # [rad/s]\n"
             f"yaw_acceleration = {limits.yaw_acceleration:.4g}  # [rad/s2]\n"
             f"acceleration = {limits.acceleration:.4g}  # [m/s2]\n{torque}\n"
@@ -89,12 +141,13 @@ class Translation:
         return toml, urdf
 
 
-def translate(path: Path) -> Translation:
+def read_robot(path: Path | str) -> Translation:
     """Reads the URDF or xacro of a robot.
 
     Raises:
         UserError: If it cannot be read, or cannot be driven; the message names all problems.
     """
+    path = Path(path)
     meshes, source = Meshes(path), expanded(path)
     try:
         mechanism = mechanism_of(source, meshes, None)
@@ -166,10 +219,15 @@ def suitable_limits(vehicle: VehicleSpec, mechanism: Mechanism, torque_told: boo
     sideways = RESERVE * min(tip_acceleration(vehicle), grip_acceleration(vehicle))
     rate = min(YAW_RATE, sideways / speed)
     spare = RESERVE * friction * static_rear_load(vehicle)
-    drag = vehicle.contact.ball_friction * vehicle.mass * GRAVITY * sum(
-        share * np.hypot(its.x, its.y)
-        for its, share in zip(vehicle.casters, _caster_shares(vehicle), strict=True)
-        if not its.swivels
+    drag = (
+        vehicle.contact.ball_friction
+        * vehicle.mass
+        * GRAVITY
+        * sum(
+            share * np.hypot(its.x, its.y)
+            for its, share in zip(vehicle.casters, loads_at_rest(vehicle)[2:].tolist(), strict=True)
+            if not its.swivels
+        )
     )
     inertia = vehicle.yaw_inertia + vehicle.mass * a * a
     turning = abs(a) * vehicle.mass * speed * rate
@@ -199,18 +257,10 @@ def _limits(
     )
 
 
-def _caster_shares(vehicle: VehicleSpec) -> list[float]:
-    from nnql_bullet.vehicle.stances import loads_at_rest
-
-    shares: list[float] = loads_at_rest(vehicle)[2:].tolist()
-    return shares
-
-
 def _name(path: Path) -> str:
     return path.name.split(".")[0]
 
 
 def _quoted(text: str) -> str:
-    import json
-
-    return json.dumps(text)
+    """Writes a name as TOML has it."""
+    return json.dumps(text, ensure_ascii=False)

@@ -103,8 +103,8 @@ def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None) -> 
         if told != ("", "") and told not in casters:
             there = ", ".join(f"'{swivel}' with '{roll}'" for swivel, roll in sorted(casters)) or "none"
             problems.append(
-                f"'{told[1]}' (joints.caster_roll) is no wheel that trails the swivel '{told[0]}' (joints.swivel); such "
-                f"casters are: {there}"
+                f"'{told[1]}' (joints.caster_roll) is no wheel that trails the swivel '{told[0]}' (joints.swivel); "
+                f"such casters are: {there}"
             )
     refuse(problems)
     return found
