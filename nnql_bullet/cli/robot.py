@@ -1,13 +1,13 @@
 """`nnql-bullet robot`."""
 
-import json
+from json import dumps
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import tyro
 
 from nnql_bullet.cli.console import say
-from nnql_bullet.commands import shell
 from nnql_bullet.vehicle.translation import read_robot
 
 
@@ -15,7 +15,7 @@ def robot(
     file: Annotated[Path, tyro.conf.arg(metavar="FILE.urdf|.xacro")],
     /,
     write: Annotated[Path | None, tyro.conf.arg(metavar="robot.toml")] = None,
-    json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    json: bool = False,
 ) -> int:
     """Read the URDF or xacro of a robot that drives by two wheels, and make it drive here.
 
@@ -30,15 +30,15 @@ def robot(
     Args:
         file: The description as it is; meshes need not be there.
         write: TOML to write; the URDF that it names, NAME.vehicle.urdf, is written beside it.
-        json_: Whether to print JSON.
+        json: Print one JSON object instead of text.
     """
     found = read_robot(file)
     if write:
         toml, urdf = found.save(write)
-    if json_:
-        say(json.dumps(found.record(), indent=1))
+    if json:
+        say(dumps(found.record(), indent=1))
         return 0
     say(found.table())
     if write:
-        say(f"written: {toml}, {urdf}; drive it with: nnql-bullet drive --robot {toml}")
+        say(f"written: {toml}, {urdf}; drive it with: nnql-bullet drive --robot {quote(str(toml))}")
     return 0

@@ -136,6 +136,7 @@ class Translation:
         urdf = toml.with_suffix(".vehicle.urdf")
         if urdf.resolve() == self.vehicle.urdf.resolve():
             raise UserError(f"{urdf}: would be written over the robot that is read; give another name with --write")
+        toml.parent.mkdir(parents=True, exist_ok=True)
         write_text(urdf, self.urdf + "\n")
         write_text(toml, self.toml(urdf.name))
         return toml, urdf
