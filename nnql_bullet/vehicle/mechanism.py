@@ -31,6 +31,7 @@ GRAZING = 0.05
 SMALL = 0.5
 """Largest size of such a shape over the track."""
 WHEELS_AT_MOST = 2
+"""Wheels on fixed axles that a vehicle may have."""
 NAMED_SUPPORT = re.compile(r"cast(e|o)r|ball|skid|support", re.IGNORECASE)
 NAMED_LIDAR = re.compile(r"laser|lidar|scan|hokuyo|sick|velodyne|ydlidar|rplidar", re.IGNORECASE)
 KIND = "a vehicle drives by two wheels on one axle, and all others are casters"
@@ -423,8 +424,17 @@ class _Assembly:
         """Makes a wheel, of the shapes of a candidate moved in the vehicle's frame."""
         origin = _moved(turned @ self._frame, its.centre)
         origin[np.abs(origin) < 1e-12] = 0.0
+        self._check_mass(its)
         part = self._part(its.joint.child, its.links, turned, origin)
         return Wheel(part, its.joint.name, its.radius, its.half_width)
+
+    def _check_mass(self, its: _Candidate) -> None:
+        """Checks that what a joint moves has a mass."""
+        if not any(self._search.urdf.links[link].mass for link in its.links):
+            self._search.problems.append(
+                f"link '{its.joint.child}', which joint '{its.joint.name}' moves, has no mass and inertia; give it an "
+                "<inertial>"
+            )
 
     def _part(self, name: str, links: tuple[str, ...], turned: Array, origin: Array) -> Part:
         back = np.eye(4)
@@ -468,6 +478,7 @@ class _Assembly:
         if rolling is None:
             return None
         origin = np.array([pivot[0], pivot[1], rolling.part.origin[2]])
+        self._check_mass(swivel)
         fork = self._part(swivel.joint.child, swivel.links, turned, origin)
         return Caster(rolling, fork, name)
 
