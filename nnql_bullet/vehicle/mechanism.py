@@ -6,7 +6,7 @@ up. Joints that drive nothing, such as those of suspensions and arms, are held a
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import atan2, cos, degrees, radians, sin, sqrt
 
@@ -22,6 +22,8 @@ PARALLEL = sin(radians(3.0))
 """Largest sine of the angle between axes that count as parallel."""
 ROUNDED = 0.02
 """Tolerance of sizes and of the axle over the wheel radius."""
+ALIKE = 2e-3
+"""Relative difference up to which the drive wheels count as equally large."""
 SET_DOWN = 0.15
 """Largest distance of a caster from the ground that the drive wheels stand on, over their radius; it is set down."""
 LEAST_SET_DOWN = 3e-3
@@ -189,7 +191,7 @@ def find_mechanism(urdf: Description, meshes: Meshes, drives: tuple[str, str] | 
         Unfit: If it cannot drive, or not by two wheels; the text names all problems.
     """
     search = _Search(urdf, meshes)
-    free = list(_candidates(search, drives or ()))
+    free = list(_candidates(search))
     steered = list(_steered(search, free))
     search.problems += steered
     pair, others = _drives(search, free, drives)
@@ -208,10 +210,10 @@ def find_mechanism(urdf: Description, meshes: Meshes, drives: tuple[str, str] | 
     return made.mechanism(body, casters)
 
 
-def _candidates(search: _Search, told: Iterable[str]) -> Iterator[_Candidate]:
+def _candidates(search: _Search) -> Iterator[_Candidate]:
     """Finds the joints that turn freely."""
     urdf = search.urdf
-    free = {joint.child: joint for joint in urdf.joints.values() if joint.turns_freely or joint.name in told}
+    free = {joint.child: joint for joint in urdf.joints.values() if joint.turns_freely}
     above = {joint.child: joint.parent for joint in urdf.joints.values()}
 
     def carrier(link: str) -> str | None:
@@ -377,7 +379,7 @@ def _axle(search: _Search, one: _Candidate, other: _Candidate) -> tuple[_Candida
     middle = (one.centre + other.centre) / 2
     frame[:3, 3] = -frame[:3, :3] @ middle + 0.0
     a, b = one.radius, other.radius
-    if abs(a - b) > ROUNDED * max(a, b):
+    if abs(a - b) > ALIKE * max(a, b):
         search.problems.append(f"the drive wheels differ in radius: {a:.4g} and {b:.4g} m")
     for its in (one, other):
         off = (
@@ -557,6 +559,8 @@ class _Assembly:
         taken |= {*self._left.part.links, *self._right.part.links}
         urdf = self._search.urdf
         links = tuple(link for link in urdf.links if link not in taken)
+        if not any(urdf.links[link].mass for link in links):
+            self._search.problems.append(f"link '{urdf.base}' has no mass and inertia; give it an <inertial>")
         for joint in urdf.joints.values():
             if joint.kind not in ("fixed", "continuous") and joint.child in links and not joint.turns_freely:
                 self._search.notes.append(f"joint '{joint.name}' ({joint.kind}) is held at 0")
