@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
     from nnql_bullet.api.training import resume, train
+    from nnql_bullet.api.worlds import export_world, import_world, view_world
     from nnql_bullet.driving import drive
     from nnql_bullet.errors import UserError, WorkFailed
     from nnql_bullet.recording import Recording
@@ -48,14 +49,17 @@ _HOMES = {
     "drive": "driving",
     "envelope": "api.fidelity",
     "evaluate": "api.evaluate",
+    "export_world": "api.worlds",
     "failures": "api.failures",
     "gap": "api.gap",
+    "import_world": "api.worlds",
     "load_policy": "runs",
     "load_run": "runs",
     "make_env": "api.environment",
     "read_robot": "vehicle.translation",
     "resume": "api.training",
     "train": "api.training",
+    "view_world": "api.worlds",
 }
 """Module of each name."""
 
@@ -72,14 +76,17 @@ __all__ = [
     "drive",
     "envelope",
     "evaluate",
+    "export_world",
     "failures",
     "gap",
+    "import_world",
     "load_policy",
     "load_run",
     "make_env",
     "read_robot",
     "resume",
     "train",
+    "view_world",
 ]
 
 

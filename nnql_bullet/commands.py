@@ -8,6 +8,9 @@ from nnql_bullet.config import departures, merged, to_values
 from nnql_bullet.presets import PRESETS
 from nnql_bullet.run_config import RunConfig
 
+PLACES = ("start", "target")
+"""Keys whose numbers are written with commas."""
+
 
 def flag(key: str) -> str:
     """Returns the flag of a dotted key."""
@@ -29,7 +32,8 @@ def flags(changes: Mapping[str, Any], table: str = "") -> list[str]:
         elif isinstance(value, Mapping):
             found += flags(value, f"{table}{key}.")
         elif value is not None:
-            found += [flag(table + key), *map(_text, value if isinstance(value, list | tuple) else [value])]
+            words = list(map(_text, value if isinstance(value, list | tuple) else [value]))
+            found += [flag(table + key), *([",".join(words)] if table + key in PLACES else words)]
     return found
 
 

@@ -1,14 +1,16 @@
 """Options as frozen dataclasses, and their TOML. Every key is checked, and an error is one line."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from difflib import get_close_matches
+from functools import wraps
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import docstring_parser
+import numpy as np
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -29,7 +31,18 @@ _UNKNOWN_KEY = ("unexpected_keyword_argument", "extra_forbidden")
 def options(cls: type[T]) -> type[T]:
     """Makes a class a group of options: frozen, keyword-only, with checked types and ranges and no unknown keys."""
     strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    return pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)  # type: ignore[return-value]
+    made = pydantic_dataclass(frozen=True, kw_only=True, config=strict)(cls)
+    init: Callable[..., None] = made.__init__
+
+    @wraps(init)
+    def checked_init(self: T, *unnamed: Any, **values: Any) -> None:
+        try:
+            init(self, *unnamed, **{name: _plain_number(value) for name, value in values.items()})
+        except ValidationError as error:
+            raise UserError(f"{cls.__name__}: {_first_mistake(made, error)}") from None
+
+    made.__init__ = checked_init  # type: ignore[assignment]
+    return made  # type: ignore[return-value]
 
 
 def refuse_crossed_ranges(group: object, *names: str) -> None:
@@ -57,7 +70,7 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """
     try:
         # Strict reading of JSON accepts an integer for a float and an array for a tuple, which TOML users write.
-        return TypeAdapter(cls).validate_json(json.dumps(values, default=str))
+        return TypeAdapter(cls).validate_json(json.dumps(values, default=_plain_value))
     except ValidationError as error:
         raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
     except RecursionError:
@@ -252,6 +265,17 @@ def _first_mistake(cls: type, error: ValidationError) -> str:
     if mistake["type"] == "json_invalid":
         return str(mistake["ctx"]["error"])
     return f"'{name}': {mistake['msg'][0].lower()}{mistake['msg'][1:]}, not {_shortened(mistake['input'])}"
+
+
+def _plain_value(value: Any) -> Any:
+    """What JSON has no type for: a number or an array of NumPy as Python's own, and all else as text."""
+    plain = _plain_number(value)
+    return str(value) if plain is value else plain
+
+
+def _plain_number(value: Any) -> Any:
+    """A number or an array of NumPy as Python's own; all else as it is."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
 def _reason(error: Exception) -> str:

@@ -15,7 +15,6 @@ from importlib.metadata import packages_distributions, version
 from math import cos, hypot, sin
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 
 from nnql_bullet.errors import UserError
@@ -113,6 +112,8 @@ def check_caches() -> Finding:
     compiled = wrap_angle.stats.cache_path  # type: ignore[attr-defined]  # a function that Numba has compiled
     if compiled is None:
         return Finding(False, "none can be written to, so each start compiles; set NUMBA_CACHE_DIR", needed=False)
+    import matplotlib  # not at the top: with a wrong MPLBACKEND it raises
+
     fonts = Path(matplotlib.get_cachedir())
     if not os.access(fonts, os.W_OK):
         return Finding(False, f"{fonts} cannot be written to; set MPLCONFIGDIR", needed=False)

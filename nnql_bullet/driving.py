@@ -1,12 +1,13 @@
 """One drive of a policy, recorded."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet import __version__
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.recording import Recorder, Recording
@@ -22,10 +23,13 @@ RECORDING = "trajectory.npz"
 """File that a drive is kept in."""
 
 
+@checked
 def drive(
     policy: PolicyLike,
     *,
     world: str | Path | World | None = None,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     seed: int = 0,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
@@ -48,7 +52,10 @@ def drive(
         policy: A run folder, a policy file, a shipped policy or rule by name, what `load_policy` returned, or an object
             of your own: `act(observations)` gives the actions (n,) of n vehicles. One with a memory has the methods of
             `rollout.Policy`.
-        world: A shipped world, a TOML file or a `World`; by default that of the training.
+        world: A shipped world, a TOML file, a map or world of another program (see `import_world`), or a `World`; by
+            default that of the training.
+        start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
+        target: x, y [m] of the target in that frame, in place of its own.
         seed: Seed of the world.
         simulator: Where it drives, wherever it was trained.
         physics: Solver settings of contact physics.
@@ -66,6 +73,7 @@ def drive(
     asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
     asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
+    asked |= {"start": start and list(start), "target": target and list(target)}
     asked["robot"] = None if vehicle is None else robot_name(vehicle)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config

@@ -27,28 +27,47 @@ from nnql_bullet.task import (
     reward_terms,
     state_property,
 )
+from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
 """The sixth action: the paper's rule for a safe state, "changes its orientation toward the target location"."""
 ACTIONS = len(paper.TURNS) + 1
 STOP = ACTIONS
-"""Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands. Agents choose
-among the actions alone; a shield may add this."""
-MANOEUVRES = ACTIONS + STOP
+"""Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands."""
+REVERSE = 2 * ACTIONS
+"""Added to an action: the same heading change, while the vehicle drives backwards; from ahead it brakes first."""
+MANOEUVRES = 3 * ACTIONS
+"""An action ahead, with `STOP` or with `REVERSE`: what a policy may choose. The agents of this package choose among the
+actions alone; a shield chooses among all, and so may a policy of your own."""
 LARGEST_TURN = max(paper.TURNS)
-_TURNS = np.tile([*paper.TURNS, np.nan], 2)
+_TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
+
+
+def as_actions(given: object, size: int, count: int = MANOEUVRES) -> NDArray[np.int64]:
+    """Actions (n,) that a caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are not as many whole numbers from 0 to `count` - 1.
+    """
+    try:
+        actions = np.asarray(given)
+    except ValueError:  # of lists of several lengths
+        actions = np.empty(())
+    if actions.shape != (size,) or actions.dtype.kind not in "iu" or not ((actions >= 0) & (actions < count)).all():
+        raise UserError(f"give {size} whole numbers from 0 to {count - 1} as actions, not {given}")
+    return actions.astype(np.int64)
 
 
 def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_bearing: ArrayLike) -> Array:
-    """Heading changes (...) [rad] of actions (...): a turn of the paper, or toward the target up to the largest."""
+    """Heading changes (...) [rad] of manoeuvres (...): a turn of the paper, or toward the target up to the largest."""
     toward = np.minimum(np.maximum(target_bearing, -LARGEST_TURN), LARGEST_TURN)
     return np.where(np.isnan(_TURNS[action]), toward, _TURNS[action])
 
 
-def speed_scale(action: int | NDArray[np.int64]) -> Array:
-    """Speeds (...) of actions (...), as shares of the drive's."""
-    return np.where(np.less(action, STOP), 1.0, 0.0)
+def speed_scale(action: int | NDArray[np.int64], drive: DriveOptions) -> Array:
+    """Wanted speeds (...) of manoeuvres (...), as shares of the drive's: ahead, to stop, or negative in reverse."""
+    return np.array([1.0, 0.0, -drive.reverse_share])[np.floor_divide(action, ACTIONS)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +82,8 @@ class Observation:
     """Bearing in the vehicle frame (n,) [rad], positive to the left."""
     yaw_rate: Array
     """(n,) [rad/s]"""
+    speed: Array
+    """Measured speed along the vehicle (n,) [m/s], negative backwards: see `sim.base.Motion`."""
     state_property: NDArray[np.int64]
     """`StateProperty` (n,)."""
     ray_distances: Array
@@ -88,7 +109,7 @@ def as_numbers(observation: Observation) -> NDArray[np.float32]:
 class Transition:
     """One step of n vehicles; the rows of those that stood by have no meaning.
 
-    `discount_t` is 0 where the episode ended for good, and 1 otherwise, also at a timeout.
+    `discount_t` is 0 where the episode ended for good, and 1 otherwise, also at one of `task.TRUNCATIONS`.
     """
 
     s_tm1: Observation
@@ -117,6 +138,18 @@ Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
 of n vehicles. Beside a function, the terms stay the paper's."""
 
 
+def _as_rewards(given: object, size: int) -> Array:
+    """Rewards (n,) that a function of the caller gave for n vehicles.
+
+    Raises:
+        UserError: If they are no finite numbers.
+    """
+    rewards = np.asarray(given)
+    if rewards.shape != (size,) or rewards.dtype.kind not in "fiub" or not np.isfinite(rewards).all():
+        raise UserError(f"the reward must be {size} finite numbers, one for each vehicle, not {given}")
+    return rewards.astype(np.float64)
+
+
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
@@ -143,13 +176,16 @@ class Navigation:
         n = simulator.size
         self._target = np.zeros((n, 2))
         self._steps = np.zeros(n, np.int64)
+        self._places, self._staying = np.zeros((n, 2)), np.zeros(n)  # where each stays about, and for how long [m, s]
+        self._about = task.stuck_radius * simulator.vehicle.length
         self._observation = Observation(
             readings=np.zeros((n, paper.SECTORS)),
             target_distance=np.zeros(n),
             target_bearing=np.zeros(n),
             yaw_rate=np.zeros(n),
+            speed=np.zeros(n),
             state_property=np.zeros(n, np.int64),
-            ray_distances=np.zeros((n, simulator.sensor.rays)),
+            ray_distances=np.zeros((n, simulator.vehicle.sensor.rays)),
         )
 
     @property
@@ -165,10 +201,10 @@ class Navigation:
         poses, ray_distances = self.simulator.reset(worlds)
         self._target[vehicles] = [world.target for world in worlds.values()]
         self._steps[vehicles] = 0
+        self._places[vehicles], self._staying[vehicles] = poses[:, :2], 0.0
         nothing, safe = np.zeros(len(vehicles), np.bool_), np.full(len(vehicles), StateProperty.SAFE)
-        started = self._observed(
-            self._target[vehicles], poses, np.zeros(len(vehicles)), ray_distances, nothing, nothing, safe
-        )
+        still, speeds = np.zeros(len(vehicles)), np.full(len(vehicles), self.simulator.drive.speed)
+        started = self._observed(self._target[vehicles], poses, still, speeds, ray_distances, nothing, nothing, safe)
         self._observation = _put(self._observation, vehicles, started)
 
     def step(
@@ -177,16 +213,20 @@ class Navigation:
         """Carries out one decision of each vehicle.
 
         Args:
-            actions: The actions (n,); those of vehicles that are not active have no effect.
+            actions: The manoeuvres (n,); those of vehicles that are not active have no effect.
             active: Vehicles that take a step (n,), all by default.
             traces: Lists that receive samples between the decisions, by vehicle.
+
+        Raises:
+            UserError: If they are not such numbers.
         """
+        actions = as_actions(actions, self.simulator.size)
         s_tm1 = self._observation
         turns = heading_change(actions, s_tm1.target_bearing)
-        motion, ray_distances = self.simulator.advance(turns, active, speed_scale(actions), traces)
-        m = motion
+        scales = speed_scale(actions, self.simulator.drive)
+        m, ray_distances = self.simulator.advance(turns, active, scales, traces)
         s_t = self._observed(
-            self._target, m.pose, m.yaw_rate, ray_distances, m.touching, m.at_target, s_tm1.state_property
+            self._target, m.pose, m.yaw_rate, m.speed, ray_distances, m.touching, m.at_target, s_tm1.state_property
         )
         if active is None:
             active = np.ones(self.simulator.size, np.bool_)
@@ -195,6 +235,7 @@ class Navigation:
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
         self._observation = s_t
         self._steps += active
+        self._stay(m, active)
         terms = (
             reward_terms(s_tm1, s_t, self.task, self._terms)
             if self._table is None
@@ -207,19 +248,27 @@ class Navigation:
             discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
-            ending=ending(s_t.state_property, self._steps, self.task),
+            ending=ending(s_t.state_property, self._steps, self.task, self._staying),
             heading_command=turns,
-            motion=motion,
+            motion=m,
             active=active,
             term_names=self.term_names,
         )
-        return t if self._reward is None else replace(t, r_t=np.asarray(self._reward(t), np.float64))
+        return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(actions)))
+
+    def _stay(self, motion: Motion, active: NDArray[np.bool_]) -> None:
+        """Adds a control period to the time for which the active vehicles (n,) have stayed about one place."""
+        x, y = (motion.pose[:, :2] - self._places).T
+        gone = active & (np.hypot(x, y) > self._about)
+        self._staying += np.where(active, motion.duration, 0.0)
+        self._places[gone], self._staying[gone] = motion.pose[gone, :2], 0.0
 
     def _observed(
         self,
         targets: Array,
         poses: Array,
         yaw_rates: Array,
+        speeds: Array,
         ray_distances: Array,
         touching: NDArray[np.bool_],
         at_target: NDArray[np.bool_],
@@ -233,6 +282,7 @@ class Navigation:
             target_distance=np.hypot(dx, dy),
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
+            speed=speeds,
             state_property=state_property(readings, touching, at_target, self.task, before),
             ray_distances=ray_distances,
         )

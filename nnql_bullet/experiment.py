@@ -62,10 +62,17 @@ class Experiment:
         self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
         self.config = config = at_own_speed(config, self.vehicle)
-        self.worlds = self._source(config.world)
+        self.worlds = self.kind(config.world)
 
-    def _source(self, name: str | World) -> World:
+    def kind(self, name: str | World) -> World:
+        """Reads a kind of worlds for this vehicle.
+
+        Raises:
+            UserError: If it cannot be read, or its obstacles do not reach up to the vehicle's sensor.
+        """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
+        if name == self.config.world:
+            source = source.between(self.config.start, self.config.target)
         if source.obstacle_height <= sensor_height:
             raise UserError(
                 f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
@@ -79,7 +86,7 @@ class Experiment:
         Raises:
             UserError: If there is none, or the vehicle would stand in an obstacle at its start.
         """
-        return self._drawn(self.worlds, seed)
+        return self.draw(self.worlds, seed)
 
     @cached_property
     def selection_worlds(self) -> list[WorldSpec]:
@@ -92,13 +99,15 @@ class Experiment:
         if selection is None:
             return []
         names = selection.worlds or self.config.training.worlds or (self.config.world,)
-        sources = [self._source(name) for name in dict.fromkeys(names)]
-        return [self._drawn(source, seed) for source in sources for seed in selection.seeds]
+        sources = [self.kind(name) for name in dict.fromkeys(names)]
+        return [self.draw(source, seed) for source in sources for seed in selection.seeds]
 
-    def _drawn(self, source: World, seed: int) -> WorldSpec:
-        if not 0 <= seed < 2**63:
-            given = f", not {seed}" if abs(seed) < 10**30 else ""
-            raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
+    def draw(self, source: World, seed: int) -> WorldSpec:
+        """Draws the world of a seed, of a kind that `kind` read.
+
+        Raises:
+            UserError: See `world`.
+        """
         world = source.draw(seed, self.vehicle.width, self.config.allow_impassable)
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
@@ -109,7 +118,7 @@ class Experiment:
         """Draws the world of a training episode."""
         sources, seed = self.training_sources, training_world_seed(self.config.seed, episode)
         source = sources[rng(self.config.seed, Stream.MIX, episode).integers(len(sources))]
-        return turned(self._drawn(source, seed), self.config.training.domain_randomization)
+        return turned(self.draw(source, seed), self.config.training.domain_randomization)
 
     @cached_property
     def training_sources(self) -> list[World]:
@@ -118,7 +127,7 @@ class Experiment:
         Raises:
             UserError: If one cannot be read.
         """
-        return [self._source(name) for name in self.config.training.worlds] or [self.worlds]
+        return [self.kind(name) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -164,7 +173,9 @@ class Experiment:
     @cached_property
     def agent(self) -> Policy:
         """The given agent, or the untrained one that the configuration describes."""
-        return self._given or self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
+        if self._given is not None:
+            return self._given
+        return self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Policy:
@@ -177,9 +188,11 @@ class Experiment:
         """The agent, as one that can be trained.
 
         Raises:
-            UserError: If it is a rule.
+            UserError: If it is a rule, or the given agent lacks methods.
         """
         if not isinstance(self.agent, Trainable):
+            if self._given is not None:
+                raise UserError(f"a {type(self._given).__name__} cannot learn: it is no training.base.Trainable")
             raise UserError(f"'{self.config.agent.kind}' is a rule and has nothing to learn; drive it as it is")
         return self.agent
 

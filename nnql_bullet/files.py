@@ -1,5 +1,6 @@
 """Reads text, and writes files atomically: a file is complete or does not exist."""
 
+import errno
 import fcntl
 import json
 import os
@@ -23,6 +24,17 @@ _TEMPORARY = ".writing-"
 def is_file(path: Path | str) -> bool:
     """Whether there is a plain file; False too for a name that no file can have."""
     return os.path.isfile(path)
+
+
+def plain_file(path: Path) -> Path:
+    """A path, checked before it is opened: to open a named pipe would wait for ever.
+
+    Raises:
+        FileNotFoundError: If there is no plain file.
+    """
+    if not is_file(path):
+        raise FileNotFoundError(errno.ENOENT, "there is no such plain file", str(path))
+    return path
 
 
 def read_text(path: Path) -> str:

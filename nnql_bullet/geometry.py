@@ -255,6 +255,21 @@ def closest_points(a: Array, b: Array) -> tuple[float, float, float, float]:
 
 
 @njit()
+def row_at(x: float, y: float, yaw: float, row: Array) -> Array:
+    """Transforms a row (7,) of `as_rows` from the frame at a pose [m, rad] into the world; as a tuple, for kernels."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return (  # type: ignore[return-value] # a tuple needs no allocation
+        x + c * row[0] - s * row[1],
+        y + s * row[0] + c * row[1],
+        row[2],
+        row[3],
+        c * row[4] - s * row[5],
+        s * row[4] + c * row[5],
+        row[6],
+    )
+
+
+@njit()
 def clearance_at(x: float, y: float, yaw: float, footprint: Array, shapes: Array) -> float:
     """Computes the clearance of a vehicle at a pose [m].
 
@@ -265,17 +280,7 @@ def clearance_at(x: float, y: float, yaw: float, footprint: Array, shapes: Array
         footprint: Row (7,) of `as_rows`, in the vehicle's frame.
         shapes: Rows (n, 7) of `as_rows`.
     """
-    c, s = np.cos(yaw), np.sin(yaw)
-    row = (  # a tuple needs no allocation
-        x + c * footprint[0] - s * footprint[1],
-        y + s * footprint[0] + c * footprint[1],
-        footprint[2],
-        footprint[3],
-        c * footprint[4] - s * footprint[5],
-        s * footprint[4] + c * footprint[5],
-        footprint[6],
-    )
-    return float(clearance(row, shapes))  # type: ignore[arg-type]
+    return float(clearance(row_at(x, y, yaw, footprint), shapes))
 
 
 @njit()

@@ -9,11 +9,13 @@ Observation, `Box` of 11 float32:
 | 9 | bearing of the target, positive to the left | rad | -pi to pi |
 | 10 | yaw rate, positive to the left | rad/s | -10 to 10, clipped |
 
-Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target.
+Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target. With
+`manoeuvres=True` it is `Discrete(18)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards.
 
 Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
-terminates at the target or at a collision and is truncated after 500 steps. `info` holds `world_seed`, and after a step
-also `ending`, `state_property`, `heading_error` and a `reward/NAME` for each term.
+terminates at the target or at a collision; it is truncated after 500 steps, or as `stuck` once the vehicle has stayed
+about one place for long. `info` holds `world_seed`, and after a step also `ending`, `state_property`, `heading_error`
+and a `reward/NAME` for each term.
 """
 
 from collections.abc import Sequence
@@ -28,17 +30,28 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, Navigation, Observation, Reward, Transition, as_numbers
+from nnql_bullet.env import (
+    ACTIONS,
+    MANOEUVRES,
+    MOST_YAW_RATE,
+    Navigation,
+    Observation,
+    Reward,
+    Transition,
+    as_actions,
+    as_numbers,
+)
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, StateProperty
+from nnql_bullet.task import ENDINGS, TRUNCATIONS, StateProperty
 from nnql_bullet.worlds.spec import WorldSpec
 
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
+_TRUNCATIONS = [ENDINGS.index(name) for name in TRUNCATIONS]
 _LABELS = np.array([state.label for state in StateProperty], dtype=object)
 _BLANK: dict[str, Any] = {"O": None, "f": 0.0}  # in `info`, of a vehicle that stands by, by kind of value
 
@@ -73,19 +86,7 @@ def _infos(t: Transition) -> dict[str, NDArray[Any]]:
 
 def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether an episode terminated, and whether it was truncated (n,)."""
-    return t.active & (t.discount_t == 0.0), t.active & (t.ending == ENDINGS.index("timeout"))
-
-
-def _checked(actions: Any, size: int) -> NDArray[np.int64]:
-    """The actions (size,) as an array.
-
-    Raises:
-        UserError: If they are not such actions.
-    """
-    array = np.asarray(actions)
-    if array.shape != (size,) or array.dtype.kind not in "iu" or not ((array >= 0) & (array < ACTIONS)).all():
-        raise UserError(f"give {size} whole numbers from 0 to {ACTIONS - 1} as actions, not {actions}")
-    return array.astype(np.int64)
+    return t.active & (t.discount_t == 0.0), t.active & np.isin(t.ending, _TRUNCATIONS)
 
 
 def _draw_seed(generator: np.random.Generator) -> int:
@@ -97,12 +98,19 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own convention)
 
-    def __init__(self, config: RunConfig | str = "paper", reward: Reward | None = None, **changes: Any) -> None:
+    def __init__(
+        self,
+        config: RunConfig | str = "paper",
+        reward: Reward | None = None,
+        manoeuvres: bool = False,
+        **changes: Any,
+    ) -> None:
         """Makes the simulator.
 
         Args:
             config: A run's configuration, a preset's name or a TOML file.
             reward: A reward in place of the paper's.
+            manoeuvres: Whether an action may also stop or reverse.
             **changes: Top-level keys to replace in it: world, robot, physics, simulator, conditions.
 
         Raises:
@@ -111,7 +119,8 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self._experiment = _experiment(config, changes)
         self._navigation = Navigation(self._experiment.simulator, self._experiment.config.task, reward)
         self.observation_space = _observation_space(self._experiment)
-        self.action_space = gymnasium.spaces.Discrete(ACTIONS)
+        self._count = MANOEUVRES if manoeuvres else ACTIONS
+        self.action_space = gymnasium.spaces.Discrete(self._count)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -129,7 +138,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         Raises:
             UserError: If there is no such action.
         """
-        t = self._navigation.step(_checked([action], 1))
+        t = self._navigation.step(as_actions([action], 1, self._count))
         terminated, truncated = _over(t)
         info = {name: values.item() for name, values in _infos(t).items()}
         return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
@@ -167,6 +176,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         config: RunConfig | str = "paper",
         workers: int | None = None,
         reward: Reward | None = None,
+        manoeuvres: bool = False,
         **changes: Any,
     ) -> None:
         """Makes the vehicles.
@@ -176,6 +186,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             config: A run's configuration, a preset's name or a TOML file.
             workers: Number of processes (contact physics) or threads (kinematic model), one a core by default.
             reward: A reward in place of the paper's.
+            manoeuvres: Whether an action may also stop or reverse.
             **changes: Top-level keys to replace in the configuration: world, robot, physics, simulator, conditions.
 
         Raises:
@@ -184,7 +195,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self._experiment = _experiment(config, {**changes, "vehicles": num_envs})
         self.num_envs = num_envs
         self.single_observation_space = _observation_space(self._experiment)
-        self.single_action_space = gymnasium.spaces.Discrete(ACTIONS)
+        self._count = MANOEUVRES if manoeuvres else ACTIONS
+        self.single_action_space = gymnasium.spaces.Discrete(self._count)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         simulator = self._experiment.new_simulator(workers)
@@ -224,7 +236,8 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
             UserError: If these are not an action for each vehicle.
         """
         begun, active = self._over.copy(), ~self._over
-        t = self._navigation.step(_checked(actions, self.num_envs), None if active.all() else active)
+        actions = as_actions(actions, self.num_envs, self._count)
+        t = self._navigation.step(actions, None if active.all() else active)
         terminated, truncated = _over(t)
         named = _infos(t)
         if not active.all():

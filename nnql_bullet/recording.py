@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from nnql_bullet import paper
+from nnql_bullet.arguments import checked
 from nnql_bullet.env import MANOEUVRES, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, parse_json, write_atomically
@@ -60,7 +61,7 @@ class Recording:
     q_values: Array
     """Of the five turns (n, 5); NaN where the agent did not ask itself."""
     action: NDArray[np.int64]
-    """(n,), `env.STOP` and more where the vehicle was to stop."""
+    """Numbers of manoeuvres (n,): see `env.MANOEUVRES`."""
     overridden: NDArray[np.bool_]
     """Where a shield took the decision in the agent's place (n,)."""
     heading_command: Array
@@ -145,6 +146,7 @@ class Recording:
         )
 
     @staticmethod
+    @checked
     def load(path: Path | str) -> "Recording":
         """Reads a recording.
 
@@ -153,6 +155,7 @@ class Recording:
         """
         return load_recording(Path(path))
 
+    @checked
     def plot(self, path: Path | str) -> None:
         """Draws the path through the world and the clearance over time as a picture (.png)."""
         from nnql_bullet.reports.plots import draw_trajectory
@@ -174,6 +177,7 @@ class Recording:
 
         render(self, path, **values)
 
+    @checked
     def save(self, path: Path | str) -> None:
         """Writes the file atomically.
 

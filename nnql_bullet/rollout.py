@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import STOP, Navigation, Observation, Transition
+from nnql_bullet.env import REVERSE, STOP, Navigation, Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
@@ -16,7 +16,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 PolicyState: TypeAlias = Any
 """What a policy remembers of n vehicles; None if it has no memory. Only the policy itself looks inside."""
 Actions: TypeAlias = NDArray[np.int64]
-"""An action of each vehicle (n,): one of `paper.TURNS`, `env.TOWARD_TARGET` or, from a shield, a manoeuvre of `env`."""
+"""A manoeuvre of each vehicle (n,): a number below `env.MANOEUVRES`."""
 
 
 @runtime_checkable
@@ -117,6 +117,8 @@ class EpisodeSummary:
     """Number of decisions to brake, to stand or to turn on the spot."""
     standing_time: float = 0.0
     """Time of the control periods in which the vehicle stood [s]."""
+    reverse_steps: int = 0
+    """Number of decisions to drive backwards."""
 
 
 STANDSTILL_DISTANCE = 0.05
@@ -131,11 +133,8 @@ class Tally:
         self._world_seed = np.zeros(size, np.int64)
         self._ending = np.full(size, NO_ENDING)
         self._steps, self._non_safe = np.zeros(size, np.int64), np.zeros(size, np.int64)
-        self._overridden, self._stops, self._standing = (
-            np.zeros(size, np.int64),
-            np.zeros(size, np.int64),
-            np.zeros(size),
-        )
+        self._overridden, self._stops, self._reverses = np.zeros((3, size), np.int64)
+        self._standing = np.zeros(size)
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
@@ -159,7 +158,7 @@ class Tally:
         for sums in (
             *(self._steps, self._non_safe, self._duration, self._path_length, self._squared_errors),
             *(self._clearances, self._lateral_acceleration, self._terms),
-            *(self._overridden, self._stops, self._standing),
+            *(self._overridden, self._stops, self._reverses, self._standing),
         ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
@@ -174,7 +173,8 @@ class Tally:
         t, m, on = transition, transition.motion, transition.active
         if overridden is not None:
             self._overridden += on & overridden
-        self._stops += on & (t.a_tm1 >= STOP)
+        self._stops += on & (t.a_tm1 >= STOP) & (t.a_tm1 < REVERSE)
+        self._reverses += on & (t.a_tm1 >= REVERSE)
         self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on
@@ -207,6 +207,7 @@ class Tally:
             overridden_steps=int(self._overridden[v]),
             stop_steps=int(self._stops[v]),
             standing_time=float(self._standing[v]),
+            reverse_steps=int(self._reverses[v]),
         )
 
 

@@ -18,7 +18,7 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.sim.faults import SensorFaults
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.selection import SelectionOptions
-from nnql_bullet.types import Count, NonNegative, Positive, Seed, Vehicles
+from nnql_bullet.types import Count, NonNegative, Number, Positive, Seed, Vehicles
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -122,7 +122,11 @@ class RunConfig:
     episodes: Count = paper.EPISODES
     """Number of training episodes."""
     world: WorldLike = "paper"
-    """A shipped world, a path to a TOML file, or a `World`."""
+    """A shipped world, a path to a TOML file or to a map or world of another program, or a `World`."""
+    start: Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)] | None = None
+    """x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map; by default the world's own."""
+    target: Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)] | None = None
+    """x, y [m] of the target in that frame; by default the world's own."""
     allow_impassable: bool = False
     """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
     robot: str = "tricycle"

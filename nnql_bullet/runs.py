@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom, Decider
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.files import write_text
+from nnql_bullet.files import plain_file, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
@@ -218,6 +219,7 @@ PolicyLike = str | Path | LoadedPolicy | Policy | Decider
 """A policy by its path or name, one that `load_policy` returned, or an object of your own."""
 
 
+@checked
 def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyType({})) -> LoadedPolicy:
     """Loads what a run has learned, or a rule.
 
@@ -290,6 +292,7 @@ def _is_configured(policy: Path) -> bool:
     return policy.suffix == ".toml" or (str(policy) in RULES and not policy.exists())
 
 
+@checked
 def load_run(folder: Path | str, episodes: int | None = None) -> Run:
     """Reads a run folder as it was at its last checkpoint. Nothing is written.
 
@@ -353,7 +356,7 @@ def _as_csv(episodes: list[TrainingEpisode]) -> str:
 def _read_csv(path: Path) -> list[TrainingEpisode]:
     known = {"episode", "world_seed", "ending", "steps", "non_safe_steps", *_NUMBERS, "return"}
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with plain_file(path).open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file)
             others = [name for name in rows.fieldnames or () if name not in known]
             terms = [name for name in others if name in REWARD_TERMS or name.startswith(_REWARD)]

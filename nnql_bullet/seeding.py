@@ -22,6 +22,7 @@ class Stream(IntEnum):
     REPLAY = 8
     MIX = 9
     DOMAIN_RANDOMIZATION = 10
+    BOTTLENECK = 11
 
 
 VALIDATION_WORLDS = range(0, 100_000)
@@ -35,8 +36,8 @@ def rng(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
     """Makes a generator whose numbers depend on the arguments alone.
 
     Args:
-        seed: Seed of the world for `Stream.LAYOUT`, `Stream.PATROLS`, `Stream.SENSOR_NOISE` and `Stream.CHANCE`; seed
-            of the run for the others.
+        seed: Seed of the world for `Stream.LAYOUT`, `Stream.BOTTLENECK`, `Stream.PATROLS`, `Stream.SENSOR_NOISE` and
+            `Stream.CHANCE`; seed of the run for the others.
         stream: Purpose of the numbers.
         index: Number of the episode, or of the attempt to draw a world.
     """

@@ -20,11 +20,12 @@ from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.files import is_file
 from nnql_bullet.locks import locked
 from nnql_bullet.memory import refuse_beyond
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.runs import Run, load_run
+from nnql_bullet.runs import CHECKPOINT, Run, load_run
 from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.training.base import RECENT, Trainer
@@ -70,7 +71,7 @@ def train(
         UserError: If the configuration cannot be trained, or the folder is in use or not empty; nothing is written
             then.
         WorkerDied: If a worker process died; a checkpoint is written before.
-        WorkFailed: If the training diverges; the last checkpoint is then from before.
+        WorkFailed: If the training diverges; the last checkpoint, if there is one, is then from before.
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     with ExitStack() as lock:
@@ -116,7 +117,8 @@ def resume(
         OSError: If a file cannot be written; the last checkpoint is then complete.
     """
     run = load_run(folder, episodes)
-    for name in changed_sources(folder):
+    changed = changed_sources(folder)
+    for name in changed:
         _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
     if run.is_over:  # before anything is written
         with suppress(OSError), locked(folder):  # which removes what a killed process left
@@ -125,7 +127,10 @@ def resume(
     with locked(folder):
         run = load_run(folder, episodes)
         experiment = Experiment(located(run.config, folder), agent)
-        return _Session(run, experiment, reward, workers, on_progress, stop).go(Run.go_on)
+        run = _Session(run, experiment, reward, workers, on_progress, stop).go(Run.go_on)
+    for name in changed:  # again, as hours may have passed
+        _log.warning("%s had changed: the run went on with its own copy, as it was when the run began", name)
+    return run
 
 
 def check(config: RunConfig) -> None:
@@ -254,9 +259,14 @@ class _Session:
         """
         for name, values in learned.items():
             if not np.isfinite(values).all():
+                kept = (
+                    "the last checkpoint is from before"
+                    if is_file(self.run.folder / CHECKPOINT)
+                    else "it came to no checkpoint, so nothing is kept; begin anew, in the same folder if you like"
+                )
                 raise WorkFailed(
                     f"{self.run.folder}: the training diverged: after {len(self.run.episodes)} episodes '{name}' is "
-                    "not finite; lower the learning rate or step size. The last checkpoint, if any, is from before"
+                    f"not finite; lower the learning rate or step size; {kept}"
                 )
 
     def _select(self, experiment: Experiment, selection: SelectionOptions) -> None:

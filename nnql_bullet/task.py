@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from math import isfinite
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -15,9 +16,10 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.config import options
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
-from nnql_bullet.types import Number, Steps
+from nnql_bullet.types import LARGEST, Number, Steps
 
 Properties = int | NDArray[np.int64]
 Booleans = bool | NDArray[np.bool_]
@@ -55,6 +57,10 @@ class TaskOptions:
     """Reward of a step from a non-safe to a safe state. The number is illegible in the paper."""
     max_steps: Steps = paper.STEPS_PER_EPISODE
     """Decisions in an episode (IV.A)."""
+    stuck_after: Annotated[float, Field(ge=0, le=LARGEST)] = 30.0
+    """Time after which an episode ends as stuck if the vehicle stays about one place [s]; 0 for never."""
+    stuck_radius: Annotated[float, Field(gt=0, le=1000)] = 0.5
+    """Distance from there up to which a vehicle stays about a place, as a multiple of its length."""
 
     # Other readings of the paper's text, for ablations.
 
@@ -136,6 +142,13 @@ class RewardTerm:
     """Value (...) of the steps from observations `s_tm1` to observations `s_t`; its name is the term's."""
     scale: float
 
+    def __post_init__(self) -> None:
+        """Refuses a function without a name, such as a `functools.partial`, and a scale that is no number."""
+        if not hasattr(self.function, "__name__"):
+            raise UserError("a term of the reward needs a function with a name; define it with def")
+        if not isinstance(self.scale, int | float) or not isfinite(self.scale):
+            raise UserError(f"term '{self.name}' of the reward: its scale must be a finite number, not {self.scale}")
+
     @property
     def name(self) -> str:
         """The name of the function."""
@@ -192,7 +205,10 @@ def reward_terms(s_tm1: State, s_t: State, task: TaskOptions, reward: tuple[Rewa
     """Each term's part of the reward (..., number of terms) of steps from `s_tm1` to `s_t`; the reward is their sum."""
     terms = np.empty((*s_t.readings.shape[:-1], len(reward)))
     for k, term in enumerate(reward):
-        terms[..., k] = term.function(s_tm1, s_t, task)
+        values = np.asarray(term.function(s_tm1, s_t, task))
+        if values.shape != terms.shape[:-1] or values.dtype.kind not in "fiub" or not np.isfinite(values).all():
+            raise UserError(f"term '{term.name}' of the reward must be finite numbers {terms.shape[:-1]}, not {values}")
+        terms[..., k] = values
     return terms * [term.scale for term in reward] + 0.0  # adding 0.0 makes 0.0 of a -0.0
 
 
@@ -231,9 +247,12 @@ def _got_closer(s_tm1: State, s_t: State, task: TaskOptions) -> NDArray[np.bool_
 
 # The end of an episode (IV.A)
 
-ENDINGS = ("goal", "collision", "timeout")
+ENDINGS = ("goal", "collision", "timeout", "stuck")
 """How an episode may end."""
-GOAL, COLLISION, TIMEOUT = range(3)
+GOAL, COLLISION, TIMEOUT, STUCK = range(4)
+TRUNCATIONS = ("timeout", "stuck")
+"""Endings that are no part of the task: the world would go on, and so would the discounted return. A vehicle that is
+stuck has not failed by the paper's rewards (II.C); it only wastes what is left of the time limit."""
 NO_ENDING = -1
 """Stands for an index into `ENDINGS` while an episode goes on."""
 
@@ -243,8 +262,19 @@ def is_terminal(state_property: Properties) -> NDArray[np.bool_]:
     return np.greater_equal(state_property, WINNING)
 
 
-def ending(state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions) -> NDArray[np.int64]:
-    """How episodes ended that came to such states after so many steps: indices into `ENDINGS` or `NO_ENDING` (...)."""
-    timeout = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
-    collision = np.where(np.equal(state_property, FAILURE), COLLISION, timeout)
-    return np.where(np.equal(state_property, WINNING), GOAL, collision)
+def ending(
+    state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions, staying: float | Array = 0.0
+) -> NDArray[np.int64]:
+    """How episodes ended: indices into `ENDINGS` or `NO_ENDING` (...).
+
+    Args:
+        state_property: `StateProperty` of the states that they came to (...).
+        steps: Number of steps so far (...).
+        task: The limits.
+        staying: Time for which the vehicles have stayed about one place (...) [s].
+    """
+    ends = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
+    if task.stuck_after > 0:
+        ends = np.where(np.greater_equal(staying, task.stuck_after), STUCK, ends)
+    ends = np.where(np.equal(state_property, FAILURE), COLLISION, ends)
+    return np.where(np.equal(state_property, WINNING), GOAL, ends)

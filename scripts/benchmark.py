@@ -11,6 +11,7 @@ import platform
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
+from typing import get_args
 
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -29,10 +30,12 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     from benchmarks.contact import contact_over_bare
     from benchmarks.floor import fast_over_floor
     from benchmarks.kinematic import kinematic_steps_per_second
+    from benchmarks.many_shapes import FEW, MANY, many_over_few
     from benchmarks.rendering import film_over_bare
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
+    from nnql_bullet.run_config import SimulatorName
     from nnql_bullet.sim.bullet_scene import works
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
@@ -52,6 +55,13 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             f"kinematic model, control steps a second on {CORES} cores, 72 rays, about 40 boxes",
             lambda: kinematic_steps_per_second(CORES, 2.0 if quick else 10.0),
         ),
+        **{
+            f"many_over_few_{simulator}": (
+                f"control steps a second among {MANY} boxes over those among {FEW}, {simulator}, `fast`",
+                partial(many_over_few, simulator, *(4, 30) if quick else (12, 60)),
+            )
+            for simulator in get_args(SimulatorName)
+        },
         "paper_training_kinematic_s": (
             f"1000 paper episodes in the kinematic model, {VEHICLES} vehicles [s]",
             lambda: paper_training_s("kinematic", CORES),

@@ -5,6 +5,7 @@ from before compares with one from after; so that has to be asked for.
 
     python scripts/freeze_splits.py
     python scripts/freeze_splits.py --replace
+    python scripts/freeze_splits.py --replace poles rooms
 """
 
 import argparse
@@ -37,11 +38,13 @@ def main() -> None:
     """Draws the worlds and writes the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--replace", action="store_true", help="replace hashes that have changed")
+    parser.add_argument("names", nargs="*", help="some world files, by name; all by default")
     a = parser.parse_args()
     names = sorted(path.stem for path in Path(assets.folder("worlds")).glob("*.toml"))
-    found = {name: hashes(name) for name in track(names, "drawing")}
     known = json.loads(FILE.read_text(encoding="utf-8"))["worlds"] if FILE.exists() else {}
-    changed = [name for name in names if name in known and known[name] != found[name]]
+    drawn = {name: hashes(name) for name in track(a.names or names, "drawing")}
+    found = {name: drawn.get(name) or known[name] for name in names}
+    changed = [name for name in drawn if name in known and known[name] != drawn[name]]
     if changed and not a.replace:
         sys.exit(f"these worlds are not what they were: {', '.join(changed)}; if that is meant, give --replace")
     width = Experiment(RunConfig()).vehicle.width

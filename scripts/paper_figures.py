@@ -69,7 +69,8 @@ class Told:
     """A simulator of one vehicle that commands the noted heading changes, to the last bit."""
 
     def __init__(self, simulator: Simulator, decisions: list[tuple[int, float]]) -> None:
-        self.size, self.reset, self.close = simulator.size, simulator.reset, simulator.close
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
+        self.reset, self.close = simulator.reset, simulator.close
         self._simulator = simulator
         self._waiting = iter(decisions)
 

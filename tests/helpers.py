@@ -57,7 +57,7 @@ class Alone(AbstractContextManager["Alone"]):
 
 def row(motion: Motion, vehicle: int) -> VehicleMotion:
     """The motion of one of several vehicles."""
-    names = ("yaw_rate", "duration", "path_length", "clearance", "heading_error", "touching", "at_target")
+    names = ("yaw_rate", "speed", "duration", "path_length", "clearance", "heading_error", "touching", "at_target")
     pose = Pose(*motion.pose[vehicle].tolist())
     return VehicleMotion(pose, *(getattr(motion, name)[vehicle].item() for name in names))
 

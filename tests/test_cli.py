@@ -120,7 +120,7 @@ class TestDrive:
     def test_it_drives_and_leaves_recording_and_picture(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         code, out, err = run_cli("drive", tiny_run, "--seed", 3, "--out", "drive")
         assert (code, err) == (0, "")
-        assert re.search(r"^(goal|collision|timeout) in world 'small', seed 3: \d+ steps", out)
+        assert re.search(r"^(goal|collision|timeout|stuck) in world 'small', seed 3: \d+ steps", out)
         assert {path.name for path in (here / "drive").iterdir()} == {"trajectory.npz", "trajectory.png"}
         assert (here / "drive" / "trajectory.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
@@ -498,7 +498,7 @@ class TestBadRobot:
             ('urdf = "tricycle.urdf"', 'urdf = "none.urdf"', ["none.urdf", "no such URDF"]),
             ("wheel_friction", "wheel_grip", ["unknown key 'contact.wheel_grip'", "wheel_friction"]),
             ("yaw_rate = 1.5708", "yaw_rate = 0.0", ["limits.yaw_rate", "greater than 0"]),
-            ('swivel = "swivel"', "", ["joints.swivel", "missing"]),
+            ('swivel = "swivel"', "", ["joints.swivel", "trails"]),
             ('swivel = "swivel"', 'swivel = "elbow"', ["elbow", "left_drive"]),
             ("[0.35, 0.0, 0.475]", "[0.35, 0.0]", ["sensor.position"]),
         ],

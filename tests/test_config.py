@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from nnql_bullet.agents import NnqlOptions
 from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
@@ -158,9 +158,9 @@ def test_options_are_frozen_checked_and_by_keyword_only():
     wheel = Wheel(radius=1.0)
     with pytest.raises(FrozenInstanceError):
         wheel.radius = 2.0
-    with pytest.raises(ValidationError):
+    with pytest.raises(UserError):
         Wheel(radius=-1.0)
-    with pytest.raises(ValidationError):
+    with pytest.raises(UserError):
         Wheel(1.0)
 
 

@@ -322,7 +322,7 @@ class TestMap:
 
 
 def random_manoeuvres(decisions: int) -> NDArray[np.int64]:
-    """Some of them stops, as a shield may ask for."""
+    """Some of them stops or backwards, as a shield may ask for."""
     return np.random.default_rng(0).integers(MANOEUVRES, size=(decisions, 4))
 
 
@@ -368,7 +368,8 @@ class TestFrames:
         distance = 60.0
         for _ in range(5):
             seen = generator.uniform(1.0, 10.0, RAYS) if not with_map else np.full(RAYS, 10.0)
-            one = observed((sector_readings(seen), distance, generator.uniform(-3, 3), 0.7, StateProperty.SAFE, seen))
+            bearing = generator.uniform(-3, 3)
+            one = observed((sector_readings(seen), distance, bearing, 0.7, 2.0, StateProperty.SAFE, seen))
             action = int(generator.integers(6))
             looks = []
             for i, (o, a) in enumerate(((one, action), (mirrored(one), int(MIRRORED_ACTIONS[action])))):
@@ -405,7 +406,8 @@ class TestFrames:
     def test_progress_without_a_map_is_what_the_target_came_nearer(self, vehicle: VehicleSpec) -> None:
         maker = FrameMaker(8, 1, False, vehicle, DriveOptions())
         seen = [
-            observed((np.full(8, 10.0), d, 0.0, 0.0, StateProperty.SAFE, np.full(RAYS, 10.0))) for d in (40.0, 39.2)
+            observed((np.full(8, 10.0), d, 0.0, 0.0, 2.0, StateProperty.SAFE, np.full(RAYS, 10.0)))
+            for d in (40.0, 39.2)
         ]
         memory = maker.after(maker.look(maker.nothing(1), seen[0]), seen[0], np.array([TOWARD_TARGET]))
         assert maker.look(memory, seen[1]).progress == pytest.approx([0.8], abs=1e-9)

@@ -27,6 +27,7 @@ from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import REWARD_TERMS, StateProperty, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 NEEDS_MUJOCO = pytest.mark.skipif(
@@ -47,6 +48,8 @@ class Puppet:
     events: dict[str, bool] = field(default_factory=dict)
     asked: list[float] = field(default_factory=list)
     size: int = 1
+    vehicle: VehicleSpec = field(default_factory=lambda: load_vehicle("tricycle"))
+    drive: DriveOptions = field(default_factory=DriveOptions)
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         self.asked.clear()

@@ -45,6 +45,7 @@ from nnql_bullet.fidelity.stopping import (
 )
 from nnql_bullet.fidelity.turning import Instant, follow_turn, forces_by_command, largest_slip
 from nnql_bullet.geometry import Pose
+from nnql_bullet.locks import locked
 from nnql_bullet.reports import envelope as reports
 from nnql_bullet.reports.envelope import draw_envelope, envelope_csv, envelope_markdown, envelope_values
 from nnql_bullet.reports.stopping import draw_stopping, stopping_csv, stopping_markdown, stopping_values
@@ -551,3 +552,26 @@ def test_an_engine_that_is_not_there_is_one_line(
     assert code == 2
     assert "pip install 'nnql-bullet[mujoco]'" in err
     assert not (tmp_path / "none").exists()
+
+
+def test_a_folder_in_use_is_refused_and_a_failed_save_changes_nothing(
+    few: None,
+    bench: Bench,
+    run_cli: Callable[..., tuple[int, str, str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So it is in `fidelity`, whose files are written alike."""
+    out = tmp_path / "out"
+    with locked(out):
+        for verb in ("envelope", "fidelity"):
+            code, _, complaint = run_cli(verb, "--physics", bench.physics, "--out", out)
+            assert (code, f"{out}: is in use by process" in complaint) == (2, True)
+    (out / "envelope.json").write_text("old")
+
+    def full(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(reports, "draw_envelope", full)
+    assert run_cli("envelope", "--physics", bench.physics, "--workers", 1, "--out", out)[0] == 2
+    assert [(path.name, path.read_text()) for path in out.iterdir()] == [("envelope.json", "old")]

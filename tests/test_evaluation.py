@@ -13,20 +13,25 @@ from PIL import Image
 from scipy.stats import binom
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
+from nnql_bullet.evaluation.drives import Drawn, DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, part_name
 from nnql_bullet.evaluation.policies import Policy, open_policies
+from nnql_bullet.evaluation.splits import Draws
+from nnql_bullet.evaluation.statistics import proportion
+from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import load_recording
+from nnql_bullet.reports.evaluation import counted
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions
 from nnql_bullet.task import ENDINGS
-from nnql_bullet.worlds.paths import Difficulty
+from nnql_bullet.worlds.paths import Difficulty, difficulty
+from nnql_bullet.worlds.spec import WorldSpec
 
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
 
-KINEMATIC = Setting("validation", "kinematic", "reference")
+KINEMATIC = Setting("kinematic", "reference")
 
 
 def policy(name: str, method: str, seed: int = 0) -> Policy:
@@ -38,19 +43,21 @@ def summary(ending: str, path_length: float = 100.0, seed: int = 0) -> EpisodeSu
 
 
 def tier(name: str, worlds: int, cover: float | None = None) -> Tier:
-    return Tier(name, name, cover, range(worlds), tuple(f"d{k}" for k in range(worlds)), True)
+    return Tier(name, name, cover, tuple(Drawn(name, k, f"{name}-{k}") for k in range(worlds)), True)
 
 
 def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) -> Evaluation:
     """From the first letters of endings, by policy and tier; the shortest path is 80 m everywhere."""
-    names = {"g": "goal", "c": "collision", "t": "timeout"}
+    names = {"g": "goal", "c": "collision", "t": "timeout", "s": "stuck"}
     tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
     return Evaluation(
+        asked=list(tiers),
+        draws=Draws(range(9), None),
         setting=KINEMATIC,
         policies=[policy(name, method) for name, method in methods.items()],
         tiers=list(tiers.values()),
         difficulties={
-            its.name: [Difficulty(0.05, 3.0, 80.0, 1.0, 5.0, 20.0)] * len(its.seeds) for its in tiers.values()
+            its.name: [Difficulty(0.05, 3.0, 80.0, 1.0, 5.0, 20.0)] * len(its.worlds) for its in tiers.values()
         },
         drives={key: [summary(names[letter]) for letter in letters] for key, letters in endings.items()},
     )
@@ -64,7 +71,7 @@ class TestMetrics:
             ("rule", "easy"): "gcgg",
             ("a-0", "hard"): "gctc",
             ("a-1", "hard"): "cccc",
-            ("rule", "hard"): "tttg",
+            ("rule", "hard"): "tstg",
         },
         {"a-0": "a", "a-1": "a", "rule": "rule"},
     )
@@ -76,12 +83,12 @@ class TestMetrics:
     def test_outcomes_are_shares_of_all_drives_and_add_up_to_one(self) -> None:
         found = {(r.method, r.world): [r.outcomes[ending].value for ending in ENDINGS] for r in rows(self.E)}
         assert found == {
-            ("a", "easy"): [5 / 8, 2 / 8, 1 / 8],
-            ("a", "hard"): [1 / 8, 6 / 8, 1 / 8],
-            ("a", EVERYWHERE): [6 / 16, 8 / 16, 2 / 16],
-            ("rule", "easy"): [3 / 4, 1 / 4, 0],
-            ("rule", "hard"): [1 / 4, 0, 3 / 4],
-            ("rule", EVERYWHERE): [4 / 8, 1 / 8, 3 / 8],
+            ("a", "easy"): [5 / 8, 2 / 8, 1 / 8, 0],
+            ("a", "hard"): [1 / 8, 6 / 8, 1 / 8, 0],
+            ("a", EVERYWHERE): [6 / 16, 8 / 16, 2 / 16, 0],
+            ("rule", "easy"): [3 / 4, 1 / 4, 0, 0],
+            ("rule", "hard"): [1 / 4, 0, 2 / 4, 1 / 4],
+            ("rule", EVERYWHERE): [4 / 8, 1 / 8, 2 / 8, 1 / 8],
         }
 
     def test_success_of_each_seed(self) -> None:
@@ -123,6 +130,111 @@ class TestMetrics:
         assert (easy.only_first, easy.only_second) == (2, 3)
         assert easy.p_value == pytest.approx(min(1.0, 2 * binom.cdf(2, 5, 0.5)))
         assert found[EVERYWHERE].only_second == 3 + 2
+
+
+class TestCounting:
+    """Copies of a drive count once: 100 equal drives say no more than one."""
+
+    def counted(self, letters: str, digests: str, seeds: list[int]) -> tuple[int, Evaluation]:
+        e = evaluation_of({("a", "t"): letters}, {"a": "a"})
+        worlds = tuple(Drawn(f"{d}.toml", seed, d) for d, seed in zip(digests, seeds, strict=True))
+        e = replace(e, tiers=[replace(e.tiers[0], worlds=worlds)])
+        (row,) = rows(e)
+        return row.drives, e
+
+    def test_equal_drives_through_equal_worlds_are_one(self) -> None:
+        drives, e = self.counted("gggg", "xxxx", [0, 1, 2, 3])
+        assert drives == 1
+        (row,) = rows(e)
+        assert row.outcomes["goal"] == proportion(1, 1)
+        assert counted(e) == "1 drive (nothing is random)"
+
+    def test_drives_that_differ_count_each_as_does_each_world(self) -> None:
+        assert self.counted("ggcg", "xxxx", [0, 1, 2, 3])[0] == 4
+        assert self.counted("gggg", "xyzx", [0, 0, 0, 0])[0] == 3
+
+    def test_a_copied_file_counts_once_for_each_seed(self) -> None:
+        drives, e = self.counted("gcgc", "xxxx", [0, 1, 0, 1])
+        assert drives == 2
+        assert "(2 of a in t count, the others are copies)" in counted(e)
+
+    def test_spl_is_a_share_wherever_the_target_is(self) -> None:
+        rng = np.random.default_rng(0)
+        for _ in range(60):
+            radius = float(rng.uniform(0.3, 3.0))
+            x, y = (rng.uniform(4, 16, 2)).tolist()
+            away, bearing = radius + float(rng.exponential(0.2)) + 1e-6, float(rng.uniform(-np.pi, np.pi))
+            target = x + away * np.cos(bearing), y + away * np.sin(bearing)
+            boxes = [OrientedBox(*rng.uniform(2, 18, 2), *rng.uniform(0.1, 1.0, 2), 0.3) for _ in range(5)]
+            world = WorldSpec("near", 0, 20.0, 20.0, tuple(boxes), Pose(x, y, 0.0), target, radius, 1.5)
+            measured = difficulty(world, 0.65)
+            assert measured.shortest_path > 0
+            e = evaluation_of({("a", "t"): "g"}, {"a": "a"})
+            driven = {("a", "t"): [summary("goal", float(rng.uniform(0, 1)))]}
+            e = replace(e, difficulties={"t": [measured]}, drives=driven)
+            assert all(0 <= row.spl <= 1 for row in rows(e))
+
+
+@pytest.fixture
+def maps(tmp_path: Path) -> Path:
+    """A folder with two worlds, a copy of one, and three that are refused."""
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    text = (
+        "width = 20.0\ndepth = 10.0\nstart = [3, 5]\ntarget = [17, 5]\n[layout]\nkind = 'boxes'\n"
+        "boxes = [{ x = 10.0, y = %s, length = 1.0, width = %s }]\n"
+    )
+    for name, values in {"a": (8, 1), "b": (5, 1), "copy": (8, 1), "wall": (5, 10), "start": (3, 5)}.items():
+        world = text % values
+        (folder / f"{name}.toml").write_text(world.replace("x = 10.0", "x = 3.0") if name == "start" else world)
+    (folder / "key.toml").write_text("widht = 3")
+    (folder / "notes.txt").write_text("not a world")
+    return folder
+
+
+class TestFolders:
+    def test_they_are_one_kind_and_what_is_refused_is_listed(
+        self, maps: Path, tmp_path: Path, run_cli: RunCli, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        where = ("--world", "maps/", "--sim", "kinematic", "--executor", "inline", "--out", "out")
+        code, printed, _ = run_cli("evaluate", "straight", *where)
+        assert code == 0
+        refused = [line for line in printed.splitlines() if line.startswith("refused: ")]
+        assert [line.split(": ")[1] for line in refused] == ["maps/key.toml", "maps/start.toml", "maps/wall.toml"]
+        values = json.loads((tmp_path / "out" / "results.json").read_text())
+        assert [its["file"] for its in values["refused"]] == ["maps/key.toml", "maps/start.toml", "maps/wall.toml"]
+        assert "unknown key 'widht'" in values["refused"][0]["reason"]
+        assert all(its["reason"] in (tmp_path / "out" / "evaluation.md").read_text() for its in values["refused"])
+        ((row,), (tier,)) = values["rows"], values["tiers"]
+        assert (row["world"], row["drives"], row["outcomes"]["goal"][0]) == ("maps", 2, 0.5)
+        assert [its["file"] for its in tier["worlds"]] == ["maps/a.toml", "maps/b.toml", "maps/copy.toml"]
+        assert values["command"].split()[3:8] == ["--world", "maps/", "--worlds", "100", "--split"]
+        (failure,) = values["failures"]
+        assert failure["recording"] == "failures/straight-maps-b-0.npz"
+        code, printed, _ = run_cli("failures", "out")
+        assert code == 0
+        assert "1 of 1 failures" in printed or "1 failure" in printed
+
+    def test_where_all_are_refused_nothing_is_driven(self, maps: Path, tmp_path: Path, run_cli: RunCli) -> None:
+        for name in ("a", "b", "copy"):
+            (maps / f"{name}.toml").unlink()
+        out = tmp_path / "out"
+        code, _, complaint = run_cli("evaluate", "straight", "--world", maps, "--sim", "kinematic", "--out", out)
+        assert code == 2
+        assert f"all 3 worlds are refused; the first, {maps}/key.toml: unknown key 'widht'" in complaint
+        assert not out.exists()
+
+    def test_seeds_of_ones_own_draw_the_worlds(self, maps: Path, tmp_path: Path, run_cli: RunCli) -> None:
+        out = tmp_path / "out"
+        where = ("--world", f"cover_10,{maps}/a.toml", "--sim", "kinematic", "--executor", "inline", "--out", out)
+        assert run_cli("evaluate", "straight", *where, "--seeds", "700000:700003")[0] == 0
+        with (out / "episodes.csv").open(newline="") as file:
+            driven = [(e["world"], int(e["world_seed"])) for e in csv.DictReader(file)]
+        assert driven == [*(("cover_10", 700_000 + k) for k in range(3)), ("a", 700_000)]
+        values = json.loads((out / "results.json").read_text())
+        assert (values["split"], values["seeds"]) == (None, [700_000, 700_003])
+        assert "--seeds 700000:700003" in values["command"]
 
 
 class TestPolicies:
@@ -183,7 +295,7 @@ class TestParts:
             Parts(tmp_path).load("x", EpisodeSummary)
 
     def test_names_change_with_whatever_the_result_depends_on(self) -> None:
-        one, other = tier("t", 30), replace(tier("t", 30), digests=tuple(f"e{k}" for k in range(30)))
+        one, other = tier("t", 30), tier("u", 30)
         tasks = [
             DriveTask(policy("a", "a"), one, KINEMATIC, 0),
             DriveTask(policy("b", "b"), one, KINEMATIC, 0),
@@ -202,18 +314,20 @@ class TestParts:
 def test_pieces_are_all_worlds_once() -> None:
     tiers = [tier("one", 60), tier("two", 25)]
     tasks = drive_tasks([policy("a", "a"), policy("b", "b")], tiers, KINEMATIC)
-    driven = [(task.policy.name, task.tier.name, seed) for task in tasks for seed in task.tier.block(task.first)]
-    assert sorted(driven) == sorted((name, t.name, seed) for name in "ab" for t in tiers for seed in t.seeds)
+    driven = [(task.policy.name, task.tier.name, world.seed) for task in tasks for world in task.tier.block(task.first)]
+    assert sorted(driven) == sorted(
+        (name, t.name, seed) for name in "ab" for t in tiers for seed in range(len(t.worlds))
+    )
     assert sum(task.size for task in tasks) == len(driven)
 
 
 def test_the_kinematic_model_drives_alike_all_at_once_and_one_by_one(small_world: Path, tiny_run: Path) -> None:
     (its,) = open_policies([tiny_run])
-    (small,) = draw_tiers([str(small_world)], KINEMATIC, 3, [its])
+    (small,), _ = draw_tiers([small_world], Draws(range(3), None), KINEMATIC, [its])
     together = drive(DriveTask(its, small, KINEMATIC, 0))
     assert [s.world_seed for s in together] == [0, 1, 2]
     for k in range(3):
-        alone = replace(small, seeds=small.seeds[k : k + 1], digests=small.digests[k : k + 1])
+        alone = replace(small, worlds=small.worlds[k : k + 1])
         assert drive(DriveTask(its, alone, KINEMATIC, 0)) == together[k : k + 1]
 
 
@@ -348,6 +462,11 @@ class TestCommand:
         [
             (("nobody",), "nobody: no such run or policy file, no shipped policy and no rule; policies: double_dqn, "),
             (("straight", "--cover", "6"), "--cover: there are worlds with 2.5, 5, 7.5, 10, 15, 20 percent, not '6'"),
+            (("straight", "--seeds", "0:9", "--split", "test"), "seeds and split both say which worlds are drawn"),
+            (("straight", "--seeds", "0:9", "--worlds", "9"), "seeds and worlds both say which worlds are drawn"),
+            (("straight", "--seeds", "9"), "--seeds: give FROM:TO, such as 0:50 for the seeds 0 to 49, not '9'"),
+            (("straight", "--seeds", "9:9"), "seeds must be FROM:TO with 0 <= FROM < TO"),
+            (("straight", "--seeds", "0:9999999999"), "at most 100000 of them"),
             (("straight", "--worlds", "0"), "the number of worlds must be from 1 to 1000"),
             (("straight", "--world", "nowhere"), "worlds: there is no file 'nowhere'"),
             (("straight", "--cover", "5", "--world", "paper"), "there are two worlds named 'paper'"),

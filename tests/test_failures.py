@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from nnql_bullet.cli import main
-from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier
+from nnql_bullet.evaluation.drives import Drawn, FilmTask, Setting, Tier
 from nnql_bullet.evaluation.failures import GROUPS, Contact, Timeout, features, group
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.replays import FailedDrive, choose
@@ -257,6 +257,7 @@ MADE = {
     "circling": recording(circle(60.0, 60.0, 4.0, 250.0, -1), "timeout"),
     "trapped": recording(along(PACING), "timeout"),
     "wandering": recording(along(ZIGZAG), "timeout"),
+    "stuck": recording(circle(60.0, 60.0, 0.1, 30.0), "stuck", target=(61.0, 60.0)),
 }
 """Drives that belong to a group by the way they are made."""
 
@@ -296,14 +297,14 @@ def test_what_a_player_is_told_can_stand_in_html_and_names_boxes_that_move() -> 
 
 def failed(*drives: tuple[str, str, int]) -> list[FailedDrive]:
     """From policy, world and seed; a policy's method is the first letter of its name."""
-    setting = Setting("validation", "kinematic", "reference")
+    setting = Setting("kinematic", "reference")
     return [
         FailedDrive(
             FilmTask(
                 Policy(name, name, name[0], "nnql", 0, 100, 89, "It drives.", 0.8, "f"),
-                Tier(world, world, None, range(9), (), True),
+                Tier(world, world, None, (), True),
                 setting,
-                seed,
+                Drawn(world, seed, ""),
             ),
             "timeout",
             500,

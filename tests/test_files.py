@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.files import write_atomically, write_text
+from nnql_bullet.reports.html import _image
+from nnql_bullet.runs import _read_csv
+from nnql_bullet.training.checkpoint import load_weights
+from nnql_bullet.vehicle.description import read
 
 
 @pytest.fixture
@@ -107,3 +112,17 @@ def test_missing_folder_is_an_os_error(tmp_path):
 def test_text_is_utf_8_with_line_feeds(tmp_path):
     write_text(tmp_path / "a.txt", "°\nm²\n")
     assert (tmp_path / "a.txt").read_bytes() == b"\xc2\xb0\nm\xc2\xb2\n"
+
+
+@pytest.mark.parametrize("reader", [_read_csv, lambda path: _image(path, ""), read, load_weights])
+def test_a_named_pipe_is_refused_and_not_waited_for(tmp_path, reader):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UserError, match="pipe: "):
+        reader(tmp_path / "pipe")
+
+
+def test_metadata_nested_too_deeply_are_damage(tmp_path):
+    deep = {"nnql-bullet": "[" * 100_000 + "]" * 100_000}
+    save_file({"a": np.arange(3)}, tmp_path / "deep.safetensors", deep)
+    with pytest.raises(UserError, match=r"deep\.safetensors: damaged.*nested too deeply"):
+        load_weights(tmp_path / "deep.safetensors")

@@ -2,6 +2,7 @@
 
 import ast
 import doctest
+import functools
 import inspect
 import subprocess
 import sys
@@ -85,6 +86,73 @@ def test_every_function_has_an_example() -> None:
     assert set(nb.__all__) - set(EXAMPLES) == WITHOUT_EXAMPLE
 
 
+class TestArguments:
+    @pytest.mark.parametrize(
+        ("name", "arguments", "said"),
+        [
+            ("train", {"out": 1.5}, "'out' must be a path or text or None, not a value of type float"),
+            ("train", {"workers": True}, "'workers' must be a whole number or None"),
+            ("train", {"overwrite": "no"}, "'overwrite' must be True or False, not 'no'"),
+            ("train", {"config": 10**5000}, "'config' is a number of too many digits"),
+            ("train", {"on_progress": 3}, "'on_progress' must be a function or None"),
+            ("train", {"reward": ["speed"]}, "'reward' must be a Sequence or a function or None"),
+            ("train", {"agent": 0}, "a int cannot learn"),
+            ("train", {"agent": "vfh"}, "a str cannot learn"),
+            ("resume", {"folder": None}, "'folder' must be a path or text"),
+            ("drive", {"policy": "vfh", "seed": "1"}, "'seed' must be a whole number, not '1'"),
+            ("drive", {"policy": "vfh", "changes": [1]}, "'changes' must be a Mapping"),
+            ("evaluate", {"policies": "vfh", "worlds": "traps"}, "'worlds' must be a Sequence, not 'traps'"),
+            ("evaluate", {"policies": "vfh", "n_worlds": 2.0}, "'n_worlds' must be a whole number"),
+            ("gap", {"policies": "vfh", "split": "tests"}, "'split' must be 'validation' or 'test', not 'tests'"),
+            ("ablate", {"only": "hysteresis"}, "'only' must be a Sequence or None"),
+            ("make_env", {"n_envs": "2"}, "'n_envs' must be a whole number or None, not '2'"),
+            ("train", {"out": "a\0b"}, "'out': no file can be named 'a\\x00b'"),
+            ("resume", {"folder": "\ud800"}, "'folder': no file can be named '\\ud800'"),
+            ("evaluate", {"policies": "vfh", "n_worlds": 10**5000}, "'n_worlds' is a number of too many digits"),
+            ("ablate", {"seeds": 10**12}, "seeds must be from 1 to 1000, not 1000000000000"),
+            ("drive", {"policy": "vfh", "changes": {1: 2}}, "'changes' must be a Mapping"),
+            (
+                "Conditions",
+                {"payload": -1},
+                "Conditions: 'payload': input should be greater than",
+            ),
+            ("Conditions", {"load": 1}, "Conditions: unknown key 'load'"),
+            ("World", {}, "World: key 'layout' is missing"),
+        ],
+    )
+    def test_of_a_wrong_type_are_refused_before_anything_is_done(
+        self, here: Path, name: str, arguments: dict[str, Any], said: str
+    ) -> None:
+        with pytest.raises(nb.UserError) as caught:
+            getattr(nb, name)(**arguments)
+        assert str(caught.value).startswith(said)
+        assert not list(here.iterdir())
+
+    def test_may_be_numbers_of_numpy(self, here: Path) -> None:
+        task = {"max_steps": np.int16(3), "hysteresis": np.float32(0.5)}
+        few: dict[str, Any] = {"vehicles": np.int64(2), "seed": np.uint8(1), "episodes": np.int64(2), "task": task}
+        run = nb.train(simulator="kinematic", workers=np.int64(1), out="run", **few)
+        assert (run.config.seed, run.config.vehicles, run.config.task.hysteresis) == (1, 2, 0.5)
+        assert nb.drive("vfh", simulator="kinematic", seed=np.int64(3)).world.seed == 3
+
+    def test_of_methods_are_checked_too(self, here: Path) -> None:
+        world = nb.World.load("cover_10")
+        recording = nb.drive("vfh", simulator="kinematic", changes={"task": {"max_steps": 2}})
+        for call, said in (
+            (lambda: nb.World.from_boxes(None), "'boxes' must be"),  # type: ignore[arg-type]
+            (lambda: world.draw("1"), "'seed' must be a whole number"),  # type: ignore[arg-type]
+            (lambda: world.draw(-1), "a world seed must be from 0"),
+            (lambda: recording.save(None), "'path' must be a path or text"),  # type: ignore[arg-type]
+            (lambda: recording.plot("drive.xyz"), r"drive.xyz: pictures are .png"),
+            (lambda: recording.render("a.gif", size="x"), "'size' must be"),
+        ):
+            with pytest.raises(nb.UserError, match=said):
+                call()
+        assert not list(here.iterdir())
+        with pytest.raises(TypeError, match=r"drive\(\) got an unexpected keyword argument 'worlds'"):
+            nb.drive("vfh", worlds="traps")  # type: ignore[call-arg]
+
+
 class Constant:
     """Always does the same."""
 
@@ -164,6 +232,15 @@ class TestOwnPolicy:
     def test_has_to_act(self) -> None:
         with pytest.raises(nb.UserError, match=r"no policy: it has no method act\(observations\)"):
             nb.drive(object(), simulator="kinematic")  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("given", [None, "x", [np.nan], [1.5], [-1], [6], [2**70], [0, 0], [[0]], 0, [True]])
+    def test_has_to_give_actions(self, given: Any) -> None:
+        class Wrong:
+            def act(self, observations: Any) -> Any:
+                return given
+
+        with pytest.raises(nb.UserError, match="give 1 whole numbers from 0 to 5 as actions, not"):
+            nb.drive(Wrong(), simulator="kinematic")
 
 
 class TestOwnWorld:
@@ -248,6 +325,21 @@ class TestOwnReward:
         recording = nb.Recording.load("drive.npz")
         assert recording.term_names == tuple(names)
         assert recording.reward_terms.shape == (len(recording.action), len(names))
+
+    @pytest.mark.parametrize("given", [None, "x", [np.nan], [np.inf], [1j], [0.0, 0.0], 1.0])
+    def test_has_to_give_numbers(self, given: Any) -> None:
+        def wrong(*_: Any) -> Any:
+            return np.array(given)
+
+        for reward, said in ((wrong, "the reward must be 1 finite"), ([RewardTerm(wrong, 1.0)], "term 'wrong' of the")):
+            with pytest.raises(nb.UserError, match=said):
+                nb.drive("vfh", simulator="kinematic", reward=reward)
+
+    def test_has_terms_with_a_name_and_a_scale(self) -> None:
+        with pytest.raises(nb.UserError, match="a function with a name"):
+            RewardTerm(functools.partial(turning, 1), 1.0)
+        with pytest.raises(nb.UserError, match="its scale must be a finite number, not nan"):
+            RewardTerm(turning, np.nan)
 
     def test_has_names_of_its_own(self) -> None:
         with pytest.raises(nb.UserError, match="a name of its own, not turning, turning"):

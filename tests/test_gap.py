@@ -14,7 +14,7 @@ import pytest
 
 from nnql_bullet.agents.base import Reflex
 from nnql_bullet.cli import main
-from nnql_bullet.env import TOWARD_TARGET, Navigation, Observation
+from nnql_bullet.env import REVERSE, STOP, TOWARD_TARGET, Navigation, Observation
 from nnql_bullet.evaluation.causes import apart, explain, parting, period_errors
 from nnql_bullet.evaluation.gap import (
     FaultTask,
@@ -87,28 +87,31 @@ class TestStatistics:
 
 
 class TestPeriodErrors:
-    def test_the_ideal_vehicle_neither_lags_nor_slips(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = period_errors(
-            recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, SWERVES), vehicle, 2.0
-        )
+    @pytest.mark.parametrize("actions", [SWERVES, [0, STOP + 1, REVERSE, REVERSE + 2, REVERSE + 3, STOP, 0, 2, 0]])
+    def test_the_ideal_vehicle_neither_lags_nor_slips(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, actions: list[int]
+    ) -> None:
+        drive = DriveOptions()
+        ideal = recorded(KinematicSimulator(vehicle, drive, 1), empty_world, actions)
+        parts = period_errors(ideal, vehicle, drive)
         assert parts.lag.max() < 1e-3
         assert parts.slip.max() < 1e-3
         assert parts.distance == pytest.approx(1.0)
 
     def test_contact_physics_keeps_within_two_hundredths(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
-        parts = period_errors(recorded(contact(vehicle), empty_world, SWERVES), vehicle, 2.0)
+        parts = period_errors(recorded(contact(vehicle), empty_world, SWERVES), vehicle, DriveOptions())
         assert 1e-3 < parts.slip.max() < 0.02
         assert parts.lag.max() < 0.01
 
     def test_ice_shows_as_slip(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         icy = slippery(vehicle, 0.25)
-        parts = period_errors(recorded(contact(icy), empty_world, SWERVES), icy, 2.0)
+        parts = period_errors(recorded(contact(icy), empty_world, SWERVES), icy, DriveOptions())
         assert parts.slip.max() > 0.05
         assert parts.slip.max() > 3 * parts.lag.max()
 
     def test_weak_motors_show_as_lag(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         weak = replace(vehicle, wheel_torque=8.0)
-        parts = period_errors(recorded(contact(weak), empty_world, SWERVES), weak, 2.0)
+        parts = period_errors(recorded(contact(weak), empty_world, SWERVES), weak, DriveOptions())
         assert parts.lag.max() > 0.02
         assert parts.lag.max() > 3 * parts.slip.max()
 
@@ -119,7 +122,7 @@ class TestPeriodErrors:
             contact(vehicle), world_of(side=20.0, start=Pose(15.0, 10.0, 0.0), target=(2.0, 2.0)), [STRAIGHT] * 10
         )
         assert recording.contact[-1]
-        parts = period_errors(recording, vehicle, 2.0)
+        parts = period_errors(recording, vehicle, DriveOptions())
         assert parts.distance[-1] < 1.0
         assert parts.distance.sum() == pytest.approx(20.0 - 15.0 - 0.90, abs=0.03)
         assert parts.lag.max() < 0.02
@@ -132,11 +135,13 @@ class TestCauses:
 
     def test_slip(self, vehicle: VehicleSpec, empty_world: WorldSpec, ideal: Recording) -> None:
         icy = slippery(vehicle, 0.25)
-        assert explain(ideal, recorded(contact(icy), empty_world, SWERVES), icy, 2.0).cause == "slip"
+        assert explain(ideal, recorded(contact(icy), empty_world, SWERVES), icy, DriveOptions()).cause == "slip"
 
     def test_tracking_lag(self, vehicle: VehicleSpec, empty_world: WorldSpec, ideal: Recording) -> None:
         weak = replace(vehicle, wheel_torque=8.0)
-        assert explain(ideal, recorded(contact(weak), empty_world, SWERVES), weak, 2.0).cause == "tracking lag"
+        assert (
+            explain(ideal, recorded(contact(weak), empty_world, SWERVES), weak, DriveOptions()).cause == "tracking lag"
+        )
 
     def test_what_slips_only_after_the_drives_have_parted_is_not_the_cause(
         self, vehicle: VehicleSpec, empty_world: WorldSpec
@@ -144,7 +149,7 @@ class TestCauses:
         icy = slippery(vehicle, 0.25)
         straight = recorded(KinematicSimulator(vehicle, DriveOptions(), 1), empty_world, [STRAIGHT] * 10)
         swerving = recorded(contact(icy), empty_world, [STRAIGHT, STRAIGHT, *SWERVES])
-        found = explain(straight, swerving, icy, 2.0)
+        found = explain(straight, swerving, icy, DriveOptions())
         assert found.slip < 0.03
         assert found.cause == "other"
         assert found.time == 1.0
@@ -162,12 +167,12 @@ class TestCauses:
             sample_pose=ideal.sample_pose + drift[step],
             action=np.array([*ideal.action[:-1], 3]),
         )
-        found = explain(ideal, drifting, vehicle, 2.0)
+        found = explain(ideal, drifting, vehicle, DriveOptions())
         assert found.cause == "slip"
         assert found.slip < 0.03
         assert found.apart == pytest.approx(0.013 * (n - 1))
         barely = replace(drifting, state_pose=ideal.state_pose + 0.5 * drift)
-        assert explain(ideal, barely, vehicle, 2.0).cause == "other"
+        assert explain(ideal, barely, vehicle, DriveOptions()).cause == "other"
 
     def test_a_graze(self, vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
         # The same straight drive beside a post: 1 cm into the flank on one side, 1 cm clear of it on the other.
@@ -182,7 +187,7 @@ class TestCauses:
         )
         assert hit.contact[-1]
         assert not missed.contact[-1]
-        for found in (explain(hit, missed, vehicle, 2.0), explain(missed, hit, vehicle, 2.0)):
+        for found in (explain(hit, missed, vehicle, DriveOptions()), explain(missed, hit, vehicle, DriveOptions())):
             assert found.cause == "grazing contact"
             assert found.miss == pytest.approx(0.01, abs=2e-3)
 
@@ -192,11 +197,14 @@ class TestCauses:
         q = np.zeros((3, 5))
         q[2] = [0.0, 0.5, 0.0, 0.2, 0.0]
         first, second = replace(first, q_values=q), replace(second, q_values=q[:, ::-1])
-        found = explain(first, second, vehicle, 2.0)
+        found = explain(first, second, vehicle, DriveOptions())
         assert parting(first, second) == 2
         assert found.q_margin == pytest.approx(0.3)
         toward = replace(second, action=np.array([2, 2, TOWARD_TARGET]))
-        assert math.isnan(explain(first, toward, vehicle, 2.0).q_margin)
+        assert math.isnan(explain(first, toward, vehicle, DriveOptions()).q_margin)
+        assert math.isnan(
+            explain(first, replace(toward, action=toward.action + STOP), vehicle, DriveOptions()).q_margin
+        )
 
     def test_how_far_apart_two_arcs_get(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
         straight, turning = (
@@ -230,7 +238,7 @@ class TestAggregates:
     ]
 
     def test_every_pair_stands_where_it_ended(self) -> None:
-        assert outcome_matrix(self.PAIRS).tolist() == [[2, 1, 1], [0, 1, 0], [1, 0, 0]]
+        assert outcome_matrix(self.PAIRS).tolist() == [[2, 1, 1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0] * 4]
 
     def test_mcnemar_counts_successes_on_one_side_alone(self) -> None:
         assert success_p_value(self.PAIRS) == pytest.approx(mcnemar(2, 1))
@@ -335,7 +343,7 @@ class TestCommand:
 
     def test_a_fault_takes_the_place_of_the_same_condition_only(self) -> None:
         sides = Side("kinematic", "fast"), Side("bullet", "fast")
-        work = tasks(open_policies("straight"), None, range(1), *sides, Conditions(payload=10.0, dead_sector=3), True)
+        work = tasks(open_policies("straight"), None, [range(1)], *sides, Conditions(payload=10.0, dead_sector=3), True)
         under = {task.fault: task.conditions for task in work if isinstance(task, FaultTask)}
         assert under["friction 0.5"] == Conditions(payload=10.0, dead_sector=3, wheel_friction=0.5)
         assert under["payload 80 kg"] == Conditions(payload=80.0, dead_sector=3)

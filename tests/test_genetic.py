@@ -49,7 +49,7 @@ SIZE = 15
 
 
 def observed(readings: NDArray[np.float64], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
-    return helpers.observed(*((row, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for row in readings))
+    return helpers.observed(*((row, 50.0, 0.3, 0.0, 2.0, state, np.full(RAYS, 10.0)) for row in readings))
 
 
 def by_hand(genome: NDArray[np.float64], readings: NDArray[np.float64]) -> NDArray[np.float64]:

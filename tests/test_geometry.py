@@ -7,6 +7,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
+from nnql_bullet.blocks import bounds_of, cast_rays
 from nnql_bullet.geometry import (
     Circle,
     OrientedBox,
@@ -21,7 +22,6 @@ from nnql_bullet.geometry import (
     squared_distance,
     wrap_angle,
 )
-from nnql_bullet.sim.kinematic import cast_rays
 
 RANGE = 10.0
 
@@ -269,7 +269,7 @@ class TestCircles:
     @pytest.mark.parametrize("seed", range(10))
     def test_rays_end_where_shapely_says_in_both_kernels(self, seed):
         rng, shapes, areas = self.scene(seed)
-        (x, y), angles = rng.uniform(0, 20, 2), rng.uniform(-pi, pi, 40)
+        (x, y), angles = rng.uniform(0, 20, 2), rng.uniform(-pi, pi) + np.arange(40) * pi / 20
         found = ray_distances((x, y), angles, as_rows(shapes), 10.0)
         everything = shapely.union_all(areas)
         for angle, reading in zip(angles, found, strict=True):
@@ -278,5 +278,5 @@ class TestCircles:
             assert reading == pytest.approx(10.0 if hit.is_empty else shapely.Point(x, y).distance(hit), abs=1e-3)
         cast = np.empty(len(angles))
         directions = np.column_stack([np.cos(angles - 0.3), np.sin(angles - 0.3)])
-        cast_rays(x, y, 0.3, directions, as_rows(shapes), 10.0, cast)
+        cast_rays(x, y, 0.3, directions, as_rows(shapes), bounds_of(as_rows(shapes)), 10.0, cast)
         assert cast == pytest.approx(found, abs=1e-9)

@@ -8,12 +8,13 @@ from helpers import Alone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nnql_bullet.blocks import bounds_of, cast_rays
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import OrientedBox, Pose, as_rows, clearance_at, ray_distances
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import ray_angles, sector_readings
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
-from nnql_bullet.sim.kinematic import KinematicSimulator, _caster_rates, cast_rays
+from nnql_bullet.sim.kinematic import KinematicSimulator, _caster_rates
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.worlds.source import load_world
 from nnql_bullet.worlds.spec import WorldSpec
@@ -86,7 +87,8 @@ boxes = st.lists(
 def test_the_ray_kernel_is_the_slab_method(boxes, yaw):
     rows, angles = as_rows(tuple(boxes)), ray_angles()
     distances = np.empty(len(angles))
-    cast_rays(0.0, 0.0, yaw, np.stack([np.cos(angles), np.sin(angles)], axis=1), rows, 10.0, distances)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    cast_rays(0.0, 0.0, yaw, directions, rows, bounds_of(rows), 10.0, distances)
     expected = ray_distances((0.0, 0.0), angles + yaw, rows, 10.0)
     assert distances == pytest.approx(expected)
 

@@ -29,7 +29,7 @@ all_readings = st.lists(st.floats(0, 10), min_size=8, max_size=8).map(np.array)
 
 def observed(readings=BEFORE, state=StateProperty.NON_SAFE, target_bearing=0.3):
     """What one vehicle sees."""
-    return helpers.observed((readings, 50.0, target_bearing, 0.0, state, np.full(RAYS, 10.0)))
+    return helpers.observed((readings, 50.0, target_bearing, 0.0, 2.0, state, np.full(RAYS, 10.0)))
 
 
 def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):

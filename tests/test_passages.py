@@ -6,7 +6,7 @@ import shapely
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Circle, OrientedBox, Pose, Shape
-from nnql_bullet.worlds.passages import narrowest_passage
+from nnql_bullet.worlds.passages import Passage, narrowest_passage
 from nnql_bullet.worlds.spec import WorldSpec
 
 CLOSE = 0.005
@@ -80,3 +80,9 @@ def test_twenty_thousand_boxes_take_no_longer_than_their_neighbours() -> None:
     walls = WorldSpec("grid", 0, side, side, (), Pose(2.0, 2.0, 0.0), (570.0, 570.0), 1.0, 1.5).solids
     found = narrowest_passage(np.concatenate([rows, walls]), (2.0, 2.0), (570.0, 570.0))
     assert 2.2 < found.width < 3.9
+
+
+def test_a_passage_of_the_needed_width_is_wide_enough_whatever_is_rounded() -> None:
+    """Five cells of 0.15 m are 0.75 m; in the middle of a world they are 0.7499999999999991."""
+    assert Passage(0.7499999999999991, 0, 0).admits(0.75)
+    assert not Passage(0.749999, 0, 0).admits(0.75)

@@ -1,5 +1,6 @@
 """Shortest paths against a visibility graph around obstacles that Shapely has grown, and what worlds are like."""
 
+from dataclasses import replace
 from math import hypot, inf, isnan, sqrt
 
 import numpy as np
@@ -47,7 +48,7 @@ def exact_length(world: WorldSpec, clearance: float) -> float:
 
 
 def test_with_nothing_in_the_way_it_is_straight() -> None:
-    path = shortest_path(world_with(), CLEARANCE)
+    path, _ = shortest_path(world_with(), CLEARANCE)
     assert path.tolist() == [[3, 3], [27, 26]]
     assert path_length(path) == pytest.approx(hypot(24, 23))
 
@@ -55,7 +56,7 @@ def test_with_nothing_in_the_way_it_is_straight() -> None:
 def test_it_is_as_long_as_that_of_the_visibility_graph_and_keeps_the_disc_off_everything() -> None:
     lengths, play = [], GRID_CELL / sqrt(2)  # a free cell may be nearer to things by this
     for world in map(scattered, range(8)):
-        path = shortest_path(world, CLEARANCE)
+        path, _ = shortest_path(world, CLEARANCE)
         if world.bottleneck.width < 2 * (CLEARANCE - play) - GRID_CELL:
             assert len(path) == 0
             continue
@@ -74,7 +75,7 @@ def test_it_is_as_long_as_that_of_the_visibility_graph_and_keeps_the_disc_off_ev
 @pytest.mark.parametrize("world", [world_with(OrientedBox(15, 15, 0.5, 15)), world_with(target=(31.0, 5.0))])
 def test_without_a_path_there_are_no_corners_and_difficulty_says_so(world: WorldSpec) -> None:
     """A wall across, and a target outside."""
-    assert len(shortest_path(world, CLEARANCE)) == 0
+    assert len(shortest_path(world, CLEARANCE)[0]) == 0
     found = difficulty(world, 2 * CLEARANCE)
     assert (found.bottleneck, found.shortest_path) == (0.0, inf)
     assert isnan(found.closest_obstacle)
@@ -85,7 +86,7 @@ def test_a_passage_that_a_disc_just_fits_is_taken() -> None:
         walls = [OrientedBox(15, 15 + side * (10 + gap / 2), 0.5, 10) for side in (-1, 1)]
         world = world_with(*walls, start=Pose(5, 15, 0), target=(25, 15))
         assert world.bottleneck.width == pytest.approx(gap)
-        assert path_length(shortest_path(world, gap / 2)) == pytest.approx(20.0, abs=0.05)
+        assert shortest_path(world, gap / 2)[1] == pytest.approx(20.0, abs=0.05)
 
 
 class TestDifficulty:
@@ -110,3 +111,13 @@ class TestDifficulty:
         shortest, longest = exact_length(world, CLEARANCE - play), exact_length(world, CLEARANCE + play)
         assert shortest / 10 <= found.tortuosity <= longest / 10
         assert found.cover == pytest.approx(4 * 0.2 * 10 / SIDE**2)
+
+
+@pytest.mark.parametrize(("radius", "expected"), [(1.5, 1.3), (0.5, None)])
+def test_a_target_is_reached_at_its_edge_even_through_a_wall(radius: float, expected: float | None) -> None:
+    """The wall between start and target is thinner than the target's radius; else the way leads round its end."""
+    wall = OrientedBox(5.0, 10.0, 0.1, 10.0)
+    world = replace(world_with(wall, start=Pose(3, 3, 0), target=(5.8, 3.0)), target_radius=radius)
+    if expected is None:
+        expected = exact_length(world, 0.3) - radius
+    assert difficulty(world, 0.6).shortest_path == pytest.approx(expected, abs=0.2)

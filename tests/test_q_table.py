@@ -44,7 +44,7 @@ def agent_of(**options: Any) -> QTable:
 
 def seen(*readings: list[float], state: StateProperty = StateProperty.NON_SAFE) -> Observation:
     """What vehicles see that read so much."""
-    return observed(*((r, 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)) for r in readings))
+    return observed(*((r, 50.0, 0.3, 0.0, 2.0, state, np.full(RAYS, 10.0)) for r in readings))
 
 
 def steps(

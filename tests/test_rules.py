@@ -69,7 +69,7 @@ def observed(
     rays: Array = NOTHING, bearing: float = 0.0, yaw_rate: float = 0.0, state: StateProperty = StateProperty.NON_SAFE
 ) -> Observation:
     """What one vehicle sees."""
-    return helpers.observed((sector_readings(rays), 50.0, bearing, yaw_rate, state, rays))
+    return helpers.observed((sector_readings(rays), 50.0, bearing, yaw_rate, 2.0, state, rays))
 
 
 def action(agent: Driving, observations: Observation) -> int:

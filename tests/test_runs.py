@@ -108,7 +108,7 @@ class TestFolder:
         assert len({row["world_seed"] for row in rows}) == 12
         terms = ("non_safe_to_safe", "safe_to_non_safe", "closer", "away", "winning", "failure")
         for row in rows:
-            assert row["ending"] in ("goal", "collision", "timeout")
+            assert row["ending"] in ("goal", "collision", "timeout", "stuck")
             assert float(row["return"]) == pytest.approx(sum(float(row[term]) for term in terms))
             assert int(row["world_seed"]) >= 1_000_000
             assert (float(row["clearance"]) == 0.0) is (row["ending"] == "collision")

@@ -38,7 +38,8 @@ SCALE = [10.0] * 8 + [100.0, np.pi, 1.0]
 
 def observed(rows: NDArray[np.float64]) -> Observation:
     """Vehicles of which the environment tells these numbers (n, 11)."""
-    return helpers.observed(*((r[:8], r[8], r[9], r[10], StateProperty.NON_SAFE, np.full(RAYS, 10.0)) for r in rows))
+    rays = np.full(RAYS, 10.0)
+    return helpers.observed(*((r[:8], r[8], r[9], r[10], 2.0, StateProperty.NON_SAFE, rays) for r in rows))
 
 
 def numbers(count: int) -> NDArray[np.float64]:
@@ -103,7 +104,7 @@ class TestNetwork:
             bias[action] = 1e6
             agent.load_state_dict(weights | {"4.bias": bias})
             for state in (StateProperty.SAFE, StateProperty.NON_SAFE):
-                seen = helpers.observed((np.full(8, 9.0), 50.0, 0.3, 0.0, state, np.full(RAYS, 10.0)))
+                seen = helpers.observed((np.full(8, 9.0), 50.0, 0.3, 0.0, 2.0, state, np.full(RAYS, 10.0)))
                 assert agent.act(seen, None)[0].tolist() == [action]
 
     def test_it_is_taught_but_not_step_by_step(self) -> None:

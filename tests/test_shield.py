@@ -160,7 +160,7 @@ class TestWhatPasses:
         world = load_world(name).draw(seed, 0.8)
         for recovers in (True, False):
             summary, _, _ = drive(kinematic, world, around(Wilful(suicidal), recovers=recovers), steps=120)
-            assert summary.ending == "timeout"
+            assert summary.ending in ("timeout", "stuck")
             assert summary.clearance > 0.02
             assert summary.overridden_steps > 5
 
@@ -287,7 +287,7 @@ class TestStops:
             assert 1.5 + 0.1 * passes.index(True) == pytest.approx(needed, abs=0.3)
         with closing(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as simulator:
             world = load_world("cover_10").draw(9, 0.8)
-            assert drive(simulator, world, shield.policy, steps=120)[0].ending == "timeout"
+            assert drive(simulator, world, shield.policy, steps=120)[0].ending in ("timeout", "stuck")
 
     def test_a_standing_vehicle_makes_way_for_what_comes(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf

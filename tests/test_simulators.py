@@ -88,6 +88,18 @@ class TestOneVehicle:
         assert simulator.end.wheel_speeds == pytest.approx((16.0, 16.0), rel=1e-3)
         assert motion.duration == pytest.approx(PERIOD)
 
+    def test_the_speed_is_that_of_the_body_over_the_ground(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        simulator.reset(empty_world)
+        assert simulator.simulator.drive.speed == 2.0
+        for turn, scale in ((0.6, 1.0), (-0.8, 0.5), (0.0, 0.0), (0.3, 0.0)):
+            trace: list[Sample] = []
+            motion = simulator.advance(turn, trace, scale)
+            last, end = trace[-2:]
+            along = np.array([cos(end.pose.yaw), sin(end.pose.yaw)])
+            way = np.array([end.pose.x - last.pose.x, end.pose.y - last.pose.y]) @ along
+            assert motion.speed == pytest.approx(way / (end.time - last.time), abs=0.05 + 2.5 / 60)
+        assert motion.speed == pytest.approx(0.0, abs=1e-3)
+
     def test_a_positive_turn_goes_left(self, simulator: Alone, empty_world: WorldSpec) -> None:
         simulator.reset(empty_world)
         left = simulator.advance(radians(30))

@@ -1,11 +1,12 @@
-"""Vehicles that stop, turn on the spot and go again: every simulator against closed forms and an integrator."""
+"""Vehicles that stop, turn on the spot, reverse and go: every simulator against closed forms and an integrator."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
-from math import cos, degrees, hypot, radians, sin, sqrt
+from math import cos, degrees, exp, hypot, log, pi, radians, sin, sqrt, tan
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,19 +16,22 @@ from scipy.integrate import solve_ivp
 from nnql_bullet.env import (
     ACTIONS,
     MANOEUVRES,
+    REVERSE,
     STOP,
     TOWARD_TARGET,
     Navigation,
     heading_change,
     speed_scale,
 )
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.render import labels
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.contact import VehicleMotion
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
-from nnql_bullet.task import TaskOptions
+from nnql_bullet.task import ENDINGS, NO_ENDING, TaskOptions
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.limits import braking, braking_rear_load
 from nnql_bullet.vehicle.payload import deck_load, loaded
@@ -243,7 +247,7 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
         fleet.reset({0: world})
         for _ in range(60):
             turn = chance.choice(np.radians([0, 30, 60, -30, -60]), 1)
-            motions, _ = fleet.advance(turn, np.ones(1, np.bool_), chance.choice([0.0, 0.0, 0.4, 1.0], 1))
+            motions, _ = fleet.advance(turn, np.ones(1, np.bool_), chance.choice([0.0, 0.0, 0.4, 1.0, -0.3, -1.0], 1))
             path = fleet.path(0)
             taken = [
                 clearance_at(*pose, footprint, world.solids_at((clock + k) / COMMAND_RATE))
@@ -253,7 +257,7 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
             assert motions.clearance[0] == pytest.approx(min(taken), abs=1e-9)
             assert motions.touching[0] == (min(taken) == 0.0)
             steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
-            assert motions.path_length[0] == pytest.approx(steps.sum(), abs=1e-9)
+            assert motions.path_length[0] == pytest.approx(steps.sum(), abs=RATE / COMMAND_RATE**2)  # at its turning
             assert np.diff(steps, 2) == pytest.approx(0.0, abs=2 * RATE / COMMAND_RATE**2)
             if motions.touching[0] or motions.at_target[0]:
                 break
@@ -262,7 +266,7 @@ def test_the_kinematic_model_misses_no_clearance_at_any_speed(vehicle: VehicleSp
 @pytest.mark.parametrize("kind", [*NAMES, "workers"])
 def test_several_vehicles_go_at_their_own_speeds(vehicle: VehicleSpec, world_of: WorldOf, kind: str) -> None:
     chance = np.random.default_rng(4)
-    commands = [(chance.uniform(-1, 1, 3), chance.choice([0.0, 0.5, 1.0], 3)) for _ in range(8)]
+    commands = [(chance.uniform(-1, 1, 3), chance.choice([0.0, 0.5, 1.0, -0.25, -1.0], 3)) for _ in range(8)]
     with closing(make(kind, vehicle, 3)) as several, Alone(make(kind.replace("workers", "bullet"), vehicle)) as alone:
         several.reset({i: world_of() for i in range(3)})
         together = [several.advance(turns, speed_scales=scales)[0] for turns, scales in commands]
@@ -272,15 +276,121 @@ def test_several_vehicles_go_at_their_own_speeds(vehicle: VehicleSpec, world_of:
                 assert row(motion, i) == alone.advance(float(turns[i]), speed_scale=float(scales[i]))
 
 
+BACK = 0.25
+"""Share of the speed at which the drive reverses."""
+TURNING_BACK = SPEED * (1 + BACK) / RATE
+"""Time from full speed ahead to that speed back [s]."""
+AHEAD, BEHIND, TRAIL = 0.74, 0.2, 0.04
+"""Of the swivel ahead of the axle, of the footprint behind it, and of the caster [m]."""
+
+
+class TestReversing:
+    def test_it_goes_through_zero_within_the_limit(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        motions = drive(simulator, empty_world, [(0, -BACK)] * 4)
+        back = (BACK * SPEED) ** 2 / (2 * RATE) + BACK * SPEED * (2.0 - TURNING_BACK)
+        assert simulator.pose.x - MIDDLE.x == pytest.approx(STOPPING - back, abs=0.01)
+        assert way(motions) == pytest.approx(STOPPING + back, abs=0.01)
+        assert [motion.speed for motion in motions[2:]] == pytest.approx([-BACK * SPEED] * 2, abs=0.005)
+        assert speed(simulator.end) == pytest.approx(-BACK * SPEED, abs=0.005)
+        assert abs(motions[0].speed - (SPEED - RATE * 0.5)) < 0.03
+
+    def test_it_comes_back_to_where_it_was(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        drive(simulator, empty_world, [(0, -BACK)] * 2)
+        begin = simulator.pose
+        for scale in (-BACK, -BACK, BACK, BACK, BACK):
+            simulator.advance(0.0, speed_scale=scale)
+        change = 2 * BACK * SPEED / RATE  # the time to change from back to ahead, in which it gets nowhere
+        ahead = BACK * SPEED * (3 * 0.5 - change) - BACK * SPEED * 2 * 0.5
+        assert simulator.pose.x - begin.x == pytest.approx(ahead, abs=0.01)
+        assert abs(simulator.pose.y - begin.y) < 0.005
+
+    def test_it_rolls_back_along_its_heading_and_turns_as_asked(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        trace: list[Sample] = []
+        drive(simulator, empty_world, [(0, -BACK)] * 2)
+        for turn in (30, 30, 60, -30, -60, 0, 0):
+            motion = simulator.advance(radians(turn), trace, -BACK)
+        assert abs(motion.heading_error) < radians(0.2)
+        x, y, yaw = np.array([(sample.pose.x, sample.pose.y, sample.pose.yaw) for sample in trace]).T
+        middle = np.unwrap(yaw)[:-1] + np.diff(np.unwrap(yaw)) / 2
+        along = np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)
+        across = np.diff(y) * np.cos(middle) - np.diff(x) * np.sin(middle)
+        assert along.mean() == pytest.approx(-BACK * SPEED / 30, rel=0.01)
+        assert along == pytest.approx(-BACK * SPEED / 30, rel=0.15)  # where the caster is dragged round
+        assert np.abs(across).max() < 5e-4
+
+    @pytest.mark.parametrize("gap", [0.05, 0.2, 0.43])
+    def test_it_touches_what_is_behind_where_it_stands(self, simulator: Alone, world_of: WorldOf, gap: float) -> None:
+        behind = MIDDLE.x - BEHIND - gap - 0.5
+        motions = drive(simulator, world_of(OrientedBox(behind, 100.0, 0.5, 2.0)), [(0, -BACK)] * 8)
+        assert motions[-1].touching
+        assert motions[-1].clearance == 0.0
+        assert simulator.pose.x == pytest.approx(MIDDLE.x - gap, abs=0.012)
+        until = TURNING_BACK + (gap + STOPPING - (BACK * SPEED) ** 2 / (2 * RATE)) / (BACK * SPEED)
+        assert sum(motion.duration for motion in motions) == pytest.approx(until, abs=0.03)
+
+
+class TestTheCasterOfTheKinematicModel:
+    """Its angle is drawn only; the fidelity probe `reversing` compares contact physics with the same equation."""
+
+    def angles(self, vehicle: VehicleSpec, world: WorldSpec, commands: list[tuple[float, float]]) -> Array:
+        with Alone(KinematicSimulator(vehicle, DriveOptions(), 1, 1)) as alone:
+            alone.reset(world)
+            trace: list[Sample] = []
+            for turn, scale in commands:
+                alone.advance(radians(turn), trace, scale)
+        return np.array([(sample.time, sample.joint_angles[2]) for sample in trace])
+
+    def test_straight_back_it_swings_round_as_the_exponential_says(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec
+    ) -> None:
+        seen = self.angles(vehicle, empty_world, [(0, -BACK)] * 8)
+        times, angles = seen[seen[:, 0] > TURNING_BACK].T
+        rate = BACK * SPEED / TRAIL
+        first = int(np.argmax(angles > 0.1))
+        expected = 2 * np.arctan(tan(angles[first] / 2) * np.exp(rate * (times[first:] - times[first])))
+        assert np.abs(angles[first:] - expected).max() < 0.2  # by steps of 1/120 s
+        assert angles[-1] == pytest.approx(pi, abs=1e-6)
+        swung = times[int(np.argmax(angles > pi / 2))] - TURNING_BACK
+        assert 0.0 < swung < log(1 / tan(0.5e-3 / 2)) / rate + 0.1
+
+    @pytest.mark.parametrize("side", [1, -1])
+    def test_in_an_arc_it_follows_its_equation(self, vehicle: VehicleSpec, empty_world: WorldSpec, side: int) -> None:
+        straight = [(0.0, 0.0)] * 2
+        seen = self.angles(vehicle, empty_world, [*straight, *[(side * 60.0, -BACK)] * 3])
+
+        def derivative(time: float, angle: Array) -> Array:
+            speed = -min(BACK * SPEED, RATE * time)
+            rate = side * min(7.4 * time, vehicle.limits.yaw_rate)
+            return np.asarray((rate * AHEAD * np.cos(angle) - speed * np.sin(angle)) / TRAIL - rate)
+
+        times = seen[:, 0] - 1.0
+        during = (times > 0) & (times <= 0.3)
+        found = solve_ivp(derivative, (0.0, 0.3), [0.0], t_eval=times[during], rtol=1e-9, atol=1e-9, max_step=0.005)
+        assert np.abs(found.y[0] - seen[during, 1]).max() < 0.12
+
+    def test_ahead_again_it_trails_again(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
+        seen = self.angles(vehicle, empty_world, [*[(0, -BACK)] * 6, *[(0, 1)] * 3])
+        assert cos(seen[-1, 1]) == pytest.approx(1.0, abs=exp(-10))
+
+
 class TestManoeuvres:
-    def test_they_are_the_same_turns_at_a_stand(self) -> None:
-        actions = np.arange(ACTIONS)
-        for bearing in (0.3, -2.0, 3.0):
-            assert np.array_equal(heading_change(actions + STOP, bearing), heading_change(actions, bearing))
-        assert speed_scale(actions).tolist() == [1.0] * ACTIONS
-        assert speed_scale(actions + STOP).tolist() == [0.0] * ACTIONS
-        assert MANOEUVRES == 2 * ACTIONS
-        assert heading_change(TOWARD_TARGET + STOP, 0.3) == pytest.approx(0.3)
+    def test_they_are_the_same_turns_at_a_stand_and_backwards(self) -> None:
+        actions, drive = np.arange(ACTIONS), DriveOptions(speed=3.0, reverse_share=0.2)
+        for added, share in ((0, 1.0), (STOP, 0.0), (REVERSE, -0.2)):
+            for bearing in (0.3, -2.0, 3.0):
+                assert np.array_equal(heading_change(actions + added, bearing), heading_change(actions, bearing))
+            assert speed_scale(actions + added, drive).tolist() == [share] * ACTIONS
+            assert heading_change(TOWARD_TARGET + added, 0.3) == pytest.approx(0.3)
+        assert (STOP, REVERSE, MANOEUVRES, len(labels.MANOEUVRES)) == (6, 12, 18, 18)
+        assert labels.MANOEUVRES[REVERSE + 1] == "reverse, left 30°"
+
+    @pytest.mark.parametrize("actions", [[-1, 0], [0, MANOEUVRES], [0], [0, 0, 0], [0.5, 1.0]])
+    def test_no_other_number_is_one(self, vehicle: VehicleSpec, world_of: WorldOf, actions: list[Any]) -> None:
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 2, 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions())
+            navigation.reset({i: world_of() for i in range(2)})
+            with pytest.raises(UserError, match="give 2 whole numbers from 0 to 17"):
+                navigation.step(np.array(actions))
 
     def test_vehicles_carry_them_out(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
         actions = [STOP, STOP, TOWARD_TARGET + STOP, TOWARD_TARGET + STOP, TOWARD_TARGET, 1]
@@ -293,6 +403,56 @@ class TestManoeuvres:
                 if action == TOWARD_TARGET + STOP:
                     assert path_length < 1e-9
         assert path_length == pytest.approx(RATE * (1.0**2 - 0.5**2) / 2 - 0.5 * RATE * 0.2**2)
+
+
+class TestStuck:
+    """Of a vehicle 1.1 m long whose wheels turn at 120 Hz, in periods of 0.5 s."""
+
+    def ended(self, vehicle: VehicleSpec, world: WorldSpec, actions: tuple[int, ...], **task: Any) -> tuple[str, int]:
+        """How an episode ended in which `actions` are repeated, and after how many steps."""
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 1, 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions(**task))
+            navigation.reset({0: world})
+            for step in range(500):
+                t = navigation.step(np.array([actions[step % len(actions)]]))
+                if t.ending[0] != NO_ENDING:
+                    assert t.discount_t.tolist() == [1.0]
+                    return ENDINGS[t.ending[0]], step + 1
+        raise AssertionError("it never ended")
+
+    @pytest.mark.parametrize("actions", [(STOP,), (STOP + 2,)])
+    def test_it_stands_or_turns_on_the_spot(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, actions: tuple[int, ...]
+    ) -> None:
+        assert self.ended(vehicle, empty_world, actions) == ("stuck", 1 + 60)  # the first step takes it elsewhere
+        assert self.ended(vehicle, empty_world, actions, stuck_after=0.0) == ("timeout", 500)
+        assert self.ended(vehicle, empty_world, actions, stuck_after=4.0) == ("stuck", 1 + 8)
+
+    def test_it_goes_to_and_fro_within_the_radius(self, vehicle: VehicleSpec, empty_world: WorldSpec) -> None:
+        ahead, back = (0, STOP, STOP), (REVERSE, REVERSE, STOP)  # 0.625 m, 0.5 m
+        to_and_fro = (*ahead, *back, *ahead, REVERSE, *back)
+        assert self.ended(vehicle, empty_world, to_and_fro, stuck_radius=1.5)[0] == "stuck"
+        assert self.ended(vehicle, empty_world, to_and_fro, stuck_radius=0.1)[0] == "timeout"
+
+    @pytest.mark.parametrize("action", [2, REVERSE, REVERSE + 1])
+    def test_who_drives_in_circles_or_backs_is_not_stuck(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec, action: int
+    ) -> None:
+        assert self.ended(vehicle, empty_world, (action,), max_steps=80) == ("timeout", 80)
+
+    def test_it_is_counted_anew_for_each_vehicle_and_episode(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:
+        with closing(KinematicSimulator(vehicle, DriveOptions(), 3, 1)) as simulator:
+            navigation = Navigation(simulator, TaskOptions(stuck_after=5.0))
+            navigation.reset({i: world_of() for i in range(3)})
+            ends: list[list[int]] = []
+            for step in range(14):
+                if step == 6:
+                    navigation.reset({1: world_of()})
+                active = np.array([True, True, step % 2 == 0])
+                ends.append(navigation.step(np.array([STOP] * 3), active).ending.tolist())
+        stuck = np.array(ends) == ENDINGS.index("stuck")
+        assert stuck.argmax(axis=0).tolist() == [10, 0, 0]
+        assert stuck.any(axis=0).tolist() == [True, False, False]
 
 
 class TestTheLimit:

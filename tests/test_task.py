@@ -255,6 +255,18 @@ def test_endings_of_many_episodes_are_those_of_each():
     assert NO_ENDING not in range(len(ENDINGS))
 
 
+@pytest.mark.parametrize(
+    ("after", "steps", "staying", "expected"),
+    [(SS, 70, 29.9, None), (NS, 70, 30.0, "stuck"), (SS, 500, 30.0, "stuck"), (FS, 70, 30.0, "collision")],
+)
+def test_who_stays_about_one_place_for_long_is_stuck(after, steps, staying, expected):
+    task, never = TaskOptions(stuck_after=30.0), TaskOptions(stuck_after=0.0)
+    assert ENDINGS[:3] == ("goal", "collision", "timeout")  # results tell endings by their names and places
+    for options, end in ((task, expected), (never, ended(after, steps))):
+        index = int(ending(after, steps, options, staying))
+        assert (None if index == NO_ENDING else ENDINGS[index]) == end
+
+
 def test_steps_of_an_episode_are_an_option():
     task = TaskOptions(max_steps=3)
     assert [ended(SS, steps, task) for steps in (2, 3)] == [None, "timeout"]

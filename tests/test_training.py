@@ -121,7 +121,7 @@ class Mortal:
 
     def __init__(self, simulator: Simulator, verb: str, call: int) -> None:
         self._simulator, self._verb, self._left = simulator, verb, call
-        self.size, self.sensor = simulator.size, simulator.sensor
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
 
     def _count(self, verb: str) -> None:
         self._left -= verb == self._verb

@@ -316,6 +316,21 @@ def test_urdf_of_no_such_vehicle_is_refused_in_one_line(robot, pairs, message):
     assert "\n" not in str(refusal.value)
 
 
+def test_all_that_is_wrong_is_said_at_once(robot):
+    pairs = [
+        (SPHERE, '<cylinder radius="0.125" length="0.05" />'),
+        (WHEEL_LIMIT, '<limit velocity="9" />'),
+        ('<box size="1.1 0.65 0.28" />', '<sphere radius="0.5" />'),
+        (CASTER_INERTIA, CASTER_INERTIA.replace("0.0025", "-1")),
+    ]
+    with pytest.raises(UserError) as refusal:
+        load_vehicle(robot(urdf=replaced(URDF, *pairs)))
+    told = str(refusal.value)
+    for message in ("left_wheel' has no <sphere>", "<limit effort>", "exactly one collision shape", "not positive"):
+        assert message in told
+    assert "things are wrong: (1) " in told and "\n" not in told
+
+
 def test_wheels_of_two_sizes_are_refused(robot):
     with pytest.raises(UserError, match="the drive wheels differ in radius"):
         load_vehicle(robot(urdf=URDF.replace(SPHERE, '<sphere radius="0.126" />', 1)))

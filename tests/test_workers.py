@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sensing import RAYS, Sensor
+from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
 from nnql_bullet.sim.base import Motion, Sample, Traces, WorkerDied, no_motion
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.spec import WorldSpec
 
 LIMIT = 60.0
@@ -39,7 +40,7 @@ class FakeSimulator:
     """Vehicles that turn on the spot, in a process that can be made to hang, to fail or to end."""
 
     def __init__(self, size: int) -> None:
-        self.size, self.sensor = size, Sensor(position=(0.0, 0.0, 0.0))
+        self.size, self.vehicle, self.drive = size, load_vehicle("tricycle"), DriveOptions()
         self._yaws = np.zeros(size)
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:

@@ -4,14 +4,15 @@ from math import pi
 import numpy as np
 import pytest
 import shapely
+from scipy.stats import kstest, uniform
 from shapely import affinity
 
 from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Circle, OrientedBox, Pose
-from nnql_bullet.sim.bullet import by_place
-from nnql_bullet.worlds.layouts import random_boxes
+from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.worlds.layouts import Arena, random_boxes
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
@@ -54,6 +55,8 @@ def box(x, y, length, width, yaw_degrees=0.0):
 
 
 def polygon(box):
+    if isinstance(box, Circle):
+        return shapely.Point(box.x, box.y).buffer(box.radius, quad_segs=64)
     length, width = box.half_length, box.half_width
     turned = affinity.rotate(shapely.box(-length, -width, length, width), box.yaw, origin=(0, 0), use_radians=True)
     return affinity.translate(turned, box.x, box.y)
@@ -291,6 +294,71 @@ def test_the_papers_worlds_differ_in_their_cover_alone():
         assert world.cover == pytest.approx(float(name[6:]) / 100 if asked is None else asked, abs=0.006)
 
 
+RANGES = {"cells": 1.35, "cluttered": 1.35, "poles": 1.35, "rooms": 1.1}
+"""Kinds that are drawn over a range of bottlenecks, and how much wider than the vehicle the widest is [m]."""
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_each_seed_has_the_bottleneck_that_was_drawn_for_it(name):
+    """Whatever the kind, and for each vehicle, to a centimetre."""
+    source = load_world(name)
+    assert source.max_clearance == RANGES[name]
+    for seed, width in ((0, 0.65), (1, 0.5)):
+        share = rng(seed, Stream.BOTTLENECK).random()
+        wanted = width + 0.1 + share * (RANGES[name] - 0.1)
+        world = source.draw(seed, width)
+        assert wanted - 0.001 <= world.bottleneck.width <= wanted + 0.011
+        assert is_crossable(world, wanted / 2 - 0.005)
+        assert not is_crossable(world, wanted / 2 + 0.01)
+        assert world == source.draw(seed, width)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("rooms", 200), *(pytest.param(name, 200, marks=pytest.mark.slow) for name in sorted(RANGES))]
+)
+def test_bottlenecks_are_spread_evenly_over_their_range(name, count):
+    widths = [load_world(name).draw(seed, 0.65).bottleneck.width for seed in range(700_000, 700_000 + count)]
+    assert min(widths) >= 0.75 - 1e-9
+    assert kstest(widths, uniform(0.755, RANGES[name] - 0.1).cdf).pvalue > 0.01
+
+
+def test_a_denser_layout_keeps_what_stood_there():
+    for name in ("cells", "cluttered", "poles"):
+        layout, arena = load_world(name).layout, Arena(12.0, 24.0, ((6.0, 3.0), (6.0, 21.0)))
+        sparse, dense = (set(layout.denser(share).place(arena, np.random.default_rng(3))) for share in (0.02, 0.06))
+        assert sparse < dense
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"max_clearance": 0.05}, "max_clearance 0.05 is less than clearance 0.1"),
+        ({"layout": {"kind": "traps", "count": 2}}, "a layout 'traps' cannot be made denser; leave it out"),
+        ({"layout": {"kind": "boxes"}}, "a layout 'boxes' cannot be made denser; leave it out"),
+    ],
+)
+def test_a_range_that_cannot_be_had_is_refused(values, message):
+    layout = {"kind": "rooms"}
+    with pytest.raises(UserError, match=message):
+        source_of(**{"layout": layout, "max_clearance": 1.0, **values})
+
+
+def test_a_bottleneck_that_no_density_gives_is_refused():
+    layout = {"kind": "rooms", "min_door": 0.5, "max_door": 0.6}
+    source = source_of(layout=layout, max_clearance=1.0, width=24.0, depth=16.0, start=[2, 2], target=[22, 14])
+    with pytest.raises(UserError, match=r"in 50 attempts none had a bottleneck of 0\.90 m; make the layout sparser"):
+        source.draw(0, 0.65)
+
+
+def test_a_layout_that_cannot_be_dense_enough_is_refused_at_once():
+    layout = {"kind": "poles", "count": 1, "spacing": 4.0}
+    source = source_of(layout=layout, max_clearance=0.2, width=16.0, depth=16.0, start=[3, 3], target=[13, 13])
+    with pytest.raises(
+        UserError, match=r"layout: as dense as it can be, its bottleneck is \d\.\d\d m and not 0\.\d\d m"
+    ):
+        source.draw(0, 0.65)
+
+
 def test_every_shipped_world_is_tested():
     assert sorted(SHIPPED) == sorted(path.stem for path in assets.folder("worlds").glob("*.toml"))
 
@@ -335,8 +403,9 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
     [
         (
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
-            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, name, "
-            r"obstacle_height, patrols, start, start_yaw_degrees, target, target_radius, width",
+            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, "
+            r"max_clearance, name, obstacle_height, origin, origin_yaw_degrees, patrols, start, "
+            r"start_yaw_degrees, target, target_radius, width",
         ),
         (
             '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',
@@ -410,15 +479,3 @@ def test_boxes_do_not_depend_on_how_many_are_drawn_at_a_time(monkeypatch, tries)
     expected = load_world("cover_10").draw(0, ROOM)
     monkeypatch.setattr(random_boxes, "FIRST_TRIES", tries)
     assert load_world("cover_10").draw(0, ROOM) == expected
-
-
-def test_many_shapes_are_sorted_by_place_and_few_stay_in_their_order():
-    rng = np.random.default_rng(0)
-    few = tuple(Circle(*place, 0.1) for place in rng.uniform(0, 100, (200, 2)).tolist())
-    assert by_place(few) == few
-    many = tuple(Circle(*place, 0.1) for place in rng.uniform(0, 100, (1600, 2)).tolist())
-    found = by_place(many)
-    assert sorted(found, key=hash) == sorted(many, key=hash)
-    # 100 groups of 16 are squares of 10 m, give and take.
-    groups = np.array([(its.x, its.y) for its in found]).reshape(100, 16, 2)
-    assert np.median(np.ptp(groups, axis=1), axis=0) == pytest.approx([10.0, 10.0], abs=3.0)

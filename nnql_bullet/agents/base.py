@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import TOWARD_TARGET, Observation
+from nnql_bullet.env import TOWARD_TARGET, Observation, as_actions
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.task import StateProperty
@@ -72,7 +72,7 @@ class Reflex(Rule):
 
     def decide(self, observations: Observation) -> Actions:
         """Returns the actions that the function gives."""
-        return np.asarray(self._function(observations), np.int64)
+        return self._function(observations)
 
 
 @runtime_checkable
@@ -105,7 +105,8 @@ class Custom:
 
     def act(self, observations: Observation, state: PolicyState) -> tuple[Actions, PolicyState]:
         """Returns the object's actions (n,) and its next state."""
-        return self._policy.act(observations, state)
+        actions, state = self._policy.act(observations, state)
+        return as_actions(actions, len(observations.readings)), state
 
     def action_values(self, observations: Observation, state: PolicyState) -> Array:
         """Returns the object's values of the five turns (n, 5); NaN if it has none."""

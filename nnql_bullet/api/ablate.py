@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.ablation import Budget, Counts, Entry, entries, task_of, train_and_test
 from nnql_bullet.evaluation.parts import Parts, run_kept
@@ -18,6 +19,9 @@ from nnql_bullet.reports import ablation as report
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.work import OnProgress
+
+MOST_SEEDS = 1000
+"""Most trainings of each variant."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class AblationResults:
             write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
 
 
+@checked
 def ablate(
     preset: str = "paper",
     *,
@@ -96,8 +101,8 @@ def ablate(
         WorkFailed: If a training fails.
     """
     split_seeds("validation", n_worlds)
-    if seeds is not None and seeds < 1:
-        raise UserError(f"seeds must be at least 1, not {seeds}")
+    if seeds is not None and not 1 <= seeds <= MOST_SEEDS:
+        raise UserError(f"seeds must be from 1 to {MOST_SEEDS}, not {seeds}")
     study = _study(preset, only)
     budget = Budget(
         simulator=simulator,

@@ -3,16 +3,19 @@
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
 from nnql_bullet.gym_env import TricycleEnv, TricycleVectorEnv
 from nnql_bullet.run_config import RunConfig
 
 
+@checked
 def make_env(
     config: str | Path | RunConfig = "paper",
     *,
     n_envs: int | None = None,
     reward: Reward | None = None,
+    manoeuvres: bool = False,
     workers: int | None = 1,
     **changes: Any,
 ) -> TricycleEnv | TricycleVectorEnv:
@@ -33,6 +36,7 @@ def make_env(
         n_envs: Number of vehicles of a vector environment; without it the environment has one vehicle.
         reward: A reward of your own: terms whose sum it is (see `task.RewardTerm`), or a function of the transitions of
             n vehicles that returns n numbers.
+        manoeuvres: Whether an action may also stop or reverse: 18 actions, see `env.MANOEUVRES`, in place of 6.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
             environment; None takes one a core.
         **changes: Keys of the configuration: world, robot, simulator, physics, conditions, task and so on.
@@ -42,5 +46,5 @@ def make_env(
     """
     base = config if isinstance(config, RunConfig) else str(config)
     if n_envs is None:
-        return TricycleEnv(base, reward=reward, **changes)
-    return TricycleVectorEnv(n_envs, base, workers, reward=reward, **changes)
+        return TricycleEnv(base, reward, manoeuvres, **changes)
+    return TricycleVectorEnv(n_envs, base, workers, reward, manoeuvres, **changes)

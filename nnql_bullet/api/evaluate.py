@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import (
     FilmTask,
@@ -17,13 +18,14 @@ from nnql_bullet.evaluation.drives import (
     drive,
     drive_tasks,
     film,
+    has_chance,
     survey,
     survey_tasks,
 )
 from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
-from nnql_bullet.evaluation.splits import SplitName
+from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -122,17 +124,21 @@ class EvaluationResults:
         return values
 
 
+@checked
 def evaluate(
     policies: PolicyLike | Sequence[PolicyLike],
     *,
     worlds: Sequence[str | Path | World] = WORLDS,
-    split: SplitName = "validation",
-    n_worlds: int = 100,
+    split: SplitName | None = None,
+    n_worlds: int | None = None,
+    seeds: range | None = None,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     conditions: Conditions | None = None,
     shield: bool = False,
     allow_impassable: bool = False,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     address: str | None = None,
@@ -142,7 +148,9 @@ def evaluate(
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
 
-    Policies that differ in their training seed alone are one method.
+    Policies that differ in their training seed alone are one method. Worlds of a folder are counted together. A file
+    that cannot be read or drawn does not end the evaluation if another one can: it is listed in `evaluation.refused`.
+    Drives in which nothing is random count once.
 
     Example:
         >>> import nnql_bullet as nb
@@ -152,14 +160,18 @@ def evaluate(
 
     Args:
         policies: Run folders, policy files, shipped policies and rules by name, or your own objects (see `drive`).
-        worlds: Shipped worlds, TOML files or `World` objects.
-        split: "validation" has worlds to choose with, "test" those for a final table.
-        n_worlds: Worlds of each kind; a world in which nothing is random counts once.
+        worlds: Shipped worlds, TOML files, maps and worlds of other programs, folders of such files, or `World`
+            objects.
+        split: "validation", the default, has worlds to choose with, "test" those for a final table.
+        n_worlds: Worlds of each file, by default 100; a world in which nothing is random counts once.
+        seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
         allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
+        start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
+        target: x, y [m] of the target in that frame, in place of its own.
         executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
             more. A script that starts processes needs `if __name__ == "__main__":`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
@@ -173,11 +185,13 @@ def evaluate(
         UserError: If an argument is wrong, a policy or world cannot be read, or another process writes to `out`.
         WorkFailed: If a piece of work fails.
     """
+    draws = choose_draws(split, n_worlds, seeds)
     if clips < 0:
         raise UserError(f"clips must not be negative, not {clips}")
     if out is not None and clips:
         check_encoder()
-    setting = Setting(split, simulator, physics, conditions, allow_impassable)
+    first, last = (None if place is None else tuple(place) for place in (start, target))
+    setting = Setting(simulator, physics, conditions, allow_impassable, first, last)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
     if out is not None and Path(out).exists() and not Path(out).is_dir():
@@ -186,11 +200,15 @@ def evaluate(
         raise UserError("give a world")
     for policy in opened:
         check_setting(policy, setting)
-    tiers = draw_tiers(worlds, setting, n_worlds, opened)
+    tiers, refused = draw_tiers(worlds, draws, setting, opened)
+    asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
     folder = None if out is None else Path(out)
     with locked(folder):
         parts = Parts(folder / "parts" if folder else None)
-        results = EvaluationResults(_driven(where, opened, tiers, setting, parts, on_progress))
+        difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
+        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes))
+        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
+        results = EvaluationResults(evaluation)
         if folder:
             results.save(folder, clips, where, on_progress)
     return results
@@ -203,7 +221,7 @@ def _driven(
     setting: Setting,
     parts: Parts,
     on_progress: OnProgress | None,
-) -> Evaluation:
+) -> tuple[dict[str, list[Difficulty]], dict[tuple[str, str], list[EpisodeSummary]]]:
     """Surveys the worlds and drives every policy through them, except for pieces that are kept."""
     difficulties: dict[str, list[Difficulty]] = {tier.name: [] for tier in tiers}
     surveys = survey_tasks(policies[0], tiers, setting)
@@ -215,7 +233,7 @@ def _driven(
     driven = run_kept(executor, "driving", drive, tasks, parts, EpisodeSummary, on_progress)
     for one, summaries in zip(tasks, driven, strict=True):
         drives.setdefault((one.policy.name, one.tier.name), []).extend(summaries)
-    return Evaluation(setting, policies, tiers, difficulties, drives)
+    return difficulties, drives
 
 
 def _filmed(executor: Executor, e: Evaluation, on_progress: OnProgress | None) -> list[tuple[FilmTask, Recording]]:
@@ -223,9 +241,9 @@ def _filmed(executor: Executor, e: Evaluation, on_progress: OnProgress | None) -
     tasks: dict[tuple[str, str], FilmTask] = {}
     for policy in e.policies:
         for tier in e.tiers:
-            for summary in e.drives[policy.name, tier.name]:
+            for world, summary in zip(tier.worlds, e.drives[policy.name, tier.name], strict=True):
                 if summary.ending != "goal":
-                    task = FilmTask(policy, tier, e.setting, summary.world_seed)
+                    task = FilmTask(policy, tier, e.setting, world)
                     tasks.setdefault((policy.method, tier.name), task)
     chosen = list(tasks.values())
     return list(zip(chosen, run_all(executor, "failures", film, chosen, on_progress=on_progress), strict=True))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from nnql_bullet.api.evaluate import EvaluationResults
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import executor_for
 from nnql_bullet.evaluation.replays import (
@@ -60,6 +61,7 @@ class FailureResults:
             write_text(out / "failures.json", json.dumps(report.failures_values(found), indent=1) + "\n")
 
 
+@checked
 def failures(
     results: EvaluationResults | Path | str,
     *,

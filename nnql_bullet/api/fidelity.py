@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.probes import probes_for, run_probes
 from nnql_bullet.fidelity.stopping import Stop, measure_stop, stopping_tasks
-from nnql_bullet.files import write_text
+from nnql_bullet.files import staged, write_text
+from nnql_bullet.locks import locked
 from nnql_bullet.reports import envelope as envelope_report
 from nnql_bullet.reports import fidelity as report
 from nnql_bullet.reports import stopping as stopping_report
@@ -50,15 +52,15 @@ class FidelityResults:
 
     def save(self, folder: Path | str) -> None:
         """Writes fidelity.md, fidelity.json and pictures into a folder."""
-        out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "fidelity.md", report.fidelity_markdown(self.fidelity))
-        write_text(out / "fidelity.json", json.dumps(report.fidelity_values(self.fidelity), indent=1) + "\n")
-        report.draw_tolerances(self.fidelity, out / "tolerances.png")
-        report.draw_actions(self.fidelity, out / "actions.png")
-        report.draw_grip(self.fidelity, out / "grip.png")
+        with staged(Path(folder), "fidelity.json") as out:
+            write_text(out / "fidelity.md", report.fidelity_markdown(self.fidelity))
+            write_text(out / "fidelity.json", json.dumps(report.fidelity_values(self.fidelity), indent=1) + "\n")
+            report.draw_tolerances(self.fidelity, out / "tolerances.png")
+            report.draw_actions(self.fidelity, out / "actions.png")
+            report.draw_grip(self.fidelity, out / "grip.png")
 
 
+@checked
 def check_fidelity(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
@@ -85,29 +87,35 @@ def check_fidelity(
         on_progress: Receives the progress.
 
     Raises:
-        UserError: If the vehicle cannot be read, or the engine is not installed.
+        UserError: If the vehicle cannot be read, the engine is not installed, or another process writes to `out`.
     """
     spec, report_to = load_vehicle(vehicle), on_progress or silent
     bench = Bench(spec, simulator, physics)
     with bench.open_engine() as engine:  # an engine that is not installed shows here
         time_step = engine.time_step
-    total, done = 2 * len(probes_for(spec)) + len(REFINEMENTS), count(1)
+    folder = None if out is None else Path(out)
+    with locked(folder):
+        results = FidelityResults(_measured(bench, time_step, report_to))
+        if folder:
+            results.save(folder)
+    return results
+
+
+def _measured(bench: Bench, time_step: float, report_to: OnProgress) -> Fidelity:
+    """Measures every probe at the time step and at half of it, and the five actions at each of `REFINEMENTS`."""
+    total, done = 2 * len(probes_for(bench.vehicle)) + len(REFINEMENTS), count(1)
     measured, halved, actions = [], [], []
     report_to(Progress("probing", 0, total))
     for probe, found in run_probes(bench):
         measured.append((probe, found))
         report_to(Progress("probing", next(done), total, probe.title))
-    for probe, found in run_probes(Bench(spec, simulator, physics, 2)):
+    for probe, found in run_probes(replace(bench, refinement=2)):
         halved.append(found)
         report_to(Progress("probing", next(done), total, f"{probe.title}, half the step"))
     for refinement in REFINEMENTS:
-        actions.append((time_step / refinement, watch_actions(Bench(spec, simulator, physics, refinement))))
+        actions.append((time_step / refinement, watch_actions(replace(bench, refinement=refinement))))
         report_to(Progress("probing", next(done), total, "the five actions"))
-    probes = [(*pair, half) for pair, half in zip(measured, halved, strict=True)]
-    results = FidelityResults(Fidelity(bench, probes, actions))
-    if out is not None:
-        results.save(out)
-    return results
+    return Fidelity(bench, [(*pair, half) for pair, half in zip(measured, halved, strict=True)], actions)
 
 
 @dataclass(frozen=True)
@@ -142,20 +150,21 @@ class EnvelopeResults:
 
     def save(self, folder: Path | str) -> None:
         """Writes envelope and stopping as .md, .csv, .json and .png into a folder."""
-        out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "envelope.md", envelope_report.envelope_markdown(self.bench, self.slices, self.turns))
-        write_text(out / "envelope.csv", envelope_report.envelope_csv(self.turns))
-        values = envelope_report.envelope_values(self.bench, self.turns)
-        write_text(out / "envelope.json", json.dumps(values, indent=1) + "\n")
-        envelope_report.draw_envelope(self.bench, self.slices, self.turns, out / "envelope.png")
-        write_text(out / "stopping.md", stopping_report.stopping_markdown(self.bench, self.stops))
-        write_text(out / "stopping.csv", stopping_report.stopping_csv(self.stops))
-        values = stopping_report.stopping_values(self.bench, self.stops)
-        write_text(out / "stopping.json", json.dumps(values, indent=1) + "\n")
-        stopping_report.draw_stopping(self.bench, self.stops, out / "stopping.png")
+        bench, turns, stops = self.bench, self.turns, self.stops
+        with staged(Path(folder), "envelope.json", ("stopping.json",)) as out:
+            write_text(out / "envelope.md", envelope_report.envelope_markdown(bench, self.slices, turns))
+            write_text(out / "envelope.csv", envelope_report.envelope_csv(turns))
+            values = envelope_report.envelope_values(bench, turns)
+            write_text(out / "envelope.json", json.dumps(values, indent=1) + "\n")
+            envelope_report.draw_envelope(bench, self.slices, turns, out / "envelope.png")
+            write_text(out / "stopping.md", stopping_report.stopping_markdown(bench, stops))
+            write_text(out / "stopping.csv", stopping_report.stopping_csv(stops))
+            values = stopping_report.stopping_values(bench, stops)
+            write_text(out / "stopping.json", json.dumps(values, indent=1) + "\n")
+            stopping_report.draw_stopping(bench, stops, out / "stopping.png")
 
 
+@checked
 def envelope(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
@@ -178,7 +187,7 @@ def envelope(
         on_progress: Receives the progress.
 
     Raises:
-        UserError: If the vehicle cannot be read, or the engine is not installed.
+        UserError: If the vehicle cannot be read, the engine is not installed, or another process writes to `out`.
         WorkFailed: If a measurement fails.
     """
     spec = load_vehicle(vehicle)
@@ -186,9 +195,11 @@ def envelope(
     with bench.open_engine():  # an engine that is not installed shows here
         pass
     where, slices = make_executor(executor, workers), envelope_slices(spec)
-    turns = run_all(where, "turns", measure_turn, envelope_tasks(bench, slices), on_progress=on_progress)
-    stops = run_all(where, "stops", measure_stop, stopping_tasks(bench), on_progress=on_progress)
-    results = EnvelopeResults(bench, slices, turns, stops)
-    if out is not None:
-        results.save(out)
+    folder = None if out is None else Path(out)
+    with locked(folder):
+        turns = run_all(where, "turns", measure_turn, envelope_tasks(bench, slices), on_progress=on_progress)
+        stops = run_all(where, "stops", measure_stop, stopping_tasks(bench), on_progress=on_progress)
+        results = EnvelopeResults(bench, slices, turns, stops)
+        if folder:
+            results.save(folder)
     return results

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nnql_bullet.arguments import checked
+from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
-from nnql_bullet.evaluation.drives import distinct
+from nnql_bullet.evaluation.drives import distinct, has_chance
 from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
-from nnql_bullet.evaluation.splits import SplitName, split_seeds
+from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -60,6 +62,7 @@ class GapResults:
             write_text(out / "gap.json", json.dumps(report.gap_values(g), indent=1) + "\n")
 
 
+@checked
 def gap(
     policies: PolicyLike | Sequence[PolicyLike],
     *,
@@ -67,8 +70,11 @@ def gap(
     simulator: EngineName = "bullet",
     physics: PhysicsName = "reference",
     world: str | Path | World | None = None,
-    split: SplitName = "validation",
-    n_worlds: int = 100,
+    split: SplitName | None = None,
+    n_worlds: int | None = None,
+    seeds: range | None = None,
+    start: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
     conditions: Conditions | None = None,
     faults: bool = True,
     executor: ExecutorKind | None = None,
@@ -89,9 +95,13 @@ def gap(
         against: The first simulator.
         simulator: The second one, an engine of contact physics.
         physics: Solver settings of contact physics.
-        world: A shipped world, a TOML file or a `World`; by default that of the training.
-        split: "validation" has worlds to choose with, "test" those for a final table.
-        n_worlds: Number of worlds.
+        world: A shipped world, a TOML file, a map or world of another program, or a `World`; by default that of the
+            training.
+        split: "validation", the default, has worlds to choose with, "test" those for a final table.
+        n_worlds: Number of worlds, by default 100.
+        seeds: Seeds of the worlds, in place of `split` and `n_worlds`.
+        start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
+        target: x, y [m] of the target in that frame, in place of its own.
         conditions: Conditions in place of each policy's own.
         faults: Whether policies drive with a series of faults too, which takes some twelve times as long.
         executor: See `evaluate`.
@@ -105,22 +115,31 @@ def gap(
     """
     if against == simulator:
         raise UserError(f"against: '{against}' is the simulator itself; give another one")
-    seeds, world = split_seeds(split, n_worlds), str(world) if isinstance(world, Path) else world
+    draws, world = choose_draws(split, n_worlds, seeds), str(world) if isinstance(world, Path) else world
+    shown = world.name if isinstance(world, World) else world
+    if start or target:
+        if world is None:
+            raise UserError("start and target are places in a world: give one")
+        world = World.load(world).between(start, target)
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
-    seeds = distinct(seeds, load_policy(opened[0].source, {"world": world}).experiment, opened)
-    tasks = measure.tasks(opened, world, seeds, first, second, conditions, faults)
     for policy in opened:
-        measure.check(PairTask(policy, world, seeds, first, second, conditions))
+        measure.check(PairTask(policy, world, draws.seeds, first, second, conditions))
+    changes = {"world": world, "conditions": conditions}
+    experiment = load_policy(opened[0].source, changes).experiment
+    chances = [has_chance(policy, changes) for policy in opened]
+    numbers = {one: len(distinct(experiment, experiment.worlds, draws.seeds, one)) for one in set(chances)}
+    driven = [draws.seeds[: numbers[one]] for one in chances]
+    tasks = measure.tasks(opened, world, driven, first, second, conditions, faults)
     pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
     drives = [drive for piece in pieces for drive in piece]
     pairs = [drive for drive in drives if isinstance(drive, Pair)]
     trials = [drive for drive in drives if isinstance(drive, Trial)]
     prints = tuple(policy.fingerprint for policy in opened)
     names = tuple(policy.path for policy in opened)
-    shown = world.name if isinstance(world, World) else world
-    results = GapResults(Gap(names, prints, shown, split, seeds, first, second, pairs, trials, conditions))
+    ends = tuple(flags({"start": start, "target": target}))
+    results = GapResults(Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends))
     if out is not None:
         with locked(Path(out)):
             results.save(out)

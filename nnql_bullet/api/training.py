@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nnql_bullet import session
+from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
 from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
@@ -19,6 +20,7 @@ def never() -> bool:
     return False
 
 
+@checked
 def train(
     config: str | Path | RunConfig = "paper",
     *,
@@ -80,6 +82,7 @@ def train(
     )
 
 
+@checked
 def resume(
     folder: Path | str,
     episodes: int | None = None,

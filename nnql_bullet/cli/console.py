@@ -3,6 +3,7 @@
 import errno
 import logging
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
 from nnql_bullet.machine import open_streams
 from nnql_bullet.text import one_line, printable
@@ -144,6 +146,20 @@ def progress() -> Iterator[OnProgress]:
             bars.update(task, completed=now.done, total=now.total, note=note)
 
         yield show
+
+
+def seed_range(text: str | None) -> range | None:
+    """The seeds that FROM:TO names; None if none are asked for.
+
+    Raises:
+        UserError: If the text is not of that form.
+    """
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,19}):(\d{1,19})", text, re.ASCII)
+    if not found:
+        raise UserError(f"--seeds: give FROM:TO, such as 0:50 for the seeds 0 to 49, not '{text}'")
+    return range(int(found[1]), int(found[2]))
 
 
 class _TimeLeft:

@@ -10,7 +10,8 @@ import tyro
 
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.config import merged
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
@@ -27,6 +28,8 @@ def drive(
     policy: Annotated[Path, tyro.conf.arg(metavar="POLICY")] = BEST,
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
@@ -63,8 +66,10 @@ def drive(
     Args:
         policy: Run folder, policy file, shipped policy (see `nnql-bullet policies`), rule, or TOML file that configures
             a rule.
-        world: Shipped world (paper, cover_10, traps, aisles, moving, ...) or TOML file; default that of the training
-            (rules: paper).
+        world: Shipped world (paper, cover_10, traps, aisles, moving, ...), TOML file, ROS map, or other file that
+            `nnql-bullet worlds` reads; default that of the training (rules: paper).
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         seed: Seed of the world.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
@@ -85,9 +90,12 @@ def drive(
         check_encoder()
     if gui:
         check_window()
+    tell_warnings([world], start, target)
     recording = driving.drive(
         policy,
         world=world,
+        start=start,
+        target=target,
         seed=seed,
         simulator=sim,
         physics=physics,

@@ -8,6 +8,7 @@ import tyro
 from nnql_bullet.api import fidelity as api
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 
 def envelope(
@@ -38,12 +39,12 @@ def envelope(
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/envelope/ROBOT-ENGINE-PHYSICS.
     """
+    vehicle = load_vehicle(robot)
+    folder = out or Path("runs") / "envelope" / f"{vehicle.name}-{sim}-{physics}"
     with progress() as show:
         results = api.envelope(
-            robot, simulator=sim, physics=physics, executor="processes", workers=workers, on_progress=show
+            vehicle, simulator=sim, physics=physics, executor="processes", workers=workers, out=folder, on_progress=show
         )
-    folder = out or Path("runs") / "envelope" / f"{results.bench.vehicle.name}-{sim}-{physics}"
-    results.save(folder)
     say(results.table())
     say(f"reports: {folder / 'envelope.md'}, {folder / 'stopping.md'}")
     return 0

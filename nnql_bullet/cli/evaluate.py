@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import evaluate as api
-from nnql_bullet.cli.console import complain, items, progress, say
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.console import complain, items, progress, say, seed_range
+from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
@@ -24,10 +25,13 @@ COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10"
 def evaluate(
     policies: Annotated[list[Path], tyro.conf.arg(metavar="POLICY ...")],
     /,
-    split: SplitName = "validation",
-    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    split: SplitName | None = None,
+    worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="FROM:TO")] = None,
     cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...")] = None,
-    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...")] = None,
+    world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE|DIR,...")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
@@ -58,10 +62,14 @@ def evaluate(
 
     Args:
         policies: Run folders, policy files, shipped policies, rules, or TOML files that configure a rule.
-        split: Worlds to choose with, or those for the final table.
-        worlds: Number of worlds of each kind.
+        split: Worlds to choose with (validation, the default), or those for the final table.
+        worlds: Number of worlds of each kind; default 100.
+        seeds: Worlds of these seeds in place of --split and --worlds; TO is left out.
         cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
-        world: Shipped worlds (traps, aisles, moving, ...) or TOML files.
+        world: Shipped worlds (traps, aisles, moving, ...), TOML files, ROS maps, other files that `nnql-bullet worlds`
+            reads, or folders of such files, each counted as one kind.
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
@@ -75,6 +83,7 @@ def evaluate(
         conditions: Conditions in place of each policy's own.
     """
     files = _files(cover, world)
+    tell_warnings(files, start, target)
     try:
         with progress() as show:
             results = api.evaluate(
@@ -82,11 +91,14 @@ def evaluate(
                 worlds=files,
                 split=split,
                 n_worlds=worlds,
+                seeds=seed_range(seeds),
                 simulator=sim,
                 physics=physics,
                 conditions=conditions_of(conditions),
                 shield=shield,
                 allow_impassable=allow_impassable,
+                start=start,
+                target=target,
                 executor=executor,
                 workers=workers,
                 address=address,
@@ -101,8 +113,10 @@ def evaluate(
         say((out / "results.json").read_text(encoding="utf-8").rstrip())
         return 0
     e = results.evaluation
-    say(f"success in %, {e.setting.title}, {report.counted(e)} (95 % intervals)")
+    say(f"success in %, {e.title}, {report.counted(e)} (95 % intervals)")
     say(results.table())
+    for its in e.refused:
+        say(f"refused: {its.file}: {its.reason}")
     say(f"report: {out / 'evaluation.md'}")
     return 0
 

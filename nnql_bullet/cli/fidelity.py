@@ -8,6 +8,7 @@ import tyro
 from nnql_bullet.api import fidelity as api
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 
 def fidelity(
@@ -34,10 +35,10 @@ def fidelity(
         physics: Its solver settings.
         out: Folder of the report; default runs/fidelity/ROBOT-ENGINE-PHYSICS.
     """
+    vehicle = load_vehicle(robot)
+    folder = out or Path("runs") / "fidelity" / f"{vehicle.name}-{sim}-{physics}"
     with progress() as show:
-        results = api.check_fidelity(robot, simulator=sim, physics=physics, on_progress=show)
-    folder = out or Path("runs") / "fidelity" / f"{results.fidelity.bench.vehicle.name}-{sim}-{physics}"
-    results.save(folder)
+        results = api.check_fidelity(vehicle, simulator=sim, physics=physics, out=folder, on_progress=show)
     say(results.table())
     say(f"report: {folder / 'fidelity.md'}")
     return 0 if results.ok else 1

@@ -39,6 +39,22 @@ GROUPED_FROM = 8
 """A verb with fewer flags shows them in one group."""
 WIDEST = 100
 """Longest line of the text of `--help` [columns]."""
+
+
+def _numbers(words: Sequence[str]) -> tuple[float, ...]:
+    return tuple(float(its) for word in words for its in word.split(","))
+
+
+NUMBERS = tyro.constructors.PrimitiveConstructorSpec[tuple[float, ...]](
+    nargs="*",
+    metavar="X,...",
+    instance_from_str=_numbers,
+    is_instance=lambda its: isinstance(its, tuple),
+    str_from_instance=lambda its: [] if its is None else [",".join(map(str, its))],
+)
+"""Annotates numbers with commas or spaces between them."""
+Place = Annotated[tuple[float, ...] | None, NUMBERS]
+"""The numbers of a start or target."""
 _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
 
 
@@ -194,6 +210,8 @@ def _joined(types: Sequence[Any]) -> Any:
     literals = [value for its in types if get_origin(its) is Literal for value in get_args(its)]
     if literals:
         return Literal[tuple(dict.fromkeys(literals))]
+    if all(get_origin(its) is tuple and get_args(its)[0] is float for its in types):
+        return Annotated[tuple[float, ...], NUMBERS]
     return Union[tuple(Literal["true", "false"] if its is bool else its for its in types)]  # noqa: UP007
 
 

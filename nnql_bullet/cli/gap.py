@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.api import gap as api
-from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.console import progress, say, seed_range
+from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -22,8 +23,11 @@ def gap(
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
-    worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
-    split: SplitName = "validation",
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
+    worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    split: SplitName | None = None,
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="FROM:TO")] = None,
     faults: bool = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -49,14 +53,19 @@ def gap(
         against: First simulator.
         sim: Second simulator, an engine of contact physics.
         physics: Solver settings of contact physics.
-        world: Shipped world (paper, cover_10, ...) or TOML file; default that of the training.
-        worlds: Number of worlds.
-        split: Worlds to choose with, or those for the final table.
+        world: Shipped world (paper, cover_10, ...), TOML file, ROS map, or other file that `nnql-bullet worlds` reads;
+            default that of the training.
+        start: Start in the frame of the world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
+        worlds: Number of worlds; default 100.
+        split: Worlds to choose with (validation, the default), or those for the final table.
+        seeds: Worlds of these seeds in place of --split and --worlds; TO is left out.
         faults: Leave out the drives with faults, which take some twelve times as long as the rest.
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/gap.
         conditions: Conditions in place of each policy's own.
     """
+    tell_warnings([world], start, target)
     folder = out or Path("runs") / "gap"
     with progress() as show:
         results = api.gap(
@@ -65,8 +74,11 @@ def gap(
             simulator=sim,
             physics=physics,
             world=world,
+            start=start,
+            target=target,
             split=split,
             n_worlds=worlds,
+            seeds=seed_range(seeds),
             conditions=conditions_of(conditions),
             faults=faults,
             executor="processes",

@@ -15,6 +15,7 @@ VERBS = (
     "keys",
     "policies",
     "drive",
+    "worlds",
     "render",
     "view",
     "evaluate",
@@ -88,8 +89,13 @@ def verb_of(name: str) -> Callable[..., int]:
 
 
 def _overview() -> str:
-    rows = [f"  {name:<10} {(getdoc(verb_of(name)) or '').splitlines()[0]}" for name in VERBS]
+    rows = [f"  {name:<10} {_first_line(verb_of(name))}" for name in VERBS]
     return "\n".join([ABOUT, *rows, "", START])
+
+
+def _first_line(verb: Callable[..., int]) -> str:
+    """What a verb does; empty under `python -OO`, which removes the docstrings."""
+    return (getdoc(verb) or "").partition("\n")[0]
 
 
 def _remedy(error: OSError) -> str:

@@ -11,6 +11,7 @@ from nnql_bullet.api import training as api
 from nnql_bullet.cli.console import complain, is_unread, progress, say
 from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.cli.signals import held_back
+from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import load_config
@@ -72,6 +73,8 @@ def train(
         # A world that is asked for takes the place of a mix of worlds.
         mix = {"training": {"worlds": [], **keys.get("training", {})}} if "world" in keys else {}
         resolved = load_config(config or "paper", {**keys, **mix})
+        tell_warnings([resolved.world], resolved.start, resolved.target)
+        tell_warnings(resolved.training.worlds, None, None)
         folder, total = out or Path("runs") / f"{Path(config or 'paper').stem}-{resolved.seed}", resolved.episodes
     died: WorkerDied | None = None
     unread = False

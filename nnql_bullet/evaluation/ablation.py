@@ -66,6 +66,7 @@ class Counts:
     goal: int
     collision: int
     timeout: int
+    stuck: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,7 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
 
 def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     """Computes the success of each training seed in each tier (tiers, seeds)."""
-    return np.array([[t.goal / (t.goal + t.collision + t.timeout) for t in training] for training in trainings]).T
+    return np.array([[t.goal / (t.goal + t.collision + t.timeout + t.stuck) for t in its] for its in trainings]).T
 
 
 def _difference(differences: Array) -> Estimate:

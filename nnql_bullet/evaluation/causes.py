@@ -13,11 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import TOWARD_TARGET
+from nnql_bullet.env import TOWARD_TARGET, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
-from nnql_bullet.vehicle.controller import COMMAND_RATE
-from nnql_bullet.vehicle.profiles import plan_turn, rolled_path, sample_turn
+from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.profiles import plan_turn, rolled_path, sample_ramp, sample_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cause = Literal["slip", "tracking lag", "grazing contact", "other"]
@@ -42,21 +42,22 @@ class PeriodErrors:
     slip: Array
     """Distance from odometry's end to the true one."""
     distance: Array
-    """Distance driven at the commanded speed."""
+    """Distance driven at the drive's speed."""
 
 
-def period_errors(recording: Recording, vehicle: VehicleSpec, speed: float) -> PeriodErrors:
+def period_errors(recording: Recording, vehicle: VehicleSpec, drive: DriveOptions) -> PeriodErrors:
     """Measures the lag and slip of every control period of a recording.
 
     Args:
         recording: The drive.
         vehicle: The vehicle that drove.
-        speed: Commanded speed of the drive [m/s].
+        drive: Options of its controller.
     """
+    goals = drive.speed * speed_scale(recording.action, drive)
     n = len(recording.action)
     times = np.concatenate([[0.0], recording.sample_time])
     wheels = np.concatenate([np.zeros((1, 2)), recording.joint_angles[:, :2]]) * vehicle.wheel_radius
-    rate, lag, slip, distance = 0.0, np.zeros(n), np.zeros(n), np.zeros(n)
+    rate, speed, lag, slip, distance = 0.0, drive.speed, np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(n):
         begin, end = recording.state_time[k], recording.state_time[k + 1]
         start, reached = recording.state_pose[k], recording.state_pose[k + 1]
@@ -64,13 +65,16 @@ def period_errors(recording: Recording, vehicle: VehicleSpec, speed: float) -> P
         instants = np.arange(round((end - begin) * COMMAND_RATE) + 1) / COMMAND_RATE
         instants[-1] = end - begin
         rates, headings = sample_turn(turn, instants)
-        rate = float(rates[-1])
-        ideal = rolled_path(start[2], np.diff(instants) * speed, np.diff(headings))[-1]
+        speeds = np.empty(len(instants))
+        sample_ramp(speed, float(goals[k]), vehicle.limits.acceleration, instants, speeds)
+        rate, speed = float(rates[-1]), float(speeds[-1])
+        ways = np.diff(instants) * (speeds[:-1] + speeds[1:]) / 2
+        ideal = rolled_path(start[2], ways, np.diff(headings))[-1]
         within = (times > begin - 1e-9) & (times < end + 1e-9)
         left, right = np.diff(wheels[within], axis=0).T
         known = rolled_path(start[2], (left + right) / 2, (right - left) / vehicle.track)[-1]
         lag[k], slip[k] = hypot(*(known - ideal)), hypot(*(reached[:2] - start[:2] - known))
-        distance[k] = (end - begin) * speed
+        distance[k] = (end - begin) * drive.speed
     return PeriodErrors(lag, slip, distance)
 
 
@@ -114,7 +118,7 @@ class Explanation:
     """Clearance of one drive at the place where the other collided [m]; infinite if it did not pass that place."""
 
 
-def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: float) -> Explanation:
+def explain(first: Recording, second: Recording, vehicle: VehicleSpec, drive: DriveOptions) -> Explanation:
     """Explains why two drives through one world ended differently.
 
     The cause is slip or lag, the larger in total, if one of them exceeds `NOTABLE` in a control period before the first
@@ -125,11 +129,11 @@ def explain(first: Recording, second: Recording, vehicle: VehicleSpec, speed: fl
         first: A drive.
         second: Another drive through the same world.
         vehicle: The vehicle that drove.
-        speed: Commanded speed of the drives [m/s].
+        drive: Options of its controller.
     """
     k = parting(first, second)
     until = max(k, 1)
-    parts = [period_errors(recording, vehicle, speed) for recording in (first, second)]
+    parts = [period_errors(recording, vehicle, drive) for recording in (first, second)]
     slip = max(float(np.max((part.slip / part.distance)[:until])) for part in parts)
     lag = max(float(np.max((part.lag / part.distance)[:until])) for part in parts)
     slipped = sum(float(np.sum(part.slip[:until])) for part in parts)
@@ -158,7 +162,7 @@ def _q_margin(first: Recording, second: Recording, k: int) -> float:
     if k == min(len(first.action), len(second.action)):
         return float("nan")
     one, other = int(first.action[k]), int(second.action[k])
-    if TOWARD_TARGET in (one, other):
+    if max(one, other) >= TOWARD_TARGET:  # only the five turns have values
         return float("nan")
     q_one, q_other = first.q_values[k], second.q_values[k]
     return float(min(q_one[one] - q_one[other], q_other[other] - q_other[one]))

@@ -1,44 +1,66 @@
 """Drives policies through worlds, in pieces of work."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from nnql_bullet import __version__
+from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.splits import BLOCK, SplitName, check_frozen, load_frozen, split_seeds
+from nnql_bullet.evaluation.splits import BLOCK, Draws, check_frozen, load_frozen
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.files import is_file
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, SimulatorName
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
+from nnql_bullet.worlds.importers import READERS
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.spec import WorldSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A world of a tier."""
+
+    file: str
+    """A shipped world or a TOML file; the name of one made in code."""
+    seed: int
+    digest: str
+    """Its hash."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A world file that nothing drives through."""
+
+    file: str
+    reason: str
+    """What is wrong with it, in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tier:
-    """Worlds of one file."""
+    """Worlds that are counted together: of one file, or of the files of a folder."""
 
     file: str
-    """A shipped world or a TOML file."""
+    """A shipped world, a TOML file or a folder."""
     name: str
     cover: float | None
     """Share of the arena under boxes, if the layout is of random boxes without patrols; else None."""
-    seeds: range
-    digests: tuple[str, ...]
-    """Hashes of the worlds."""
+    worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
     given: World | None = None
@@ -50,30 +72,38 @@ class Tier:
         return self.name if self.cover is None else f"{100 * self.cover:g} % cover"
 
     @property
-    def world(self) -> str | World:
-        """The value for a configuration's key `world`."""
-        return self.given or self.file
+    def is_folder(self) -> bool:
+        """Whether its worlds are of the files of a folder."""
+        return any(world.file != self.file for world in self.worlds)
 
-    def block(self, first: int) -> range:
-        """Returns the seeds of a piece of work that begins with world number `first` of the tier."""
-        return self.seeds[first : first + BLOCK]
+    def kind(self, world: Drawn) -> str | World:
+        """Returns the value of a configuration's key `world` for a world of the tier."""
+        return self.given or world.file
 
-    def drawn(self, first: int) -> tuple[str, ...]:
+    def block(self, first: int) -> tuple[Drawn, ...]:
+        """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
+        return self.worlds[first : first + BLOCK]
+
+    def part(self, first: int) -> tuple[str, ...]:
         """Returns the seeds and hashes of the worlds of such a piece."""
-        return *map(str, self.block(first)), *self.digests[first : first + BLOCK]
+        block = self.block(first)
+        return *(str(world.seed) for world in block), *(world.digest for world in block)
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Split, simulator and conditions of an evaluation."""
+    """Simulator and conditions of an evaluation."""
 
-    split: SplitName
     simulator: SimulatorName
     physics: PhysicsName
     conditions: Conditions | None = None
     """Conditions that replace each policy's own; None keeps those."""
     allow_impassable: bool = False
     """Whether worlds are taken as they are drawn, even if the vehicle is too wide for every path."""
+    start: tuple[float, ...] | None = None
+    """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
+    target: tuple[float, ...] | None = None
+    """In place of each world's own [m]."""
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -83,6 +113,8 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            "start": self.start,
+            "target": self.target,
         }
 
     @property
@@ -90,14 +122,15 @@ class Setting:
         """Title for people."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
         conditions = [self.conditions.title] if self.conditions else []
-        return ", ".join((f"{self.split} worlds", where, *conditions))
+        return ", ".join((where, *conditions))
 
     @property
     def flags(self) -> list[str]:
-        """Flags of the setting on a command line, without the split."""
+        """Flags of the setting on a command line."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
-        return ["--sim", self.simulator, *physics, *impassable, *flags({"conditions": self.conditions})]
+        changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
+        return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
 def check_setting(policy: Policy, setting: Setting) -> None:
@@ -109,13 +142,38 @@ def check_setting(policy: Policy, setting: Setting) -> None:
     load_policy(policy.source, setting.changes).experiment.simulator.close()
 
 
-def distinct(seeds: range, experiment: Experiment, policies: Sequence[Policy]) -> range:
-    """The seeds that give drives of their own: only the first where all worlds are the same and nothing is random."""
-    noisy = experiment.config.conditions.sensor_noise > 0
-    if noisy or any(policy.custom or policy.kind == RandomTurnsOptions.kind for policy in policies):
-        return seeds
-    first = experiment.world(seeds[0]).digest
-    return seeds if any(experiment.world(seed).digest != first for seed in seeds[1:]) else seeds[:1]
+def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
+    """Whether drives of a policy through one and the same world may differ.
+
+    Args:
+        policy: The policy; an object of the caller's own may do anything.
+        changes: Changes to its configuration.
+    """
+    noisy = load_policy(policy.source, changes).experiment.config.conditions.sensor_noise > 0
+    return noisy or policy.custom is not None or policy.kind == RandomTurnsOptions.kind
+
+
+def distinct(experiment: Experiment, kind: World, seeds: range, chance: bool) -> dict[int, str]:
+    """Draws the worlds of those seeds that give drives of their own.
+
+    Args:
+        experiment: Draws the worlds.
+        kind: The kind of worlds.
+        seeds: The seeds.
+        chance: Whether drives through the same world may differ.
+
+    Returns:
+        The hashes of worlds by seed; only the first where all worlds are the same and nothing is random.
+
+    Raises:
+        UserError: If a world cannot be drawn.
+    """
+    drawn = seeds if kind.is_random else seeds[:1]
+    digests = {seed: experiment.draw(kind, seed).digest for seed in drawn}
+    first = digests[seeds[0]]
+    if chance:
+        return dict.fromkeys(seeds, first) | digests
+    return {seeds[0]: first} if set(digests.values()) == {first} else digests
 
 
 def _cover_of(world: World) -> float | None:
@@ -128,37 +186,81 @@ def _cover_of(world: World) -> float | None:
 
 
 def draw_tiers(
-    given: Sequence[str | Path | World], setting: Setting, worlds: int, policies: Sequence[Policy]
-) -> list[Tier]:
-    """Draws and checks the first worlds of a split, of each kind; of a fixed world one, as all drives are the same.
+    given: Sequence[str | Path | World], draws: Draws, setting: Setting, policies: Sequence[Policy]
+) -> tuple[list[Tier], list[Refused]]:
+    """Draws and checks worlds of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, TOML files or worlds made in code.
-        setting: The setting, with the split.
-        worlds: Number of worlds of each kind.
+        given: Shipped worlds, files, folders of files, or worlds made in code.
+        draws: Which worlds of each kind.
+        setting: The setting.
         policies: The policies; the vehicle of the first gives the width of the free path.
 
+    Returns:
+        The tiers, each with a world at least, and the files that are wrong or have a world that cannot be drawn.
+
     Raises:
-        UserError: If a world is wrong or given twice, or is not the frozen one.
+        UserError: If there is no such world, one is given twice or is not the frozen one, or all files are refused.
     """
-    all_seeds, frozen, policy = split_seeds(setting.split, worlds), load_frozen(), policies[0]
+    chance = any([has_chance(policy, setting.changes) for policy in policies])
     tiers: list[Tier] = []
-    for one in given:
-        file = one if isinstance(one, World) else str(one)
-        experiment = load_policy(policy.source, {"world": file, **setting.changes}).experiment
-        world = experiment.worlds
-        if world.name in [tier.name for tier in tiers]:
-            raise UserError(f"there are two worlds named '{world.name}'; give each once")
-        named = "" if isinstance(file, World) else file
-        checked = not setting.allow_impassable and check_frozen(
-            named, setting.split, worlds, policy.vehicle_width, experiment.world, frozen
+    refused: list[Refused] = []
+    errors: list[UserError] = []
+    for one in [one if isinstance(one, World) else str(one) for one in given]:
+        files = _files(one)
+        worlds: list[Drawn] = []
+        experiment: Experiment | None = None
+        for file in files:
+            shown = file.name if isinstance(file, World) else file
+            try:
+                experiment = experiment or _experiment_of(policies[0], file, setting)
+                kind = experiment.kind(file)
+                digests = distinct(experiment, kind, draws.seeds, chance)
+            except UserError as error:
+                refused.append(Refused(shown, str(error).removeprefix(f"{shown}: ")))
+                errors.append(error)
+            else:
+                worlds += [Drawn(shown, seed, digest) for seed, digest in digests.items()]
+        if experiment is None or not worlds:
+            continue
+        of_folder = files != [one]
+        name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
+        if name in [tier.name for tier in tiers]:
+            raise UserError(f"there are two worlds named '{name}'; give each once")
+        checked = (
+            not (setting.allow_impassable or setting.start or setting.target)
+            and draws.split is not None
+            and isinstance(one, str)
+            and check_frozen(
+                one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
+            )
         )
-        seeds = distinct(all_seeds, experiment, policies)
-        digests = tuple(experiment.world(seed).digest for seed in seeds)
-        cover = _cover_of(world)
-        code = file if isinstance(file, World) else None
-        tiers.append(Tier(named or world.name, world.name, cover, seeds, digests, checked, code))
-    return tiers
+        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
+        shown = one.name if isinstance(one, World) else one
+        tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
+    if not tiers:
+        if len(errors) == 1:
+            raise errors[0]
+        raise UserError(f"all {len(refused)} worlds are refused; the first, {refused[0].file}: {refused[0].reason}")
+    return tiers, refused
+
+
+def _files(given: str | World) -> Sequence[str | World]:
+    """The world files of a folder in the order of their names; any other world as it is.
+
+    Raises:
+        UserError: If there is no such world, or a folder has none.
+    """
+    if isinstance(given, World):
+        return [given]
+    if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
+        assets.find("worlds", given)
+        return [given]
+    suffixes = (".toml", *READERS)
+    files = sorted(path for path in Path(given).glob("[!.]*") if path.suffix.lower() in suffixes and is_file(path))
+    if not files:
+        raise UserError(f"{given}: is a folder without worlds; give another one")
+    return [str(path) for path in files]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +288,7 @@ class DriveTask(_BlockTask):
         if self.policy.custom:
             return ""
         where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
-        return part_name("drives", self.policy.fingerprint, *where, *self.tier.drawn(self.first))
+        return part_name("drives", self.policy.fingerprint, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -195,20 +297,26 @@ def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Sett
         DriveTask(policy, tier, setting, first)
         for policy in policies
         for tier in tiers
-        for first in range(0, len(tier.seeds), BLOCK)
+        for first in range(0, len(tier.worlds), BLOCK)
     ]
 
 
 def drive(task: DriveTask) -> list[EpisodeSummary]:
     """Drives through the worlds of a piece: in the kinematic model all at once, in contact physics one by one."""
-    seeds = task.tier.block(task.first)
     if task.setting.simulator == "kinematic":
-        experiment = _experiment(task.policy, task.tier.world, task.setting, len(seeds))
+        experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
             navigation = Navigation(simulator, experiment.config.task)
-            return run_episodes(navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
-    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
-    return run_episodes(experiment.navigation, [experiment.world(seed) for seed in seeds], experiment.policy)
+            return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
+    experiment = _experiment(task.policy, task.tier, task.setting, 1)
+    return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)
+
+
+def _drawn(experiment: Experiment, task: _BlockTask) -> list[WorldSpec]:
+    """Draws the worlds of a piece."""
+    block = task.tier.block(task.first)
+    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in block}
+    return [experiment.draw(kinds[world.file], world.seed) for world in block]
 
 
 class SurveyTask(_BlockTask):
@@ -217,19 +325,18 @@ class SurveyTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("survey", self.policy.vehicle_width, *self.tier.drawn(self.first))
+        return part_name("survey", self.policy.vehicle_width, *self.tier.part(self.first))
 
 
 def survey(task: SurveyTask) -> list[Difficulty]:
     """Measures the difficulty of each world of a piece."""
-    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
-    seeds = task.tier.block(task.first)
-    return [difficulty(experiment.world(seed), experiment.vehicle.width) for seed in seeds]
+    experiment = _experiment(task.policy, task.tier, task.setting, 1)
+    return [difficulty(world, experiment.vehicle.width) for world in _drawn(experiment, task)]
 
 
 def survey_tasks(policy: Policy, tiers: Sequence[Tier], setting: Setting) -> list[SurveyTask]:
     """Lists the measurements of all worlds, in pieces."""
-    return [SurveyTask(policy, tier, setting, first) for tier in tiers for first in range(0, len(tier.seeds), BLOCK)]
+    return [SurveyTask(policy, tier, setting, first) for tier in tiers for first in range(0, len(tier.worlds), BLOCK)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,27 +346,34 @@ class FilmTask:
     policy: Policy
     tier: Tier
     setting: Setting
-    seed: int
-    """Seed of the world."""
+    world: Drawn
+
+    @property
+    def where(self) -> str:
+        """Kind, file of a folder and seed of the world, for people."""
+        stem = (Path(self.world.file).stem,) if self.tier.is_folder else ()
+        return ", ".join((self.tier.title, *stem, f"seed {self.world.seed}"))
 
     @property
     def name(self) -> str:
         """Name of the recording's file."""
-        return f"{self.policy.name.replace('/', '_')}-{self.tier.name}-{self.seed}.npz"
+        stem = (Path(self.world.file).stem,) if self.tier.is_folder else ()
+        return "-".join((self.policy.name.replace("/", "_"), self.tier.name, *stem, f"{self.world.seed}.npz"))
 
     @property
     def replay(self) -> str:
         """Command line that repeats the drive."""
-        where = ["--world", self.tier.file, "--seed", str(self.seed)]
+        where = ["--world", self.world.file, "--seed", str(self.world.seed)]
         shield = ["--shield"] if self.policy.shielded else []
         return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
 
 
 def film(task: FilmTask) -> Recording:
     """Repeats and records a drive."""
-    experiment = _experiment(task.policy, task.tier.world, task.setting, 1)
+    experiment = _experiment(task.policy, task.tier, task.setting, 1)
+    world = experiment.draw(experiment.kind(task.tier.kind(task.world)), task.world.seed)
     recorder = Recorder(experiment.vehicle)
-    run_episode(experiment.navigation, experiment.world(task.seed), experiment.policy, watcher=recorder)
+    run_episode(experiment.navigation, world, experiment.policy, watcher=recorder)
     config = experiment.config
     return recorder.recording(
         policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__
@@ -267,6 +381,10 @@ def film(task: FilmTask) -> Recording:
 
 
 @lru_cache(maxsize=4)  # so that a worker does not make a new simulator for every piece
-def _experiment(policy: Policy, world: str | World, setting: Setting, vehicles: int) -> Experiment:
+def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> Experiment:
+    return _experiment_of(policy, tier.kind(tier.worlds[0]), setting, vehicles)
+
+
+def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
     changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
     return load_policy(policy.source, changes).experiment

@@ -1,7 +1,7 @@
 """Groups failed drives by features of their end, computed from recordings.
 
-The group of a collision depends on the obstacle, the angle, and the turns before it; the group of a timeout on the last
-minute of the drive. Groups describe observations, not causes.
+The group of a collision depends on the obstacle, the angle, and the turns before it; that of another failure on the
+last minute of the drive. Groups describe observations, not causes.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,15 @@ from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_row
 from nnql_bullet.recording import Recording
 from nnql_bullet.worlds.spec import track_velocities
 
-Group = Literal["struck", "flank", "dithering", "head-on", "target circling", "circling", "trapped", "wandering"]
+Group = Literal[
+    "struck", "flank", "dithering", "head-on", "stuck", "target circling", "circling", "trapped", "wandering"
+]
 GROUPS: dict[Group, str] = {
     "struck": "A moving box ran into the vehicle: most of the speed at which they met was the box's.",
     "flank": "It grazed something: with its side, or with a corner at a small angle.",
     "dithering": "It turned to one side, the other and back again, and so went straight on into what was ahead.",
     "head-on": "It ran into something ahead.",
+    "stuck": "It stayed about one place, turning or to and fro, until the episode was ended.",
     "target circling": "Time ran out near the target: round it, or past it again and again.",
     "circling": "Time ran out while it turned the same way, round after round.",
     "trapped": "Time ran out while it went, to and fro or in loops, where it had been before: it found no other way.",
@@ -39,7 +42,7 @@ SMALLEST_TURN = pi / 12
 REVERSALS = 2
 """Smallest number of changes of side in dithering: left, right, left."""
 LAST_PART = 60.0
-"""Length of the last part of a timeout [s]; the paper's vehicle can cross its arena in it."""
+"""Length of the last part of a drive that ran out of time [s]; the paper's vehicle can cross its arena in it."""
 NEAR_TARGET = 10.0
 """Largest distance from the target of a vehicle that circles it [m]: the sensors' range."""
 ROUNDS = 2.0
@@ -75,7 +78,10 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Timeout:
-    """The last part of a timeout, `LAST_PART` long."""
+    """The last part of a drive that neither arrived nor collided, `LAST_PART` long."""
+
+    stuck: bool
+    """Whether it ended because the vehicle stayed about one place."""
 
     extent: float
     """Longer side of the rectangle, parallel to the walls, around the path [m]."""
@@ -103,7 +109,7 @@ class Features:
 
 
 def features(recording: Recording) -> Features:
-    """Computes the features of a recorded drive that ended in a collision or timeout."""
+    """Computes the features of a recorded drive that did not end at the target."""
     away = np.hypot(*(recording.sample_pose[:, :2] - recording.world.target).T)
     return Features(
         time=float(recording.state_time[-1]),
@@ -128,6 +134,8 @@ def _group_of_contact(contact: Contact) -> Group:
 
 
 def _group_of_timeout(late: Timeout) -> Group:
+    if late.stuck:
+        return "stuck"
     if late.farthest <= NEAR_TARGET:
         return "target circling"
     if abs(late.rounds) >= ROUNDS:
@@ -218,6 +226,7 @@ def _timeout(recording: Recording, away: Array) -> Timeout:
     x, y, yaw = recording.sample_pose[late].T
     turned = np.unwrap(yaw)
     return Timeout(
+        stuck=recording.about["ending"] == "stuck",
         extent=float(max(np.ptp(x), np.ptp(y))),
         rounds=float(turned[-1] - turned[0]) / (2 * pi),
         revisited=_revisited(recording),

@@ -12,7 +12,7 @@ from nnql_bullet import __version__
 from nnql_bullet.commands import flags
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
-from nnql_bullet.evaluation.splits import SplitName
+from nnql_bullet.evaluation.splits import Draws
 from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
@@ -107,7 +107,7 @@ def drive_pairs(task: PairTask) -> list[Pair]:
         (first, one), (second, other) = drives
         explanation = None
         if first.ending != second.ending:
-            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive.speed)
+            explanation = explain(one, other, sides[0].vehicle, sides[0].config.drive)
         k = parting(one, other)
         times, distances = apart(one, other)
         parted = float(times[k]) if k < len(times) else float("inf")
@@ -177,8 +177,8 @@ class Gap:
     """Of the policies: see `policies.fingerprint`."""
     world: str | None
     """Another world file than the policies were trained in."""
-    split: SplitName
-    seeds: range
+    draws: Draws
+    """Which worlds; only the first is driven through where all are the same and nothing is random."""
     first: Side
     second: Side
     pairs: list[Pair]
@@ -186,6 +186,8 @@ class Gap:
     """With faults; may be empty."""
     conditions: Conditions | None = None
     """In place of each policy's own; None leaves those."""
+    ends: tuple[str, ...] = ()
+    """Flags of a start and a target in place of the world's own."""
 
     @property
     def flips(self) -> list[Pair]:
@@ -202,15 +204,16 @@ class Gap:
     @property
     def command(self) -> str:
         """What measures it again."""
-        worlds = ["--worlds", str(len(self.seeds)), "--split", self.split]
-        world = ["--world", self.world] if self.world else []
+        world = ["--world", self.world, *self.ends] if self.world else []
         sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
         faults = [] if self.trials else ["--no-faults"]
-        return shell_line("nnql-bullet", "gap", *self.runs, *world, *worlds, *sides, *faults, *self._conditions)
+        return shell_line(
+            "nnql-bullet", "gap", *self.runs, *world, *self.draws.flags, *sides, *faults, *self._conditions
+        )
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
-        world = ["--world", self.world] if self.world else []
+        world = ["--world", self.world, *self.ends] if self.world else []
         physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
         where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._conditions]
         return shell_line("nnql-bullet", "drive", pair.run, *world, *where)
@@ -238,7 +241,7 @@ WORLDS_AT_A_TIME = 5
 def tasks(
     policies: Sequence[Policy],
     world: str | World | None,
-    seeds: range,
+    seeds: Sequence[range],
     first: Side,
     second: Side,
     conditions: Conditions | None,
@@ -246,11 +249,14 @@ def tasks(
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
-    A fault takes the place of the same condition. The kinematic model has no friction and no mass: there, only faults
-    of the sensors are tried.
+    Each policy drives through the worlds of its own seeds. A fault takes the place of the same condition. The kinematic
+    model has no friction and no mass: there, only faults of the sensors are tried.
     """
-    chunks = [seeds[k : k + WORLDS_AT_A_TIME] for k in range(0, len(seeds), WORLDS_AT_A_TIME)]
-    shares = [(policy, chunk) for policy in policies for chunk in chunks]
+    shares = [
+        (policy, its[k : k + WORLDS_AT_A_TIME])
+        for policy, its in zip(policies, seeds, strict=True)
+        for k in range(0, len(its), WORLDS_AT_A_TIME)
+    ]
     pairs = [PairTask(policy, world, chunk, first, second, conditions) for policy, chunk in shares]
     wrong = [
         (side, fault, replace(conditions or Conditions(), **its.changes))
@@ -267,7 +273,7 @@ def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
 
 
 def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
-    """How many drives ended how, (3, 3) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    """How many drives ended how, (4, 4) in the order of `task.ENDINGS`: rows the first side, columns the second."""
     matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
     for pair in pairs:
         matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1

@@ -1,14 +1,15 @@
 """Computes metrics of drives: outcomes with intervals, quality of the drives, and tests between methods."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from statistics import fmean
 
 import numpy as np
 
-from nnql_bullet.evaluation.drives import Setting, Tier
+from nnql_bullet.evaluation.drives import Refused, Setting, Tier
 from nnql_bullet.evaluation.policies import Policy
+from nnql_bullet.evaluation.splits import Draws
 from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion, success_over_seeds
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng
@@ -24,6 +25,10 @@ EVERYWHERE = "all worlds"
 class Evaluation:
     """Drives of several policies through the same worlds."""
 
+    asked: Sequence[str]
+    """Shipped worlds, TOML files and folders that were asked for."""
+    draws: Draws
+    """Which worlds of each kind."""
     setting: Setting
     policies: Sequence[Policy]
     tiers: Sequence[Tier]
@@ -31,6 +36,15 @@ class Evaluation:
     """Difficulties of a tier's worlds, by the tier's name."""
     drives: Mapping[tuple[str, str], Sequence[EpisodeSummary]]
     """Summaries in the order of a tier's worlds, by the names of the policy and the tier."""
+    refused: Sequence[Refused] = ()
+    """Files that nothing drove through."""
+    random: frozenset[str] = frozenset()
+    """Names of policies that draw random numbers, or whose sensors do."""
+
+    @property
+    def title(self) -> str:
+        """Worlds, simulator and conditions, for people."""
+        return f"{self.draws.title}, {self.setting.title}"
 
     @property
     def methods(self) -> list[str]:
@@ -41,10 +55,9 @@ class Evaluation:
     def command(self) -> str:
         """Command line that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
-        worlds = ",".join(tier.file for tier in self.tiers)
-        count = ["--worlds", str(max(len(tier.seeds) for tier in self.tiers)), "--split", self.setting.split]
+        worlds = ",".join(self.asked)
         flags = [*(["--shield"] if self.shielded else []), *self.setting.flags]
-        return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *count, *flags)
+        return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *self.draws.flags, *flags)
 
     @property
     def shielded(self) -> bool:
@@ -61,6 +74,22 @@ class Evaluation:
         """Returns the policies of a method."""
         return [policy for policy in self.policies if policy.method == method]
 
+    def counted(self, policy: Policy, tier: Tier) -> list[int]:
+        """Returns the places of those worlds of a tier whose drives count for a policy.
+
+        Copies of a drive do not count. Of drives through equal worlds the first of each seed does; and only the first
+        of all if they are equal to the last bit, unless the policy draws random numbers.
+        """
+        drives: dict[str, list[EpisodeSummary]] = {}
+        for world, summary in zip(tier.worlds, self.drives[policy.name, tier.name], strict=True):
+            drives.setdefault(world.digest, []).append(replace(summary, world_seed=0))
+        alike = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
+        fixed = alike if policy.name not in self.random else set()
+        first: dict[tuple[str, int], int] = {}
+        for place, world in enumerate(tier.worlds):
+            first.setdefault((world.digest, -1 if world.digest in fixed else world.seed), place)
+        return list(first.values())
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -72,7 +101,7 @@ class Row:
     policies: int
     """Number of policies, one for each training seed."""
     drives: int
-    """Number of drives."""
+    """Number of drives; copies of one another count once."""
     outcomes: dict[str, Estimate]
     """Proportion of each ending, over all drives."""
     over_seeds: Estimate | None
@@ -80,7 +109,8 @@ class Row:
     by_seed: tuple[float, ...]
     """Success of each policy."""
     spl: float
-    """Success weighted by path length (Anderson et al., arXiv 1807.06757): mean of success x shortest / driven."""
+    """Success weighted by path length (Anderson et al., arXiv 1807.06757), from 0 to 1: mean of success x shortest /
+    max(driven, shortest)."""
     path_ratio: float
     """Driven over shortest path length, mean over the drives that reach the target; NaN if none does."""
     time: float
@@ -99,6 +129,8 @@ class Row:
     """Share of decisions that a shield replaced."""
     stops: float
     """Share of decisions to stop or to turn on the spot."""
+    reverses: float
+    """Share of decisions to drive backwards."""
     standing: float
     """Time at a standstill in a drive, mean over all drives [s]."""
 
@@ -112,15 +144,15 @@ def rows(evaluation: Evaluation) -> list[Row]:
 def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
     policies = e.of_method(method)
     drives = [
-        (summary, d.shortest_path)
+        (e.drives[policy.name, tier.name][place], e.difficulties[tier.name][place].shortest_path)
         for tier in tiers
         for policy in policies
-        for summary, d in zip(e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
+        for place in e.counted(policy, tier)
     ]
     summaries = [summary for summary, _ in drives]
     endings, steps = [summary.ending for summary in summaries], sum(summary.steps for summary in summaries)
     arrived = [(summary, shortest) for summary, shortest in drives if summary.ending == "goal"]
-    scores = [np.array([_success(e.drives[policy.name, tier.name]) for policy in policies]) for tier in tiers]
+    scores = [np.array([_success(e, policy, tier) for policy in policies]) for tier in tiers]
     return Row(
         method=method,
         world=world,
@@ -129,7 +161,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         outcomes={ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS},
         over_seeds=success_over_seeds(scores, rng(0, Stream.BOOTSTRAP)),
         by_seed=tuple(np.mean(scores, axis=0).tolist()),
-        spl=sum(shortest / max(summary.path_length, shortest) for summary, shortest in arrived) / len(drives),
+        spl=sum(_directness(summary.path_length, shortest) for summary, shortest in arrived) / len(drives),
         path_ratio=_mean([summary.path_length / shortest for summary, shortest in arrived]),
         time=_mean([summary.duration for summary, _ in arrived]),
         clearance=_mean([summary.clearance for summary, _ in arrived]),
@@ -139,6 +171,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         non_safe=sum(summary.non_safe_steps for summary in summaries) / steps,
         overridden=sum(summary.overridden_steps for summary in summaries) / steps,
         stops=sum(summary.stop_steps for summary in summaries) / steps,
+        reverses=sum(summary.reverse_steps for summary in summaries) / steps,
         standing=_mean([summary.standing_time for summary in summaries]),
     )
 
@@ -162,26 +195,38 @@ class Quarter:
 def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
     """Computes success in each quarter of every tier, from the narrowest bottlenecks to the widest.
 
-    A tier whose worlds are fewer than four, or have the same bottleneck, has no quarters.
+    Equal worlds count once. A tier whose worlds are fewer than four, or have the same bottleneck, has no quarters.
     """
     e, found = evaluation, []
     for tier in e.tiers:
-        widths = np.array([its.bottleneck for its in e.difficulties[tier.name]])
+        surveyed = zip(tier.worlds, e.difficulties[tier.name], strict=True)
+        by_digest = {world.digest: its.bottleneck for world, its in surveyed}
+        digests, widths = np.array(list(by_digest)), np.array(list(by_digest.values()))
         if len(widths) < 4 or np.ptp(widths) == 0.0:
             continue
         for quarter in np.array_split(np.argsort(widths, kind="stable"), 4):
-            success = {}
+            its_worlds, success = set(digests[quarter].tolist()), {}
             for method in e.methods:
-                drives = [e.drives[policy.name, tier.name] for policy in e.of_method(method)]
-                endings = [its[k].ending for its in drives for k in quarter.tolist()]
+                endings = [
+                    e.drives[policy.name, tier.name][place].ending
+                    for policy in e.of_method(method)
+                    for place in e.counted(policy, tier)
+                    if tier.worlds[place].digest in its_worlds
+                ]
                 success[method] = proportion(endings.count("goal"), len(endings))
             narrowest, widest = widths[quarter[[0, -1]]].tolist()
             found.append(Quarter(tier.name, narrowest, widest, len(quarter), success))
     return found
 
 
-def _success(summaries: Sequence[EpisodeSummary]) -> float:
-    return fmean(summary.ending == "goal" for summary in summaries)
+def _success(e: Evaluation, policy: Policy, tier: Tier) -> float:
+    summaries = e.drives[policy.name, tier.name]
+    return fmean(summaries[place].ending == "goal" for place in e.counted(policy, tier))
+
+
+def _directness(driven: float, shortest: float) -> float:
+    """The shortest over the driven path of a drive that arrived: 1 if it drove no farther than that."""
+    return shortest / driven if driven > shortest else 1.0
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -214,10 +259,10 @@ def comparisons(evaluation: Evaluation) -> list[Comparison]:
     for world, tiers in e.groups:
         for first, second in combinations(e.methods, 2):
             pairs = [
-                (one.ending == "goal", other.ending == "goal")
+                tuple(e.drives[policy.name, tier.name][place].ending == "goal" for policy in pair)
                 for tier in tiers
-                for a, b in _paired(e.of_method(first), e.of_method(second))
-                for one, other in zip(e.drives[a.name, tier.name], e.drives[b.name, tier.name], strict=True)
+                for pair in _paired(e.of_method(first), e.of_method(second))
+                for place in sorted({place for policy in pair for place in e.counted(policy, tier)})
             ]
             only_first, only_second = pairs.count((True, False)), pairs.count((False, True))
             p_value = mcnemar(only_first, only_second)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import FilmTask, Setting, Tier, film
+from nnql_bullet.evaluation.drives import Drawn, FilmTask, Setting, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
-from nnql_bullet.files import is_file, read_json
+from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions
 from nnql_bullet.text import shell_line
@@ -29,7 +29,7 @@ class FailedDrive:
     @property
     def seed(self) -> int:
         """Seed of the world."""
-        return self.film.seed
+        return self.film.world.seed
 
     @property
     def place(self) -> tuple[str, str]:
@@ -39,7 +39,7 @@ class FailedDrive:
     @property
     def title(self) -> str:
         """Title for people."""
-        return f"{self.film.policy.name} in {self.film.tier.title}, seed {self.seed}"
+        return f"{self.film.policy.name} in {self.film.where}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,29 +66,30 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else parse(Conditions, values["conditions"], "conditions")
         impassable = bool(values.get("allow_impassable", False))
-        setting = Setting(values["split"], values["simulator"], values["physics"], conditions, impassable)
+        ends = [None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")]
+        setting = Setting(values["simulator"], values["physics"], conditions, impassable, *ends)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(
                 file=tier["file"],
                 name=tier["name"],
                 cover=tier["cover"],
-                seeds=range(tier["worlds"][0]["seed"], tier["worlds"][-1]["seed"] + 1),
-                digests=tuple(world["digest"] for world in tier["worlds"]),
+                worlds=tuple(
+                    Drawn(world.get("file", tier["file"]), world["seed"], world["digest"]) for world in tier["worlds"]
+                ),
                 frozen=tier["frozen"],
             )
             for tier in values["tiers"]
         }
-        with (folder / "episodes.csv").open(encoding="utf-8-sig", newline="") as file:
-            failed = [
-                FailedDrive(
-                    FilmTask(policies[row["policy"]], tiers[row["world"]], setting, int(row["world_seed"])),
-                    row["ending"],
-                    int(row["steps"]),
-                )
-                for row in csv.DictReader(file)
-                if row["ending"] != "goal"
-            ]
+        with plain_file(folder / "episodes.csv").open(encoding="utf-8-sig", newline="") as file:
+            failed = []
+            for row in csv.DictReader(file):
+                if row["ending"] != "goal":
+                    tier = tiers[row["world"]]
+                    place = row.get("file", tier.file), int(row["world_seed"])
+                    (world,) = [its for its in tier.worlds if (its.file, its.seed) == place]
+                    task = FilmTask(policies[row["policy"]], tier, setting, world)
+                    failed.append(FailedDrive(task, row["ending"], int(row["steps"])))
         return FinishedEvaluation(values["command"], failed)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, csv.Error) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
@@ -98,10 +99,10 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
 def finished(evaluation: Evaluation) -> FinishedEvaluation:
     """Lists the failed drives of an evaluation."""
     failed = [
-        FailedDrive(FilmTask(policy, tier, evaluation.setting, one.world_seed), one.ending, one.steps)
+        FailedDrive(FilmTask(policy, tier, evaluation.setting, world), one.ending, one.steps)
         for policy in evaluation.policies
         for tier in evaluation.tiers
-        for one in evaluation.drives[policy.name, tier.name]
+        for world, one in zip(tier.worlds, evaluation.drives[policy.name, tier.name], strict=True)
         if one.ending != "goal"
     ]
     return FinishedEvaluation(evaluation.command, failed)
@@ -179,8 +180,7 @@ def check_replay(evaluation: FinishedEvaluation, replayed: Replay) -> None:
         UserError: If the drive or its world differs.
     """
     failed, again = replayed.failed, f"evaluate anew: {evaluation.command}"
-    tier = failed.film.tier
-    if replayed.digest != tier.digests[tier.seeds.index(failed.seed)]:
+    if replayed.digest != failed.film.world.digest:
         raise UserError(f"{failed.title}: its world is not what it was, the world file or program changed; {again}")
     if (replayed.ending, replayed.steps) != (failed.ending, failed.steps):
         raise UserError(

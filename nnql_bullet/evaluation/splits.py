@@ -25,6 +25,8 @@ BLOCK = 25
 """Number of worlds that share a hash."""
 FROZEN = 1000
 """Number of worlds of each split that have a hash."""
+MOST_SEEDS = 100_000
+"""Largest number of seeds of the caller's own."""
 _FILE = "splits.json"
 
 
@@ -47,6 +49,47 @@ def split_seeds(split: SplitName, worlds: int) -> range:
     if not 1 <= worlds <= FROZEN:
         raise UserError(f"the number of worlds must be from 1 to {FROZEN}, the worlds that are frozen, not {worlds}")
     return SPLITS[split][:worlds]
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """Which worlds of each kind are drawn."""
+
+    seeds: range
+    split: SplitName | None
+    """The split whose first worlds they are; None for seeds of the caller's own."""
+
+    @property
+    def title(self) -> str:
+        """Title for people."""
+        return f"{self.split} worlds" if self.split else f"worlds of seeds {self.seeds[0]} to {self.seeds[-1]}"
+
+    @property
+    def flags(self) -> list[str]:
+        """Flags on a command line."""
+        if self.split is None:
+            return ["--seeds", f"{self.seeds.start}:{self.seeds.stop}"]
+        return ["--worlds", str(len(self.seeds)), "--split", self.split]
+
+
+def choose_draws(split: SplitName | None, worlds: int | None, seeds: range | None) -> Draws:
+    """Chooses the first worlds of a split, by default 100 of `validation`, or those of some seeds.
+
+    Raises:
+        UserError: If both are asked for, fewer worlds are frozen, or the seeds are no range of possible seeds.
+    """
+    if seeds is None:
+        chosen = split or "validation"
+        return Draws(split_seeds(chosen, 100 if worlds is None else worlds), chosen)
+    for name, value in (("split", split), ("worlds", worlds)):
+        if value is not None:
+            raise UserError(f"seeds and {name} both say which worlds are drawn; leave one of them out")
+    if seeds.step != 1 or not 0 <= seeds.start < seeds.stop <= 2**63 or seeds.stop - seeds.start > MOST_SEEDS:
+        raise UserError(
+            f"seeds must be FROM:TO with 0 <= FROM < TO <= 2^63, at most {MOST_SEEDS} of them (TO itself is left out), "
+            f"not {seeds.start}:{seeds.stop}"
+        )
+    return Draws(seeds, None)
 
 
 def load_frozen(path: Path | None = None) -> FrozenSplits:

@@ -1,6 +1,6 @@
 """Probes of rolling: acceleration, coasting, straight driving, turns and the trailing caster."""
 
-from math import ceil, copysign, cos, degrees, log, nan, radians, sin, sqrt, tan
+from math import ceil, copysign, cos, degrees, log, nan, pi, radians, sin, sqrt, tan
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -25,6 +25,8 @@ from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 OUT_OF_REACH = 1e6
 """A wheel speed that keeps the drives at their torque limit [rad/s]."""
+TRAILING_TIME = 0.08
+"""Trail over speed of a caster that swings slowly: much longer than a physics step [s]."""
 
 
 def _acceleration(bench: Bench) -> list[Measurement]:
@@ -166,15 +168,19 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
 
 
 def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
-    """Measures the time [s] after which the caster, released at the angle `begin`, stays within `end` [rad]."""
+    """Measures the time [s] after which the caster, released `begin` short of trailing, stays within `end` [rad].
+
+    It trails at 0 at a speed ahead, and at half a turn backwards.
+    """
+    trailing = 0.0 if speed > 0 else pi
     engine.place(open_ground(), MIDDLE, speed)
     engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
     engine.run(0.2)
-    engine.set_swivel(begin)
+    engine.set_swivel(abs(trailing - begin))
     start, before, within = engine.time(), begin, nan
     while (time := engine.time() - start) < longest:
         engine.step()
-        angle = abs(engine.sample().joint_angles[2])
+        angle = abs(engine.sample().joint_angles[2] - trailing)
         if before > end >= angle:
             within = time + engine.time_step * (before - end) / (before - angle)
         elif angle > end:
@@ -185,10 +191,9 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
 
 def _caster(bench: Bench) -> list[Measurement]:
     vehicle, begin, end = bench.vehicle, radians(30.0), radians(1.0)
-    decay = 0.08  # trail over speed [s]: much longer than a physics step
     trail = vehicle.casters[0].trail
-    slowly = trail / decay
-    expected = decay * log(tan(begin / 2) / tan(end / 2))
+    slowly = trail / TRAILING_TIME
+    expected = TRAILING_TIME * log(tan(begin / 2) / tan(end / 2))
     with bench.open_engine() as engine:
         tolerance = 0.05 * step_factor(engine)
         trailing = _trailing_after(engine, slowly, begin, end, 3 * expected)
@@ -197,6 +202,55 @@ def _caster(bench: Bench) -> list[Measurement]:
     return [
         close_to(f"from 30 to 1 deg at {slowly:.3g} m/s", "s", expected, trailing, relative=tolerance),
         at_most(f"from 30 to 1 deg at {engine.drive.speed:.3g} m/s", "s", limit, at_speed),
+    ]
+
+
+def _swivel(vehicle: VehicleSpec, speed: float, turn: float, begin: float, times: Array) -> Array:
+    """Computes the angles (n,) [rad] at `times` (n,) [s] of a caster that rolls without slip through a turn."""
+    trail = vehicle.casters[0].trail
+    ahead = vehicle.wheelbase + trail
+    peak, end = _quickest(turn, vehicle.limits)
+    slope = vehicle.limits.yaw_acceleration
+
+    def derivative(time: float, angle: Array) -> Array:
+        rate = copysign(max(min(slope * time, peak, slope * (end - time)), 0.0), turn)
+        return np.asarray((rate * ahead * np.cos(angle) - speed * np.sin(angle)) / trail - rate)
+
+    found = solve_ivp(derivative, (0.0, times[-1]), [begin], t_eval=times, rtol=1e-9, atol=1e-9, max_step=0.02)
+    return np.asarray(found.y[0])
+
+
+def _reversing(bench: Bench) -> list[Measurement]:
+    vehicle, _ = turning_within_its_means(bench.vehicle, own_speed(bench.vehicle))
+    begin, largest, rows, gaps, swivels = radians(30.0), max(paper.TURNS), [], [], []
+    own, trail = own_speed(vehicle), vehicle.casters[0].trail
+    slowly = min(trail / TRAILING_TIME, own)
+    braking = (own + slowly) / vehicle.limits.acceleration
+    longest = max(braking, _quickest(largest, vehicle.limits)[1] + 0.1)
+    with bench.open_engine(vehicle, decision_period=ceil(2 * longest) / 2) as engine:
+        expected = trail / slowly * log(tan((pi - begin) / 2) / tan(begin / 2))
+        tolerance = 0.05 * step_factor(engine)
+        swung = _trailing_after(engine, -slowly, pi - begin, begin, 3 * expected)
+        rows.append(close_to(f"from 30 to 150 deg at {-slowly:.3g} m/s", "s", expected, swung, relative=tolerance))
+        for turn in (0.0, largest, -largest):
+            trace: list[Sample] = []
+            engine.reset(open_ground())
+            start = engine.advance(0.0, speed_scale=-slowly / engine.drive.speed).pose
+            engine.set_swivel(copysign(begin, turn))
+            since, motion = engine.time(), engine.advance(turn, trace, -slowly / engine.drive.speed)
+            wanted, reached = degrees(turn), degrees(motion.pose.yaw - start.yaw)
+            rows.append(close_to(f"turn of {wanted:.0f} deg backwards", "deg", wanted, reached, absolute=0.1))
+            times = np.array([sample.time - since for sample in trace])
+            places = np.array([(sample.pose.x, sample.pose.y) for sample in trace])
+            angles = np.array([sample.joint_angles[2] for sample in trace])
+            off = places - _unicycle(start, -slowly, turn, vehicle.limits, times)
+            gaps.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+            swivels.append(np.abs(angles - _swivel(vehicle, -slowly, turn, copysign(begin, turn), times)).max())
+        gap, lag = 6.0 * step_factor(engine), 3.0 * step_factor(engine)
+    return [
+        *rows,
+        at_most("RMS distance from the unicycle, largest", "mm", gap, 1e3 * float(np.max(gaps))),
+        at_most("angle of the caster off its path, largest", "deg", lag, degrees(float(np.max(swivels)))),
     ]
 
 
@@ -262,6 +316,20 @@ ROLLING = (
         closed_form="swivel' = -(v/trail) sin(swivel): t = (trail/v) ln(tan(15 deg) / tan(0.5 deg))",
         source="Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)",
         measure=_caster,
+        applies=has_swivel_in_front,
+    ),
+    Probe(
+        name="reversing",
+        title="It backs up as a unicycle does, and its caster swings round",
+        closed_form=(
+            "swivel' = (w (L + trail) cos(swivel) - v sin(swivel)) / trail - w; straight back "
+            "t = (trail/|v|) ln(tan(75 deg) / tan(15 deg))"
+        ),
+        source=(
+            "Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel); "
+            "Lynch and Park, Modern Robotics, 13.3.1 (unicycle)"
+        ),
+        measure=_reversing,
         applies=has_swivel_in_front,
     ),
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
+from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import make_executor
 from nnql_bullet.recording import Recording, load_recording
@@ -29,6 +30,7 @@ SMALLEST, LARGEST = 64, 7680
 """Limits of a picture's sides [pixels]."""
 
 
+@checked
 def render(
     recording: Recording | Path,
     video: Path | str | None = None,

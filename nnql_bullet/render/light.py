@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, squared_distance_to_bounds
 from nnql_bullet.geometry import Array, OrientedBox, as_rows, reach_of, squared_distance
 from nnql_bullet.render.shading import LEAN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
 from nnql_bullet.types import Vector
@@ -102,7 +103,7 @@ ROUND = np.array([(np.cos(angle), np.sin(angle)) for angle in 2 * np.pi * (np.ar
 def standing_boxes(world: WorldSpec) -> Boxes:
     """Sorts the boxes and walls of a world into the grid."""
     rows, columns = (int(np.ceil((side + 2 * NEARBY_MARGIN) / NEARBY_CELL)) for side in (world.depth, world.width))
-    first, near = _sorted_into_cells(world.solids, rows, columns)
+    first, near = _sorted_into_cells(world.solids, bounds_of(world.solids), rows, columns)
     return Boxes(world.solids, world.obstacle_height, len(world.solids), first, near)
 
 
@@ -128,8 +129,11 @@ def placed_parts(shapes: Sequence[Shape], frames: Sequence[Array]) -> Parts:
 
 
 @kernel
-def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sorted_into_cells(
+    boxes: Array, bounds: Array, rows: int, columns: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Computes `first` and `near` of `Boxes`: the first pass counts, the second stores."""
+    squared_reach = (REACH + NEARBY_CELL) ** 2
     first = np.zeros((rows, columns + 1), np.int64)
     near = np.empty(0, np.int64)
     for noting in (False, True):
@@ -138,11 +142,14 @@ def _sorted_into_cells(boxes: Array, rows: int, columns: int) -> tuple[NDArray[n
             for column in range(columns):
                 x, y = (column + 0.5) * NEARBY_CELL - NEARBY_MARGIN, (row + 0.5) * NEARBY_CELL - NEARBY_MARGIN
                 first[row, column] = count
-                for k in range(len(boxes)):
-                    if squared_distance(x, y, boxes[k]) < (REACH + NEARBY_CELL) ** 2:
-                        if noting:
-                            near[count] = k
-                        count += 1
+                for block in range(len(bounds)):
+                    if squared_distance_to_bounds(x, y, bounds[block]) >= squared_reach:
+                        continue
+                    for k in range(SHAPES_PER_BLOCK * block, min(SHAPES_PER_BLOCK * (block + 1), len(boxes))):
+                        if squared_distance(x, y, boxes[k]) < squared_reach:
+                            if noting:
+                                near[count] = k
+                            count += 1
             first[row, columns] = count
         if not noting:
             near = np.empty(count, np.int64)

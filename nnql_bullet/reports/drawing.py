@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle as Disc
@@ -31,8 +31,10 @@ from nnql_bullet.colours import (
     NON_SAFE,
     SAFE,
     TARGET,
+    TEMPERATURE,
     VEHICLE,
 )
+from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.statistics import Estimate
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, moved
@@ -57,6 +59,8 @@ _ENTRIES: dict[str, dict[str, Any]] = {
     "obstacle": {"facecolor": BOX, "edgecolor": BOX_EDGE},
     "moving": {"facecolor": MOVING, "edgecolor": MOVING_EDGE},
     "vehicle": {"facecolor": VEHICLE, "edgecolor": INK},
+    "path": {"color": SAFE, "lw": 1.8},
+    "bottleneck": {"marker": "o", "ls": "", "mfc": "none", "mec": TEMPERATURE, "mew": 1.8},
     "start": {"marker": "o", "ls": "", "mfc": INK, "mec": INK},
     "target": {"marker": "o", "ls": "", "mfc": TARGET, "mec": COLLISION, "ms": 10},
     "collision": {"marker": "X", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 11},
@@ -78,7 +82,12 @@ def picture(
         width: Width [inches].
         height: Height [inches].
         settings: Settings of Matplotlib (rcParams) beside its defaults.
+
+    Raises:
+        UserError: If the file is no .png.
     """
+    if path.suffix.lower() != ".png":
+        raise UserError(f"{path}: pictures are .png; give such a name")
     its: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
     its |= {"text.parse_math": False, **settings}  # a dollar in a name is a dollar
     with _one_at_a_time, rc_context(its):
@@ -126,20 +135,20 @@ def legend_below(figure: Figure, columns: int, handles: Sequence[Line2D | Patch]
     figure.legend(handles=shown, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
 
 
-def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
+def draw_world(axes: Axes, world: WorldSpec, time: float, outline: float = 0.8) -> None:
     """Draws arena, boxes, start and target to scale, and moving boxes with their tracks.
 
     Args:
         axes: Axes to draw on.
         world: The world.
         time: Instant at which moving boxes are shown [s].
+        outline: Width of the lines around obstacles; with 0 they are filled in the colour of lines.
     """
     width, depth = world.width, world.depth
     axes.add_patch(Polygon([(0, 0), (width, 0), (width, depth), (0, depth)], fc=ARENA, ec=BOX_EDGE, lw=2.5))
-    for its in world.obstacles:
-        outline = Disc((its.x, its.y), its.radius) if isinstance(its, Circle) else Polygon(its.corners())
-        outline.set(facecolor=BOX, edgecolor=BOX_EDGE, linewidth=0.8)
-        axes.add_patch(outline)
+    outlines = [_rim(its) if isinstance(its, Circle) else its.corners() for its in world.obstacles]
+    fill = BOX if outline else BOX_EDGE
+    axes.add_collection(PolyCollection(outlines, facecolor=fill, edgecolor=BOX_EDGE, linewidth=outline or 0.1))
     for patrol in world.patrols:
         (x, y), at_end = patrol.end, replace(patrol.box, x=patrol.end[0], y=patrol.end[1])
         axes.plot((patrol.box.x, x), (patrol.box.y, y), color=MOVING_EDGE, lw=0.6, ls="--", zorder=1.5)
@@ -149,6 +158,12 @@ def draw_world(axes: Axes, world: WorldSpec, time: float) -> None:
     axes.add_patch(Disc(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
     axes.plot(*world.target, "+", color=COLLISION, ms=7)
     axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
+
+
+def _rim(circle: Circle) -> Array:
+    """Points around a circle, as its corners (48, 2) [m]."""
+    angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    return circle.radius * np.column_stack([np.cos(angles), np.sin(angles)]) + (circle.x, circle.y)
 
 
 def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool = True) -> None:

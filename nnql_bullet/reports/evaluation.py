@@ -61,7 +61,7 @@ def success_table(evaluation: Evaluation, rows: Sequence[Row]) -> tuple[tuple[st
 
 QUALITY = (
     "method",
-    *("worlds", "goal %", "collision %", "timeout %", "SPL", "path ratio", "time [s]"),
+    *("worlds", *(f"{ending} %" for ending in ENDINGS), "SPL", "path ratio", "time [s]"),
     *("clearance [m]", "mean clearance [m]", "lateral acceleration [m/s2]", "non-safe steps %"),
 )
 
@@ -84,20 +84,22 @@ def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
     """Returns the section that compares methods with a shield to the same methods without it."""
     header = (
         *("method", "worlds", "goal %", "collision %"),
-        *("decisions overridden %", "stops %", "standing [s]", "time [s]"),
+        *("decisions overridden %", "stops %", "reversing %", "standing [s]", "time [s]"),
     )
     cells = [
         (
             *(row.method, named[row.world]),
             *(row.outcomes[ending] for ending in ("goal", "collision")),
-            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{row.standing:.1f}"),
+            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{100 * row.reverses:.1f}"),
+            f"{row.standing:.1f}",
             _or_none(row.time, ".1f"),
         )
         for row in rows
     ]
     caption = (
-        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot; "
-        "time that a drive stands, mean over all, and to the target, mean over the drives that arrive."
+        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot, "
+        "and those to reverse; time that a drive stands, mean over all, and to the target, mean over the drives that "
+        "arrive."
     )
     return Section("The shield", (table(header, cells, caption),))
 
@@ -124,7 +126,7 @@ def evaluation_report(
     named = titles(e)
     cover = (Picture("cover.png", "success against cover"),) if len(_covers(e)) > 1 else ()
     lead = (
-        f"{e.setting.title}; {_worlds(e)}. nnql-bullet {__version__}.",
+        f"{e.title}; {_worlds(e)}. nnql-bullet {__version__}.",
         table(*success_table(e, rows), ABOUT_INTERVALS),
         Picture("outcomes.png", "how drives ended"),
         *cover,
@@ -155,6 +157,7 @@ def evaluation_report(
         [_difficulty_row(e, tier.name) for tier in e.tiers],
         note="Means; the last three along the shortest path. The bottleneck is the narrowest place of the widest path.",
     )
+    refused = table(("file", "why nothing drove through it"), [(its.file, its.reason) for its in e.refused])
     return Report(
         "Methods through the same worlds",
         (
@@ -164,6 +167,7 @@ def evaluation_report(
             *((_shield_section(rows, named),) if e.shielded else ()),
             Section("The methods", (methods,)),
             Section("The worlds", (worlds,)),
+            *((Section("Refused worlds", (refused,)),) if e.refused else ()),
             *((_comparison_section(e, comparisons, named),) if len(e.methods) > 1 else ()),
             *((_failure_section(films),) if films else ()),
         ),
@@ -224,10 +228,25 @@ def _worlds(e: Evaluation) -> str:
 
 
 def counted(e: Evaluation) -> str:
-    """How many worlds of each kind there are, in words; a kind in which nothing is random has one."""
-    most = max(len(tier.seeds) for tier in e.tiers)
-    fixed = [tier.title for tier in e.tiers if len(tier.seeds) < most]
-    return f"{most} worlds each" + (f" (1 of {', '.join(fixed)}, where nothing is random)" if fixed else "")
+    """How many worlds of each kind there are, in words, and where drives count once as nothing is random."""
+    most, each = max(len(tier.worlds) for tier in e.tiers), " each" * (len(e.tiers) > 1)
+    drives = {(p.name, tier.title): len(e.counted(p, tier)) for tier in e.tiers for p in e.policies}
+    fixed = [
+        tier.title
+        for tier in e.tiers
+        if len(e.draws.seeds) > 1 and all(drives[policy.name, tier.title] == 1 for policy in e.policies)
+    ]
+    if len(fixed) == len(e.tiers):
+        return f"1 drive{each} (nothing is random)"
+    remarks = [f"1 drive of {', '.join(fixed)}: nothing is random"] if fixed else []
+    remarks += [
+        f"{number} of {policy.name} in {tier.title} count, the others are copies"
+        for policy in e.policies
+        for tier in e.tiers
+        if (number := drives[policy.name, tier.title]) < len(tier.worlds) and tier.title not in fixed
+    ]
+    worlds = f"{most} world{'s' * (most > 1)}{each}"
+    return f"{worlds} ({'; '.join(remarks)})" if remarks else worlds
 
 
 def _method_row(e: Evaluation, method: str) -> tuple[object, ...]:
@@ -240,10 +259,10 @@ def _method_row(e: Evaluation, method: str) -> tuple[object, ...]:
 
 def _difficulty_row(e: Evaluation, name: str) -> tuple[object, ...]:
     (tier,) = [tier for tier in e.tiers if tier.name == name]
-    worlds = e.difficulties[name]
+    worlds, files = e.difficulties[name], len({world.file for world in tier.worlds})
     return (
         tier.title,
-        f"{tier.seeds[0]} to {tier.seeds[-1]}",
+        f"{tier.worlds[0].seed} to {tier.worlds[-1].seed}" + (f", {files} files" if files > 1 else ""),
         f"{100 * fmean(world.cover for world in worlds):.1f}",
         f"{fmean(world.bottleneck for world in worlds):.2f}",
         _or_none(fmean(world.shortest_path for world in worlds), ".1f"),
@@ -261,11 +280,13 @@ def evaluation_values(
     return {
         "version": __version__,
         "command": e.command,
-        "split": e.setting.split,
+        "split": e.draws.split,
+        "seeds": [e.draws.seeds.start, e.draws.seeds.stop],
         "simulator": e.setting.simulator,
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "allow_impassable": e.setting.allow_impassable,
+        **{name: its for name, its in (("start", e.setting.start), ("target", e.setting.target)) if its},
         "endings": list(ENDINGS),
         "policies": [policy.values for policy in e.policies],
         "tiers": [
@@ -276,12 +297,13 @@ def evaluation_values(
                 "cover": tier.cover,
                 "frozen": tier.frozen,
                 "worlds": [
-                    {"seed": seed, "digest": digest, **finite(asdict(its))}
-                    for seed, digest, its in zip(tier.seeds, tier.digests, e.difficulties[tier.name], strict=True)
+                    asdict(world) | finite(asdict(its))
+                    for world, its in zip(tier.worlds, e.difficulties[tier.name], strict=True)
                 ],
             }
             for tier in e.tiers
         ],
+        "refused": [asdict(its) for its in e.refused],
         "rows": [finite(asdict(row)) for row in rows],
         "by_bottleneck": [asdict(quarter) for quarter in by_bottleneck(e)],
         "comparisons": [asdict(comparison) for comparison in comparisons],
@@ -290,7 +312,8 @@ def evaluation_values(
             {
                 "policy": task.policy.name,
                 "world": task.tier.name,
-                "seed": task.seed,
+                "file": task.world.file,
+                "seed": task.world.seed,
                 "recording": f"failures/{task.name}",
                 "replay": task.replay,
             }
@@ -329,11 +352,12 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
     e, records = evaluation, []
     for policy in e.policies:
         for tier in e.tiers:
-            drives = zip(e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
-            for summary, difficulty in drives:
+            drives = zip(tier.worlds, e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
+            for world, summary, difficulty in drives:
                 values = asdict(summary)
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
+                where |= {"file": world.file}
                 its = {"bottleneck": difficulty.bottleneck, "shortest_path": difficulty.shortest_path}
                 records.append({**where, **values, **terms, **its})
     return records
@@ -351,7 +375,7 @@ def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> No
             axes.xaxis.set_major_locator(FixedLocator([0, 50, 100]))
             finish_axes(axes, tier.title, grid="none", hidden=OPEN)
         legend_below(figure, 3)
-        figure.suptitle(f"{e.setting.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
+        figure.suptitle(f"{e.title}; bar and number: success, 95 % interval", fontsize=10, color=INK)
 
 
 def _covers(e: Evaluation) -> list[tuple[float, str]]:
@@ -381,7 +405,7 @@ def draw_cover(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
             axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
         axes.set(xlabel="arena under boxes [%]", ylabel="success [%]", ylim=(-2, 102))
         axes.set_xticks([100 * cover for cover, _ in covers])
-        finish_axes(axes, f"{e.setting.title}; lines: 95 % intervals", hidden=OPEN)
+        finish_axes(axes, f"{e.title}; lines: 95 % intervals", hidden=OPEN)
         figure.legend(loc="outside right center", frameon=False, fontsize=9)
 
 
@@ -405,5 +429,5 @@ def draw_failures(films: Sequence[tuple[FilmTask, Recording]], path: Path) -> No
             axes.set_visible(True)
             without_ticks(axes)
             axes.spines[:].set_visible(False)
-            draw_drive(axes, recording, 0.6, 1.0, f"{task.policy.name}\n{task.tier.title}, seed {task.seed}", 7.5)
+            draw_drive(axes, recording, 0.6, 1.0, f"{task.policy.name}\n{task.where}", 7.5)
         legend_below(figure, 3, legend_entries(safe="safe", non_safe="non-safe", collision="collision"))

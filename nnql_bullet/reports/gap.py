@@ -51,8 +51,8 @@ def gap_report(gap: Gap) -> Report:
     total, same = int(matrix.sum()), int(np.trace(matrix))
     goals = [proportion(int(sums[ENDINGS.index("goal")]), total) for sums in (matrix.sum(axis=1), matrix.sum(axis=0))]
     lead: list[Block] = [
-        f"{', '.join(gap.runs)}; {gap.title}{', ' if gap.title else ''}seeds {gap.seeds[0]} to {gap.seeds[-1]}: "
-        f"{total} pairs of drives. nnql-bullet {__version__}.",
+        f"{', '.join(gap.runs)}; {gap.title}{', ' if gap.title else ''}seeds {gap.draws.seeds[0]} to "
+        f"{gap.draws.seeds[-1]}: {total} pairs of drives. nnql-bullet {__version__}.",
         f"{same} of {total} pairs end alike. Success: {goals[0]} % in {first}, {goals[1]} % in {second} (Wilson 95 % "
         f"intervals over drives); McNemar's exact test p = {success_p_value(gap.pairs):.2g}.",
         Picture("gap.png", "the gap"),
@@ -144,7 +144,7 @@ def gap_values(gap: Gap) -> dict[str, Any]:
         "policies": [{"path": run, "fingerprint": its} for run, its in zip(gap.runs, gap.fingerprints, strict=True)],
         "world": gap.world,
         "conditions": gap.conditions and asdict(gap.conditions),
-        "seeds": [gap.seeds.start, gap.seeds.stop],
+        "seeds": [gap.draws.seeds.start, gap.draws.seeds.stop],
         "first": gap.first.name,
         "second": gap.second.name,
         "endings": list(ENDINGS),

@@ -23,7 +23,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate
-from nnql_bullet.files import read_json
+from nnql_bullet.files import plain_file, read_json
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recording, load_recording
@@ -384,7 +384,7 @@ def _image(path: Path, alt: str) -> Markup:
         UserError: If the file is missing or not a PNG.
     """
     try:
-        with Image.open(path, formats=["PNG"]) as picture:
+        with Image.open(plain_file(path), formats=["PNG"]) as picture:
             width, height = (round(CSS_DPI / DPI * count) for count in picture.size)
     except (OSError, UnidentifiedImageError):
         again = "make it again with the command that left it"

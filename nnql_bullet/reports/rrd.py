@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
 from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
-from nnql_bullet.env import STOP
+from nnql_bullet.env import ACTIONS
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox
 from nnql_bullet.recording import Recording
@@ -217,7 +217,7 @@ def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
     stream.send_columns(
         "property", _at_states(recording), rr.StateChange.columns(state=recording.state_property.tolist())
     )
-    action_colours = [TIMEOUT if action >= STOP else LINES[action] for action in range(len(MANOEUVRES))]
+    action_colours = [*LINES[:ACTIONS], *[TIMEOUT] * ACTIONS, *[MOVING] * ACTIONS]
     _log_line(stream, recording, "action", MANOEUVRES, action_colours, recording.action)
     _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overridden)
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.sensing import Sensor
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SAMPLE_EVERY = 4
@@ -41,10 +42,13 @@ class Motion:
     """x, y [m] and yaw [rad] of the rear-axle centre at the end (n, 3)."""
     yaw_rate: Array
     """Yaw rate at the end (n,) [rad/s]."""
+    speed: Array
+    """Speed of the rear-axle centre along the vehicle at the end (n,) [m/s], negative backwards. It is the body's own
+    speed over the ground, slip and all, as odometry without slip and an inertial sensor measure it together."""
     duration: Array
     """(n,) [s]"""
     path_length: Array
-    """Length of the path of the rear-axle centre (n,) [m]."""
+    """Length of the path of the rear-axle centre (n,) [m], ahead and back."""
     clearance: Array
     """Smallest distance from the footprint to an obstacle or wall (n,) [m], checked at least 30 times a second."""
     heading_error: Array
@@ -57,7 +61,7 @@ class Motion:
 
 def no_motion(size: int) -> Motion:
     """The motion of n vehicles that stand by: all zero."""
-    return Motion(np.zeros((size, 3)), *np.zeros((5, size)), *np.zeros((2, size), np.bool_))
+    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((2, size), np.bool_))
 
 
 def driving(active: NDArray[np.bool_] | None, size: int) -> Sequence[int]:
@@ -77,8 +81,12 @@ class Simulator(Protocol):
         """Number of vehicles: n."""
 
     @property
-    def sensor(self) -> Sensor:
-        """The sensor of every vehicle."""
+    def vehicle(self) -> VehicleSpec:
+        """The vehicle that all n are."""
+
+    @property
+    def drive(self) -> DriveOptions:
+        """Options of their controllers."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
@@ -101,8 +109,8 @@ class Simulator(Protocol):
                 stands turns on the spot, about its rear-axle centre.
             active: Vehicles that drive (n,), all by default. The others stand by, and their rows in the result have no
                 meaning.
-            speed_scales: Wanted speeds as shares of the drive's (n,), 1 by default; 0 is to stop. The vehicle's limits
-                say how fast a speed is reached.
+            speed_scales: Wanted speeds as shares of the drive's (n,), from -1 to 1, which is the default; 0 is to stop,
+                and the vehicle reverses below. Its limits say how fast a speed is reached.
             traces: Lists that receive samples between the decisions, by vehicle.
 
         Returns:

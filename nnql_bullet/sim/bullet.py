@@ -8,16 +8,17 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import cos, sin, sqrt
+from math import cos, sin
 from tempfile import NamedTemporaryFile
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
+from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
     DynamicsInfo,
@@ -62,24 +63,6 @@ STRAIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
-
-MANY_SHAPES = 256
-"""Number from which shapes are sorted by place; few are taken in their order."""
-
-S = TypeVar("S", OrientedBox, Circle)
-
-
-def by_place(shapes: tuple[S, ...]) -> tuple[S, ...]:
-    """Sorts many shapes so that those of a compound stand together: by strips along y, and in each along y.
-
-    The engine looks at every shape of a compound whose bounding box meets a ray or the vehicle.
-    """
-    if len(shapes) < MANY_SHAPES:
-        return shapes
-    strips = round(sqrt(len(shapes) / SHAPES_PER_COMPOUND))
-    from_left = sorted(shapes, key=lambda shape: shape.x)
-    strip_of = {id(shape): strips * k // len(shapes) for k, shape in enumerate(from_left)}
-    return tuple(sorted(from_left, key=lambda shape: (strip_of[id(shape)], shape.y)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,16 +242,22 @@ class BulletEngine(ContactEngine):
         bullet.setGravity(0.0, 0.0, -GRAVITY, self.client)
         if ground:
             self._add_ground()
-        solids = world.obstacles + world.walls
-        circles = tuple(its for its in solids if isinstance(its, Circle))
-        boxes = tuple(its for its in solids if isinstance(its, OrientedBox))
-        for shapes, group in ((by_place(boxes), OBSTACLE), (by_place(circles), POLE)):
-            for first in range(0, len(shapes), SHAPES_PER_COMPOUND):
-                self._add_solids(shapes[first : first + SHAPES_PER_COMPOUND], world.obstacle_height, group)
-        self._circles = as_rows(circles)
+        self._loaded, self._circles = np.zeros_like(self._near), as_rows(())
+        self._load()
         self._half_height = world.obstacle_height / 2
         self._patrols = [self._add_patrol(patrol.box) for patrol in world.patrols]
         self._add_vehicle(pose, speed, height)
+
+    def _load(self) -> None:
+        """Adds the near blocks that are not there yet; none is removed, because that could disturb the solver."""
+        shapes = self._shapes_in(self._near & ~self._loaded)
+        self._loaded |= self._near
+        circles = tuple(its for its in shapes if isinstance(its, Circle))
+        boxes = tuple(its for its in shapes if isinstance(its, OrientedBox))
+        for some, group in ((boxes, OBSTACLE), (circles, POLE)):
+            for first in range(0, len(some), SHAPES_PER_COMPOUND):
+                self._add_solids(some[first : first + SHAPES_PER_COMPOUND], self._world.obstacle_height, group)
+        self._circles = np.concatenate([self._circles, as_rows(circles)])
 
     def _set_solver(self) -> None:
         bullet.setPhysicsEngineParameter(
@@ -422,10 +411,7 @@ class BulletEngine(ContactEngine):
         hits = bullet.rayTestBatch(begins, ends, collisionFilterMask=OBSTACLE, physicsClientId=self.client)
         fractions, furthest = np.array(hit_fractions(hits)), self.vehicle.sensor.range
         if len(self._circles):  # the engine finds cylinders by iteration, not exactly
-            x, y = self._circles[:, 0] - begins[0, 0], self._circles[:, 1] - begins[0, 1]
-            radii, directions = self._circles[:, 6], (ends - begins)[:, :2]
-            for i in np.flatnonzero(np.hypot(x, y) - radii < furthest):
-                meet_circle(x[i], y[i], radii[i], directions, fractions)
+            _meet_circles(begins, ends, self._circles, furthest, fractions)
         return fractions * furthest
 
     def _link_height(self, joint: int) -> float:
@@ -443,6 +429,24 @@ class BulletEngine(ContactEngine):
 
     def _dynamics(self, link: int) -> DynamicsInfo:
         return DynamicsInfo(*bullet.getDynamicsInfo(self.body, link, self.client))
+
+
+@njit()
+def _meet_circles(begins: Array, ends: Array, circles: Array, sensor_range: float, fractions: Array) -> None:
+    """Shortens rays that meet circles.
+
+    Args:
+        begins: Where the rays begin, all in one place (m, 3) [m].
+        ends: Where they end (m, 3) [m].
+        circles: Rows (n, 7) of `as_rows`.
+        sensor_range: Length of the rays [m].
+        fractions: Shares of the length at which the rays meet something (m,); shortened.
+    """
+    directions = (ends - begins)[:, :2]
+    for i in range(len(circles)):
+        x, y, radius = circles[i, 0] - begins[0, 0], circles[i, 1] - begins[0, 1], circles[i, 6]
+        if np.hypot(x, y) - radius < sensor_range:
+            meet_circle(x, y, radius, directions, fractions)
 
 
 def load_text(urdf: str, client: int, **options: Any) -> int:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, wrap_angle
+from nnql_bullet.blocks import clearance_among
+from nnql_bullet.geometry import Array, Pose, as_rows, wrap_angle
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
 from nnql_bullet.sim.physics import CONTACT_MARGIN, VehiclePhysics, rear_axle
@@ -31,6 +32,7 @@ class VehicleMotion:
 
     pose: Pose
     yaw_rate: float
+    speed: float
     duration: float
     path_length: float
     clearance: float
@@ -81,7 +83,11 @@ class ContactEngine(VehiclePhysics):
     """
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, time_step: float) -> None:
-        super().__init__(vehicle, time_step)
+        footprint, eye = vehicle.footprint, hypot(*vehicle.sensor.position[:2])
+        farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
+        # With slip; no point moves away from the rear-axle centre.
+        travel = 1.1 * drive.speed * drive.decision_period + CONTACT_MARGIN
+        super().__init__(vehicle, time_step, max(farthest, eye + vehicle.sensor.range) + travel)
         self.drive = drive
         self._steps_per_command = whole_steps(1 / COMMAND_RATE, time_step)
         self._command_times = command_times(drive)
@@ -90,8 +96,6 @@ class ContactEngine(VehiclePhysics):
         self._blind = np.flatnonzero(~sensor.seen)
         self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
         self._planned_yaw_rate, self._planned_speed = 0.0, drive.speed
-        footprint = vehicle.footprint
-        farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
         # No point of the vehicle moves farther than this from one look to the next, slip included [m].
         self._reach = 1.1 * fastest * SAMPLE_EVERY / COMMAND_RATE + CONTACT_MARGIN
@@ -111,7 +115,7 @@ class ContactEngine(VehiclePhysics):
         self._planned_yaw_rate, self._planned_speed = 0.0, self.drive.speed
         self._sensor = np.subtract(self.vehicle.sensor.position, self._com)
         at = self.pose()
-        self._clearance = clearance_at(at.x, at.y, at.yaw, self._footprint, self._solids)
+        self._clearance = clearance_among(at.x, at.y, at.yaw, self._footprint, self._solids, self._bounds)
         fastest_patrol = max((patrol.speed for patrol in world.patrols), default=0.0)
         episode = _Episode(
             ahead=self._com[0],
@@ -143,11 +147,12 @@ class ContactEngine(VehiclePhysics):
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
             trace: Receives samples, if given.
-            speed_scale: Wanted speed as a share of the drive's.
+            speed_scale: Wanted speed as a share of the drive's, from -1 to 1; negative backwards.
             look: Called after every physics step; it may read the engine, not change it.
         """
         first_step, (position, orientation) = self._steps, self._frame()
         begin = Pose(*rear_axle(position, orientation, *self._com))
+        self._keep_near(begin)
         plan = plan_period(
             self._planned_yaw_rate,
             self._planned_speed,
@@ -159,11 +164,21 @@ class ContactEngine(VehiclePhysics):
         headings, feed_forward = begin.yaw + plan.headings, plan.feed_forward
         progress = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
         speeds = np.empty((SAMPLE_EVERY, 2))
-        episode, footprint, solids = self._episode, self._footprint, self._solids
+        episode, footprint, solids, bounds = self._episode, self._footprint, self._solids, self._bounds
         command, last, touching = 0, len(feed_forward), False
         while True:
             near, at_target, commands = _look_and_command(
-                position, orientation, progress, headings, feed_forward, command, speeds, episode, footprint, solids
+                position,
+                orientation,
+                progress,
+                headings,
+                feed_forward,
+                command,
+                speeds,
+                episode,
+                footprint,
+                solids,
+                bounds,
             )
             over = command > 0 and (touching or at_target)
             if trace is not None and (over or command % SAMPLE_EVERY == 0 < command):
@@ -178,11 +193,12 @@ class ContactEngine(VehiclePhysics):
         x, y, yaw, path_length, smallest, _ = progress.tolist()
         qx, qy, _, _ = orientation
         touching = touching or 1 - 2 * (qx * qx + qy * qy) < UPRIGHT
-        self._clearance = clearance_at(x, y, yaw, footprint, solids)
+        self._clearance = clearance_among(x, y, yaw, footprint, solids, bounds)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])
         return VehicleMotion(
             pose=Pose(x, y, yaw),
             yaw_rate=self.yaw_rate(),
+            speed=self.speed(),
             duration=(self._steps - first_step) * self.time_step,
             path_length=path_length,
             clearance=0.0 if touching else smallest,
@@ -244,6 +260,7 @@ def _look_and_command(
     episode: NDArray[np.void],
     footprint: Array,
     solids: Array,
+    bounds: Array,
 ) -> tuple[bool, bool, int]:
     """Finds out where the vehicle is, and computes the wheel commands until the next look.
 
@@ -261,6 +278,7 @@ def _look_and_command(
         episode: An `_Episode` as a record (1,).
         footprint: A row (7,) of `as_rows`.
         solids: Rows (n, 7) of `as_rows`, as they are now.
+        bounds: Their `bounds_of` (k, 4) [m].
 
     Returns:
         Whether contact is possible before the next look, whether the target is reached, and the number of commands
@@ -272,7 +290,7 @@ def _look_and_command(
     progress[X], progress[Y], progress[YAW] = x, y, yaw
     progress[BOUND] -= e.reach
     if progress[BOUND] <= max(progress[SMALLEST], e.reach):
-        progress[BOUND] = clearance_at(x, y, yaw, footprint, solids)
+        progress[BOUND] = clearance_among(x, y, yaw, footprint, solids, bounds)
         progress[SMALLEST] = min(progress[SMALLEST], progress[BOUND])
     to_target = np.hypot(x - e.target_x, y - e.target_y) - e.target_radius
     commands = min(len(speeds) if to_target > e.reach else 1, len(feed_forward) - command)

@@ -58,7 +58,7 @@ class RandomizedSimulator:
     """A `Simulator` of disturbed vehicles. The disturbance of an episode is a function of its world alone."""
 
     def __init__(self, simulator: Simulator, domain_randomization: DomainRandomization) -> None:
-        self.size, self.sensor = simulator.size, simulator.sensor
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
         self._simulator = simulator
         self._domain_randomization = domain_randomization
         self._episodes: dict[int, _Episode] = {}
@@ -96,7 +96,7 @@ class RandomizedSimulator:
     def _degrade(self, ray_distances: Array, row: int, vehicle: int) -> None:
         """Applies the vehicle's sensor faults to a row of ray distances."""
         episode = self._episodes[vehicle]
-        ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator, self.sensor.range)
+        ray_distances[row] = degraded(ray_distances[row], episode.sensors, episode.generator, self.vehicle.sensor.range)
 
 
 def turned(world: WorldSpec, domain_randomization: DomainRandomization) -> WorldSpec:

@@ -56,11 +56,11 @@ class ContactSimulator:
     def __init__(self, engines: Sequence[ContactEngine]) -> None:
         self.engines = engines
         self.size = len(engines)
-        self.sensor = engines[0].vehicle.sensor
+        self.vehicle, self.drive = engines[0].vehicle, engines[0].drive
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.sensor.rays))
+        poses, ray_distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.vehicle.sensor.rays))
         for row, (i, world) in enumerate(worlds.items()):
             engine = self.engines[i]
             engine.reset(world)
@@ -77,12 +77,14 @@ class ContactSimulator:
         traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         """See `Simulator.advance`."""
-        motion, ray_distances, traces = no_motion(self.size), np.zeros((self.size, self.sensor.rays)), traces or {}
+        motion, traces = no_motion(self.size), traces or {}
+        ray_distances = np.zeros((self.size, self.vehicle.sensor.rays))
         for i in driving(active, self.size):
             engine, scale = self.engines[i], 1.0 if speed_scales is None else float(speed_scales[i])
             m = engine.advance(float(heading_changes[i]), traces.get(i), scale)
             motion.pose[i] = m.pose.x, m.pose.y, m.pose.yaw
-            motion.yaw_rate[i], motion.duration[i], motion.path_length[i] = m.yaw_rate, m.duration, m.path_length
+            motion.yaw_rate[i], motion.speed[i] = m.yaw_rate, m.speed
+            motion.duration[i], motion.path_length[i] = m.duration, m.path_length
             motion.clearance[i], motion.heading_error[i] = m.clearance, m.heading_error
             motion.touching[i], motion.at_target[i] = m.touching, m.at_target
             ray_distances[i] = engine.scan()

@@ -51,7 +51,7 @@ class FaultySimulator:
     """A `Simulator` whose sensors have faults. The noise of an episode depends on its world alone."""
 
     def __init__(self, simulator: Simulator, faults: SensorFaults) -> None:
-        self.size, self.sensor = simulator.size, simulator.sensor
+        self.size, self.vehicle, self.drive = simulator.size, simulator.vehicle, simulator.drive
         self._simulator = simulator
         self._faults = faults
         self._noise: dict[int, np.random.Generator] = {}
@@ -61,7 +61,7 @@ class FaultySimulator:
         poses, ray_distances = self._simulator.reset(worlds)
         for row, (i, world) in enumerate(worlds.items()):
             self._noise[i] = rng(world.seed, Stream.SENSOR_NOISE)
-            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i], self.sensor.range)
+            ray_distances[row] = degraded(ray_distances[row], self._faults, self._noise[i], self.vehicle.sensor.range)
         return poses, ray_distances
 
     def advance(
@@ -74,7 +74,7 @@ class FaultySimulator:
         """See `Simulator.advance`."""
         motion, ray_distances = self._simulator.advance(heading_changes, active, speed_scales, traces)
         for i in driving(active, self.size):
-            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.sensor.range)
+            ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.vehicle.sensor.range)
         return motion, ray_distances
 
     def close(self) -> None:

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, meet_circle, squared_distance, wrap_angle
+from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, cast_rays, clearance_among, squared_distance_to_bounds
+from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
@@ -25,6 +26,9 @@ from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 VEHICLES_PER_THREAD = 16
 """Smallest number of vehicles in a thread."""
+UNEVENNESS = 1e-3
+"""Least angle by which the swivel of a caster that points against its motion is off [rad]. In exact balance it would
+stay there for good; on any real ground it swings round."""
 STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
 
@@ -71,6 +75,8 @@ class _State(NamedTuple):
     """Clearance at `pose` (n,) [m]."""
     solids: Array
     """Rows of each world (n, most, 7): obstacles and walls, patrols (both as in `as_rows`), and the patrols' tracks."""
+    bounds: Array
+    """Bounds of the blocks of solids and patrols, as of `bounds_of` (n, most blocks, 4) [m]."""
     counts: NDArray[np.int64]
     """Number of solids, of patrols among them, and of wheel commands since the reset (n, 3). They share an array, as
     solids and tracks do, because each argument of a kernel costs time."""
@@ -123,7 +129,6 @@ class KinematicSimulator:
         self.vehicle = vehicle
         self.drive = drive
         self.size = size
-        self.sensor = vehicle.sensor
         times, footprint, sensor = command_times(drive), vehicle.footprint, vehicle.sensor
         farthest = hypot(abs(footprint.x) + footprint.half_length, abs(footprint.y) + footprint.half_width)
         self._constants = _Constants(
@@ -154,17 +159,19 @@ class KinematicSimulator:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        rows = {i: np.concatenate([world.solids_at(0.0), _padded(world.tracks)]) for i, world in worlds.items()}
-        self._make_room(max((len(some) for some in rows.values()), default=0))
-        state = self._state
+        self._make_room(max((len(its.solids) + 2 * len(its.patrols) for its in worlds.values()), default=0))
+        state, footprint = self._state, self._constants.footprint
         for i, world in worlds.items():
-            start, count, moving = world.start, len(rows[i]) - len(world.tracks), len(world.tracks)
+            start, solids, moving = world.start, world.solids_at(0.0), len(world.patrols)
+            count, bounds = len(solids), bounds_of(solids, moving)
             state.pose[i] = start.x, start.y, start.yaw
             state.yaw_rate[i], state.speed[i] = 0.0, self.drive.speed
-            state.solids[i, : count + moving] = rows[i]
+            state.solids[i, :count] = solids
+            state.solids[i, count : count + moving] = _padded(world.tracks)
+            state.bounds[i, : len(bounds)] = bounds
             state.counts[i] = count, moving, 0
             state.target[i] = *world.target, world.target_radius
-            state.clearance[i] = clearance_at(start.x, start.y, start.yaw, self._constants.footprint, rows[i][:count])
+            state.clearance[i] = clearance_among(start.x, start.y, start.yaw, footprint, solids, bounds)
         vehicles = np.array(list(worlds), dtype=np.int64)
         self._time[vehicles], self._joint_angles[vehicles] = 0.0, 0.0
         self._share(_scan, vehicles, self._constants, state, self._period)
@@ -185,6 +192,7 @@ class KinematicSimulator:
         motion = Motion(
             pose=state.pose.copy(),
             yaw_rate=state.yaw_rate.copy(),
+            speed=state.speed.copy(),
             duration=period.commands / COMMAND_RATE,
             path_length=period.path_length.copy(),
             clearance=period.clearance.copy(),
@@ -233,7 +241,9 @@ class KinematicSimulator:
         if most > room:
             grown = np.zeros((self.size, most, COLUMNS))
             grown[:, :room] = self._state.solids
-            self._state = self._state._replace(solids=grown)
+            bounds = np.zeros((self.size, _blocks(most), 4))
+            bounds[:, : _blocks(room)] = self._state.bounds
+            self._state = self._state._replace(solids=grown, bounds=bounds)
             self._period = self._period._replace(near=np.zeros((self.size, most, COLUMNS)))
 
 
@@ -249,6 +259,7 @@ def _empty_state(size: int) -> _State:
         speed=np.zeros(size),
         clearance=np.zeros(size),
         solids=np.zeros((size, 0, COLUMNS)),
+        bounds=np.zeros((size, 0, 4)),
         counts=np.zeros((size, 3), np.int64),
         target=np.zeros((size, 3)),
     )
@@ -329,7 +340,7 @@ def _advance_one(
         path[k, 2] = yaw + headings[k]
     # From one command to the next, no point of the footprint comes nearer to a solid by more than `hop` [m].
     quickest = max(abs(start_rate), abs(peak))
-    hop = max(start_speed, goal) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
+    hop = max(abs(start_speed), abs(goal)) / COMMAND_RATE + quickest / COMMAND_RATE * constants.farthest
     count, moving, clock = state.counts[i]
     tracks = state.solids[i, count : count + moving]
     hop = max(hop + _fastest(tracks) / COMMAND_RATE, STILL)
@@ -343,13 +354,19 @@ def _advance_one(
     state.counts[i, 2] = clock + last
     follow_tracks(tracks, (clock + last) / COMMAND_RATE, state.solids[i, count - moving : count])
     period.commands[i] = last
-    period.path_length[i] = last * stride
+    period.path_length[i] = last * abs(stride)
     if not steady:  # the trapezoidal rule
-        ends = speeds[0] + speeds[last]
-        period.path_length[i] = (speeds[: last + 1].sum() - ends / 2) / COMMAND_RATE
+        ends, paces = abs(speeds[0]) + abs(speeds[last]), np.abs(speeds[: last + 1])
+        period.path_length[i] = (paces.sum() - ends / 2) / COMMAND_RATE
     period.clearance[i] = smallest
     period.heading_error[i] = wrap_angle(heading_change - headings[last])
     period.event[i] = event
+
+
+@njit()
+def _blocks(shapes: int) -> int:
+    """The number of blocks of so many shapes."""
+    return (shapes + SHAPES_PER_BLOCK - 1) // SHAPES_PER_BLOCK
 
 
 @njit()
@@ -374,11 +391,14 @@ def _near(i: int, travel: float, constants: _Constants, state: _State, period: _
     near: Array = period.near[i]
     solids, patrols, _ = state.counts[i]
     count, moving = 0, 0
-    for j in range(solids):
-        if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
-            for column in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
-                near[count, column] = state.solids[i, j, column]
-            count += 1
+    for block in range(_blocks(solids)):
+        if squared_distance_to_bounds(x, y, state.bounds[i, block]) > reach * reach:
+            continue
+        for j in range(SHAPES_PER_BLOCK * block, min(SHAPES_PER_BLOCK * (block + 1), solids)):
+            if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
+                for column in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
+                    near[count, column] = state.solids[i, j, column]
+                count += 1
     for j in range(solids - patrols, solids):
         if squared_distance(x, y, state.solids[i, j]) <= reach * reach:
             for column in range(COLUMNS):
@@ -447,57 +467,12 @@ def _follow(
 def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> None:
     (x, y, yaw), (ahead, left) = state.pose[i], constants.sensor
     c, s = np.cos(yaw), np.sin(yaw)
-    solids = state.solids[i, : state.counts[i, 0]]
+    count = state.counts[i, 0]
+    solids, bounds = state.solids[i, :count], state.bounds[i, : _blocks(count)]
     x, y = x + c * ahead - s * left, y + s * ahead + c * left
-    cast_rays(x, y, yaw, constants.directions, solids, constants.sensor_range, period.ray_distances[i])
+    cast_rays(x, y, yaw, constants.directions, solids, bounds, constants.sensor_range, period.ray_distances[i])
     for ray in constants.blind:
         period.ray_distances[i, ray] = constants.sensor_range
-
-
-@njit()
-def cast_rays(
-    x: float, y: float, yaw: float, directions: Array, shapes: Array, sensor_range: float, distances: Array
-) -> None:
-    """Computes the distances at which rays meet a shape: `geometry.ray_distances` as a kernel, shape by shape.
-
-    Args:
-        x: x of the rays' origin [m].
-        y: y of the rays' origin [m].
-        yaw: Yaw of the frame of the directions [rad].
-        directions: Unit vectors (m, 2).
-        shapes: Rows (n, 7) of `geometry.as_rows`.
-        sensor_range: Length of a ray that meets nothing [m].
-        distances: Array to fill (m,) [m].
-    """
-    distances[:] = sensor_range
-    c, s = np.cos(yaw), np.sin(yaw)
-    for box in shapes:
-        if squared_distance(x, y, box) >= sensor_range * sensor_range:
-            continue
-        if box[6] > 0.0:
-            dx, dy = box[0] - x, box[1] - y
-            meet_circle(c * dx + s * dy, c * dy - s * dx, box[6], directions, distances)
-            continue
-        dx, dy = x - box[0], y - box[1]
-        start_x, start_y = box[4] * dx + box[5] * dy, box[4] * dy - box[5] * dx
-        # Yaw of the vehicle's frame in the box's frame.
-        cos_turn, sin_turn = box[4] * c + box[5] * s, box[4] * s - box[5] * c
-        for i in range(len(directions)):
-            ux, uy = directions[i, 0], directions[i, 1]
-            enter_x, leave_x = _slab(start_x, cos_turn * ux - sin_turn * uy, box[2])
-            enter_y, leave_y = _slab(start_y, sin_turn * ux + cos_turn * uy, box[3])
-            enter = max(enter_x, enter_y, 0.0)
-            if enter <= min(leave_x, leave_y) and enter < distances[i]:
-                distances[i] = enter
-
-
-@njit()
-def _slab(start: float, direction: float, half: float) -> tuple[float, float]:
-    """Computes the distances at which a ray enters and leaves the slab from -half to half; empty if it misses it."""
-    if direction == 0.0:
-        return (-np.inf, np.inf) if abs(start) <= half else (np.inf, -np.inf)
-    first, second = (-half - start) / direction, (half - start) / direction
-    return min(first, second), max(first, second)
 
 
 @njit()
@@ -507,9 +482,13 @@ def _caster_rates(
     """Computes the rates [rad/s] of the swivel angle and the wheel of a trailing caster that rolls without slip.
 
     The swivel axis is `ahead` of the axle and `left` of its centre, and moves at (speed - yaw_rate * left, yaw_rate *
-    ahead). The wheel is `trail` behind it along the fork and does not move sideways.
+    ahead). The wheel is `trail` behind it along the fork and does not move sideways. Where the wheel points against the
+    motion, which no caster keeps, it counts as at least `UNEVENNESS` off, to the left if nothing says to which side.
     """
     speed -= yaw_rate * left
-    along = speed * np.cos(swivel) + yaw_rate * ahead * np.sin(swivel)
-    across = yaw_rate * ahead * np.cos(swivel) - speed * np.sin(swivel)
+    s = np.sin(swivel)
+    if speed * np.cos(swivel) < 0.0 and abs(s) < UNEVENNESS:
+        s = np.copysign(UNEVENNESS, s)
+    along = speed * np.cos(swivel) + yaw_rate * ahead * s
+    across = yaw_rate * ahead * np.cos(swivel) - speed * s
     return across / trail - yaw_rate, along / radius

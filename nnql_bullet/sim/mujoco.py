@@ -165,12 +165,36 @@ class MujocoEngine(ContactEngine):
     # Construction
 
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
+        self._ground, self._twisted = ground, False
+        self._commanded: list[float] = [0.0, 0.0]
+        self._compile()
+        self._hold(drives=0.0, joints=0.0)
+        half, vehicle = pose.yaw / 2, self.vehicle
+        self._position[:7] = pose.x, pose.y, vehicle.wheel_radius + height - SINK, cos(half), 0.0, 0.0, sin(half)
+        self.set_velocity(speed * cos(pose.yaw), speed * sin(pose.yaw))
+        rolling = speed / vehicle.wheel_radius
+        casters = [rate for its in vehicle.casters if its.swivels for rate in (0.0, speed / its.radius)]
+        self._velocity[self._joint_rates] = rolling, rolling, *casters
+        mujoco.mj_kinematics(self._model, self._data)  # sets the positions of the geoms that rays meet
+
+    def _load(self) -> None:
+        """Compiles a model of what is near, and goes on in it with all of the state and what probes may have set."""
+        model, data, drive_geoms = self._model, self._data, self._drive_geoms
+        state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._compile()
+        mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._model.opt.gravity[:] = model.opt.gravity
+        self._model.tendon_frictionloss[:] = model.tendon_frictionloss
+        self._model.dof_frictionloss[:] = model.dof_frictionloss
+        self._model.geom_condim[self._drive_geoms] = model.geom_condim[drive_geoms]
+
+    def _compile(self) -> None:
+        """Makes a model of what is near with the vehicle in it, and finds the vehicle's parts in the model."""
         vehicle = self.vehicle
-        model = self._model = self._compiled(world, ground)
+        model = self._model = self._compiled(self._shapes_in(self._near))
         data = self._data = mujoco.MjData(model)
         self._position, self._velocity, self._shafts = data.qpos, data.qvel, data.qvel[-2:]
-        self._commanded: list[float] = [0.0, 0.0]
-        self._twisted = False
         links = vehicle.links
         joints = [model.joint(name) for name in vehicle.joints.values()]
         self._joint_angles = [int(joint.qposadr[0]) for joint in joints]
@@ -179,17 +203,9 @@ class MujocoEngine(ContactEngine):
         supports = links["left_drive"], links["right_drive"], *(its.link for its in vehicle.casters)
         self._wheels = [model.body(name).id for name in supports]
         self._drive_geoms = np.flatnonzero(np.isin(model.geom_bodyid, self._wheels[:2]))
-        self._hold(drives=0.0, joints=0.0)
-        half = pose.yaw / 2
-        self._position[:7] = pose.x, pose.y, vehicle.wheel_radius + height - SINK, cos(half), 0.0, 0.0, sin(half)
-        self.set_velocity(speed * cos(pose.yaw), speed * sin(pose.yaw))
-        rolling = speed / vehicle.wheel_radius
-        casters = [rate for its in vehicle.casters if its.swivels for rate in (0.0, speed / its.radius)]
-        self._velocity[self._joint_rates] = rolling, rolling, *casters
-        mujoco.mj_kinematics(model, data)  # sets the positions of the geoms that rays meet
 
-    def _compiled(self, world: WorldSpec, ground: bool) -> Any:
-        """Compiles a model of the world with the vehicle in it.
+    def _compiled(self, shapes: tuple[Shape, ...]) -> Any:
+        """Compiles a model of obstacles and walls with the vehicle, ground and patrols.
 
         Raises:
             UserError: If the engine cannot take the URDF.
@@ -201,11 +217,11 @@ class MujocoEngine(ContactEngine):
             _set_solver(spec, self.time_step)
             _set_contacts(spec, self.vehicle)
             _add_clutches(spec, self.vehicle)
-            if ground:
+            if self._ground:
                 plane = mujoco.mjtGeom.mjGEOM_PLANE
                 spec.worldbody.add_geom(type=plane, size=[0.0, 0.0, 1.0], contype=0, conaffinity=WHEEL)
-            _add_solids(spec, world)
-            _add_patrols(spec, world)
+            _add_solids(spec, shapes, self._world.obstacle_height)
+            _add_patrols(spec, self._world)
             return spec.compile()
         except ValueError as error:
             reason = " ".join(str(error).split())
@@ -369,9 +385,9 @@ def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
         joint.solimp_friction[:2] = IMPEDANCE
 
 
-def _add_solids(spec: Any, world: WorldSpec) -> None:
-    for solid in world.obstacles + world.walls:
-        _add_solid(spec.worldbody, solid, world.obstacle_height / 2, pos=[solid.x, solid.y, world.obstacle_height / 2])
+def _add_solids(spec: Any, solids: tuple[Shape, ...], height: float) -> None:
+    for solid in solids:
+        _add_solid(spec.worldbody, solid, height / 2, pos=[solid.x, solid.y, height / 2])
 
 
 def _add_patrols(spec: Any, world: WorldSpec) -> None:

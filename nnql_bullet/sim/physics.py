@@ -5,11 +5,13 @@ An engine implements the abstract methods; `sim.contact` adds the control of the
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, hypot, inf, sin
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.blocks import MANY_SHAPES, SHAPES_PER_BLOCK, blocks_within, bounds_of
+from nnql_bullet.geometry import Array, Pose, Shape
 from nnql_bullet.jit import njit
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -17,6 +19,9 @@ from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 CONTACT_MARGIN = 0.0005
 """Distance below which an engine may report a contact [m]."""
+
+ROOM = 10.0
+"""How far the vehicle goes before an engine takes up other blocks of many shapes [m]."""
 
 Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""
@@ -57,10 +62,23 @@ class VehiclePhysics(ABC):
     """Obstacles, walls and patrols at the present time: rows (n, 7) of `geometry.as_rows`."""
     _movers: Array
     """Rows of the patrols: a view into `_solids` (m, 7)."""
+    _bounds: Array
+    """Bounds of the blocks of `_solids` (k, 4) [m]."""
+    _near: NDArray[np.bool_]
+    """The blocks that have to be in the engine (k,)."""
 
-    def __init__(self, vehicle: VehicleSpec, time_step: float) -> None:
+    def __init__(self, vehicle: VehicleSpec, time_step: float, horizon: float) -> None:
+        """Makes the vehicle, in no world yet.
+
+        Args:
+            vehicle: The vehicle.
+            time_step: Duration of a physics step [s].
+            horizon: Distance from the rear-axle centre within which the vehicle may touch or see anything in a control
+                period [m].
+        """
         self.vehicle = vehicle
         self.time_step = time_step
+        self._horizon = horizon
         self._steps = 0
 
     def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
@@ -76,16 +94,20 @@ class VehiclePhysics(ABC):
         self._steps = 0
         self._tracks, self._solids = world.tracks, world.solids_at(0.0)
         self._movers = self._solids[len(world.solids) :]
+        self._world, self._bounds = world, bounds_of(self._solids, len(world.tracks))
+        self._look_around(pose.x, pose.y)
         self._build(world, pose, speed, height, ground)
         self._move_patrols()
 
     def run(self, seconds: float) -> None:
         """Runs physics steps for a time [s], rounded to whole steps."""
         for _ in range(round(seconds / self.time_step)):
+            self._keep_near(self.pose())
             self._step_and_move()
 
     def step(self) -> None:
         """Runs one physics step, then moves the patrols."""
+        self._keep_near(self.pose())
         self._step_and_move()
 
     def command_wheels(self, left: float, right: float) -> None:
@@ -164,9 +186,9 @@ class VehiclePhysics(ABC):
 
     def speed(self) -> float:
         """Speed of the rear-axle centre along the vehicle [m/s]."""
-        vx, vy, _ = self.velocity()
+        (vx, vy, _), (_, _, yaw_rate) = self._velocities()
         yaw, left = self.pose().yaw, self._com[1]
-        return float(vx * cos(yaw) + vy * sin(yaw) + self.yaw_rate() * left)
+        return float(vx * cos(yaw) + vy * sin(yaw) + yaw_rate * left)
 
     def yaw_rate(self) -> float:
         """Yaw rate [rad/s]."""
@@ -176,7 +198,11 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def _build(self, world: WorldSpec, pose: Pose, speed: float, height: float, ground: bool) -> None:
-        """Builds the world and the vehicle in the engine (see `place`) and sets `_com`."""
+        """Builds the near blocks of the world and the vehicle in the engine (see `place`) and sets `_com`."""
+
+    @abstractmethod
+    def _load(self) -> None:
+        """Puts the near blocks into the engine; the state of the vehicle stays as it is."""
 
     @abstractmethod
     def _step(self) -> None:
@@ -205,6 +231,26 @@ class VehiclePhysics(ABC):
     @abstractmethod
     def _cast(self, begins: Array, ends: Array) -> Array:
         """Computes the distances (n,) [m] at which rays from `begins` to `ends` (n, 3) meet an obstacle or wall."""
+
+    def _keep_near(self, pose: Pose) -> None:
+        """Puts into the engine what the vehicle may touch or see in a control period from here."""
+        if hypot(pose.x - self._centre[0], pose.y - self._centre[1]) > self._room:
+            self._look_around(pose.x, pose.y)
+            self._load()
+
+    def _look_around(self, x: float, y: float) -> None:
+        """Finds the near blocks of a place [m]. An engine's step takes the longer, the more shapes it holds."""
+        self._centre, self._room = (x, y), ROOM
+        self._near = blocks_within(x, y, self._horizon + ROOM, self._bounds)
+        if len(self._world.shapes) < MANY_SHAPES:
+            self._near[:] = True
+        if self._near.all():
+            self._room = inf
+
+    def _shapes_in(self, blocks: NDArray[np.bool_]) -> tuple[Shape, ...]:
+        """The obstacles and walls of some blocks (k,)."""
+        firsts = (SHAPES_PER_BLOCK * np.flatnonzero(blocks)).tolist()
+        return tuple(shape for first in firsts for shape in self._world.shapes[first : first + SHAPES_PER_BLOCK])
 
     def _step_and_move(self) -> None:
         self._step()

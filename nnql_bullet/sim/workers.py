@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sensing import Sensor
 from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, no_motion
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -58,7 +57,7 @@ class WorkerSimulator:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         try:
-            self.sensor: Sensor = self._collect(range(workers))[0]
+            self.vehicle, self.drive = self._collect(range(workers))[0]
         except BaseException:
             self.close()
             raise
@@ -73,7 +72,7 @@ class WorkerSimulator:
             self._send(worker, ("reset", share))
         answers = self._collect(asked)
         row = {i: row for row, i in enumerate(worlds)}
-        poses, distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.sensor.rays))
+        poses, distances = np.empty((len(worlds), 3)), np.empty((len(worlds), self.vehicle.sensor.rays))
         for worker, share in asked.items():
             rows = [row[worker + workers * local] for local in share]
             poses[rows], distances[rows] = answers[worker]
@@ -96,7 +95,7 @@ class WorkerSimulator:
             traced = [row for row, i in enumerate(share.tolist()) if i in traces]
             self._send(worker, ("advance", heading_changes[share], active[share], speed_scales[share], traced))
         answers = self._collect(asked)
-        motion, ray_distances = no_motion(self.size), np.zeros((self.size, self.sensor.rays))
+        motion, ray_distances = no_motion(self.size), np.zeros((self.size, self.vehicle.sensor.rays))
         for worker in asked:
             share = self._shares[worker]
             (part, ray_distances[share]), samples = answers[worker]
@@ -159,7 +158,7 @@ def _serve(pipe: Connection, make: Callable[[int], Simulator], size: int) -> Non
     """Runs in a worker process: answers (result, error) to each message until the pipe ends."""
     try:
         simulator = make(size)
-        pipe.send((simulator.sensor, None))
+        pipe.send(((simulator.vehicle, simulator.drive), None))
         while True:
             verb, *arguments = pipe.recv()
             if verb == "reset":

@@ -57,7 +57,7 @@ def load_weights(path: Path) -> Weights:
         with safe_open(path, framework="numpy") as file:
             metadata = _metadata(file.metadata() or {})
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, UserError) as error:
         raise UserError(f"{path}: damaged, or not a safetensors file ({error})".replace("\n", " ")) from None
     if metadata.get("format") != FORMAT:
         raise UserError(f"{path}: not written by this program (its format is {metadata.get('format')!r})")
@@ -76,7 +76,7 @@ def _metadata(found: dict[str, str]) -> dict[str, str]:
     Raises:
         ValueError: If they are damaged.
     """
-    metadata = json.loads(found[_METADATA]) if _METADATA in found else found
+    metadata = parse_json(found[_METADATA], "its metadata") if _METADATA in found else found
     if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
         raise ValueError("its metadata is damaged")
     return metadata

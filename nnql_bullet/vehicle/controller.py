@@ -31,7 +31,9 @@ class DriveOptions:
     decision_period: Period = 0.5
     """Time between decisions [s]; the paper states no length of "one step". A turn may last for several decisions."""
     speed: Speed = paper.SPEED
-    """Speed of the rear-axle centre [m/s], unless a decision asks for less."""
+    """Speed of the rear-axle centre [m/s], unless a decision asks to stop or to reverse."""
+    reverse_share: Annotated[float, Field(gt=0, le=1)] = 0.25
+    """Speed of reversing, as a share of `speed`."""
     heading_gain: Annotated[float, Field(ge=0, le=1000)] = 4.0
     """Yaw rate per heading error [1/s]."""
 
@@ -50,7 +52,7 @@ class Plan:
     yaw_rates: Array
     """Yaw rate at each command and at the end (m + 1,) [rad/s]."""
     speeds: Array
-    """Speed at each command and at the end (m + 1,) [m/s]."""
+    """Speed at each command and at the end (m + 1,) [m/s], negative backwards."""
     feed_forward: Array
     """Mean speed [m/s] and mean yaw rate [rad/s] from each command to the next (m, 2)."""
 
@@ -73,7 +75,7 @@ def plan_period(
         yaw_rate: Yaw rate at the start [rad/s].
         speed: Speed at the start [m/s].
         heading_change: Wanted change of heading [rad].
-        wanted_speed: Wanted speed [m/s].
+        wanted_speed: Wanted speed [m/s], negative backwards.
         limits: Limits of the vehicle.
         times: See `command_times`.
     """

@@ -1,12 +1,11 @@
-"""Reads a URDF: the one place that parses XML, and what its links and joints are.
+"""Reads a URDF: what its links and joints are.
 
-No document type is taken, so no entity is expanded and no other file is read. Links without a mass that are fixed to
-others are frames, as ROS files have them for sensors and for `base_footprint`: they are folded into the link that
-carries them, because PyBullet would give each a mass of 1 kg.
+Links without a mass that are fixed to others are frames, as ROS files have them for sensors and for `base_footprint`:
+they are folded into the link that carries them, because PyBullet would give each a mass of 1 kg.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
@@ -17,7 +16,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
+from nnql_bullet.markup import parse_xml
 
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4, "scale": 3}
 NUMBERS |= dict.fromkeys(("lower", "upper", "velocity"), 1)
@@ -31,8 +32,6 @@ DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radiu
 """Shapes that are drawn, and the attributes that they need."""
 MOST_BYTES, MOST_LINKS = 10_000_000, 500
 """Size of the largest URDF that is read [bytes, links]."""
-DEEPEST = 50
-"""Largest depth of elements in elements."""
 _ENCODING = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
 
@@ -143,7 +142,7 @@ def read(path: Path) -> Element:
         UserError: If the file cannot be read, is not XML, or its links and joints are not a tree with proper numbers.
     """
     try:
-        size = path.stat().st_size
+        size = plain_file(path).stat().st_size
         if size > MOST_BYTES:
             raise Unfit(f"has {size} bytes; a URDF is read up to {MOST_BYTES} bytes")
         return parse(path.read_bytes())
@@ -160,12 +159,12 @@ def parse(source: str | bytes) -> Element:
         Unfit: See `read`.
     """
     try:
-        robot = ElementTree.fromstring(_decoded(source), ElementTree.XMLParser(target=_Elements()))
+        robot = parse_xml(_decoded(source))
         if robot.tag != "robot":
             raise Unfit(f"its root is <{robot.tag}>, not <robot>")
-        _check_numbers(robot)
+        refuse(list(_check_numbers(robot)))
         _check_tree(robot)
-    except (Unfit, SyntaxError, LookupError, ValueError) as error:  # those of the parser, and of unknown encodings
+    except (Unfit, ValueError) as error:
         raise Unfit(f"cannot be read as a URDF: {error}") from None
     _fold_frames(robot)
     return robot
@@ -259,31 +258,7 @@ def text_of(robot: Element) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-class _Elements(ElementTree.TreeBuilder):
-    """Builds the tree of an XML file that declares nothing and is no deeper than a URDF can be."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._depth = 0
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuses a document type, which entities need."""
-        raise Unfit("it declares a document type (<!DOCTYPE>); remove that, and write out its entities")
-
-    def start(self, tag: str, attrs: dict[str, str], /) -> Element:
-        """Begins an element."""
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise Unfit(f"it has elements in elements, more than {DEEPEST} deep")
-        return super().start(tag, attrs)
-
-    def end(self, tag: str, /) -> Element:
-        """Ends an element."""
-        self._depth -= 1
-        return super().end(tag)
-
-
-def _check_numbers(robot: Element) -> None:
+def _check_numbers(robot: Element) -> Iterator[str]:
     """Checks the form of all numbers of links and joints, and writes one space between them, as PyBullet needs it."""
     for part in [*robot.findall("link"), *robot.findall("joint"), *robot.findall("material")]:
         for element in part.iter():
@@ -293,12 +268,13 @@ def _check_numbers(robot: Element) -> None:
                 words, count = element.attrib[key].split(), NUMBERS[key]
                 given = f'<{element.tag} {key}="{element.attrib[key]}"> of {part.tag} {part.get("name")!r}'
                 if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
-                    raise Unfit(f"{given} must be {count} number{'s' * (count > 1)}")
+                    yield f"{given} must be {count} number{'s' * (count > 1)}"
+                    continue
                 numbers = [float(word) for word in words]
                 if key not in UNBOUNDED and not all(abs(number) <= LARGEST for number in numbers):
-                    raise Unfit(f"{given} must be finite, and at most {LARGEST:g} in size")
-                if key in ("size", "length") and min(numbers) <= 0:
-                    raise Unfit(f"{given} must be positive")
+                    yield f"{given} must be finite, and at most {LARGEST:g} in size"
+                elif key in ("size", "length") and min(numbers) <= 0:
+                    yield f"{given} must be positive"
                 element.set(key, " ".join(words))
 
 

@@ -104,13 +104,14 @@ def ramp_distances(speeds: Array, goals: Array, acceleration: float, times: Arra
     """Computes the distances that vehicles drive between times while their speed changes as in `sample_ramp`.
 
     Args:
-        speeds: Speeds at the start (n,) [m/s].
-        goals: Speeds to reach (n,) [m/s].
+        speeds: Speeds at the start (n,) [m/s], negative backwards.
+        goals: Speeds to reach (n,) [m/s], likewise.
         acceleration: Limit on acceleration and deceleration [m/s2].
         times: (k,) [s]
 
     Returns:
-        Distances from 0 to the first time and from each time to the next (n, k) [m], by the trapezoidal rule.
+        Distances from 0 to the first time and from each time to the next (n, k) [m], by the trapezoidal rule; negative
+        where the vehicle drives backwards.
     """
     times = np.concatenate([[0.0], times])
     change, start = acceleration * times, speeds[:, None]
@@ -137,11 +138,11 @@ def sample_profile(
 
 @njit()
 def sample_ramp(start: float, goal: float, acceleration: float, times: Array, speeds: Array) -> None:
-    """Samples the speed of a vehicle that changes to another speed and keeps it.
+    """Samples the speed of a vehicle that changes to another speed and keeps it, through zero if their signs differ.
 
     Args:
-        start: Speed at the start [m/s].
-        goal: Speed to reach [m/s].
+        start: Speed at the start [m/s], negative backwards.
+        goal: Speed to reach [m/s], likewise.
         acceleration: Limit on acceleration and deceleration [m/s2].
         times: (n,) [s]
         speeds: Array to fill (n,) [m/s].

@@ -200,6 +200,11 @@ class VehicleSpec:
         return replace(self, contact=replace(self.contact, wheel_friction=friction))
 
     @property
+    def length(self) -> float:
+        """Length of the footprint [m]."""
+        return 2 * self.footprint.half_length
+
+    @property
     def width(self) -> float:
         """Width of the footprint [m]."""
         return 2 * self.footprint.half_width

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
-_FIRST_REACH = 4.0
+_FIRST_REACH = 1.0
 """Distance of pairs that are looked at first [m]; it doubles until a barrier closes."""
 
 Point = tuple[float, float]
@@ -32,6 +32,10 @@ class Passage:
     """[m]"""
     y: float
     """[m]"""
+
+    def admits(self, width: float) -> bool:
+        """Whether a disc of a width [m] passes, to a nanometre."""
+        return self.width > width - 1e-9
 
 
 def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:

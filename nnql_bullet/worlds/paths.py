@@ -7,7 +7,8 @@ from math import ceil, floor, inf, nan, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, Circle, as_rows, clearance_at, ray_distances, squared_distance
+from nnql_bullet.blocks import bounds_of, cast_rays, clearance_among
+from nnql_bullet.geometry import Array, Circle, as_rows, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -16,8 +17,6 @@ GRID_CELL = 0.1
 MOST_CELLS = 4_000_000
 SURVEY_SPACING = 2.0
 """Distance along the path between measurements of its surroundings [m]."""
-SIGHT_BOXES = 200
-"""Boxes that rays are tested against at a time."""
 VISIBILITY_RANGE = 100.0
 """Length of a ray that meets nothing [m]; in the paper's arena every ray meets a wall."""
 
@@ -40,7 +39,7 @@ class Difficulty:
     shortest_path: float
     """Length of the vehicle's shortest path from the start to the edge of the target [m]; infinite without a path."""
     tortuosity: float
-    """Length of the shortest path over the straight distance."""
+    """Length of the shortest path, and on to the target's centre, over the straight distance."""
     closest_obstacle: float
     """Distance to the closest obstacle or wall [m]."""
     visibility: float
@@ -55,61 +54,64 @@ def difficulty(world: WorldSpec, vehicle_width: float) -> Difficulty:
         vehicle_width: Diameter of the disc whose shortest path is measured, or that of the bottleneck if that is
             narrower [m].
     """
-    path = shortest_path(world, min(vehicle_width, world.bottleneck.width) / 2)
-    length = path_length(path) if len(path) else inf
+    path, length = shortest_path(world, min(vehicle_width, world.bottleneck.width) / 2)
     straight = float(np.hypot(world.target[0] - world.start.x, world.target[1] - world.start.y))
     points = _along(path, SURVEY_SPACING) if len(path) else np.zeros((0, 2))
-    angles = np.arange(0.0, 2 * pi, pi / 36)
-    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
-    closest = [clearance_at(x, y, 0.0, point, world.solids) for x, y in points.tolist()]
-    seen = [float(np.mean(_sight(x, y, angles, world.solids))) for x, y in points.tolist()]
+    closest, seen = _surroundings(points, world.solids, bounds_of(world.solids))
     return Difficulty(
         cover=world.cover,
         bottleneck=world.bottleneck.width,
         shortest_path=length - world.target_radius,
         tortuosity=length / straight,
-        closest_obstacle=float(np.mean(closest)) if closest else nan,
-        visibility=float(np.mean(seen)) if seen else nan,
+        closest_obstacle=float(np.mean(closest)) if len(points) else nan,
+        visibility=float(np.mean(seen)) if len(points) else nan,
     )
 
 
-def _sight(x: float, y: float, angles: Array, solids: Array) -> Array:
-    """Lengths of rays (m,) from a point [m], the nearest boxes first: those behind what all rays meet are left out."""
-    nearest = np.hypot(solids[:, 0] - x, solids[:, 1] - y) - np.hypot(solids[:, 2], solids[:, 3]) - solids[:, 6]
-    order = np.argsort(nearest)
-    lengths = np.full(len(angles), VISIBILITY_RANGE)
-    for first in range(0, len(order), SIGHT_BOXES):
-        some = order[first : first + SIGHT_BOXES]
-        if nearest[some[0]] > lengths.max():
-            break
-        lengths = np.minimum(lengths, ray_distances((x, y), angles, solids[some], VISIBILITY_RANGE))
-    return lengths
+def _surroundings(points: Array, solids: Array, bounds: Array) -> tuple[Array, Array]:
+    """Measures, at points (m, 2) [m], the distance to the closest solid and the mean length of rays (m,) [m]."""
+    point = as_rows([Circle(0.0, 0.0, 0.0)])[0]  # a footprint without extent
+    angles = np.arange(0.0, 2 * pi, pi / 36)
+    directions, lengths = np.stack([np.cos(angles), np.sin(angles)], axis=1), np.empty(len(angles))
+    closest, seen = np.empty(len(points)), np.empty(len(points))
+    for i, (x, y) in enumerate(points.tolist()):
+        closest[i] = clearance_among(x, y, 0.0, point, solids, bounds)
+        cast_rays(x, y, 0.0, directions, solids, bounds, VISIBILITY_RANGE, lengths)
+        seen[i] = np.mean(lengths)
+    return closest, seen
 
 
-def shortest_path(world: WorldSpec, radius: float) -> Array:
-    """Finds the shortest path of a disc from the start to the target.
+def shortest_path(world: WorldSpec, radius: float) -> tuple[Array, float]:
+    """Finds the shortest path of a disc from the start to the target, which is reached at its radius.
 
     A cell of a grid is free if its centre is at least `radius`, less half a cell's diagonal, away from everything; so
     where a disc of this radius passes, free cells are connected. Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A*
-    whose paths may run at any angle, searches them.
+    whose paths may run at any angle, searches them: to the target's centre where all cells around it are free, else to
+    the first cell within the target's radius.
 
     Returns:
-        Corners of the straight pieces of the path (k, 2) [m]; none if there is no path.
+        Corners of the straight pieces of the path (k, 2) [m]; none if there is no path. The last is the target's
+        centre, or else lies within its radius. The other value is the path's length to the target's edge and the
+        target's radius [m]; infinite if there is no path.
     """
     side = max(GRID_CELL, sqrt(world.width * world.depth / MOST_CELLS))
     shape = ceil(world.depth / side), ceil(world.width / side)
     ends = (world.start.x, world.start.y), world.target
     begin, end = ((floor(y / side), floor(x / side)) for x, y in ends)
     if not all(0 <= row < shape[0] and 0 <= column < shape[1] for row, column in (begin, end)):
-        return np.zeros((0, 2))
-    free = _free_cells(shape, side, world.solids, max(radius - side / sqrt(2), 0.0))
-    cells = _theta_star(begin, end, free) if free[begin] and free[end] else np.zeros((0, 2), np.int64)
+        return np.zeros((0, 2)), inf
+    free = free_cells(shape, side, world.solids, max(radius - side / sqrt(2), 0.0))
+    reach = 0.0 if _is_open(end, world.target_radius / side, free) else world.target_radius / side
+    cells = _theta_star(begin, end, reach, free) if free[begin] else np.zeros((0, 2), np.int64)
     path = np.asarray((cells[:, ::-1] + 0.5) * side)
-    if len(path) == 1:  # both ends are in one cell
-        return np.array(ends)
-    if len(path):
-        path[0], path[-1] = ends
-    return path
+    if not len(path):
+        return path, inf
+    path[0] = ends[0]
+    if reach == 0.0:
+        path = np.array(ends) if len(path) == 1 else np.concatenate([path[:-1], [ends[1]]])
+        return path, path_length(path)
+    left = float(np.hypot(*(path[-1] - ends[1])))
+    return path, max(path_length(path) + left, float(np.hypot(*np.subtract(*ends))))
 
 
 def path_length(path: Array) -> float:
@@ -125,7 +127,7 @@ def _along(path: Array, every: float) -> Array:
 
 
 @njit(nogil=True)
-def _free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
+def free_cells(shape: Cell, side: float, solids: Array, distance: float) -> NDArray[np.bool_]:
     """Marks the cells whose centres are farther than `distance` [m] from all solids, rows (n, 7) of `as_rows`."""
     free = np.ones(shape, np.bool_)
     for i in range(len(solids)):
@@ -171,14 +173,28 @@ def _apart(one: Cell, other: Cell) -> float:
 
 
 @njit(nogil=True)
-def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Finds the cells (k, 2) at the corners of the path from `begin` to `end`; none if there is no path."""
+def _is_open(middle: Cell, reach: float, free: NDArray[np.bool_]) -> bool:
+    """Whether all cells no farther than `reach` cells from one are free."""
+    far = int(reach) + 1
+    for row in range(max(middle[0] - far, 0), min(middle[0] + far + 1, free.shape[0])):
+        for column in range(max(middle[1] - far, 0), min(middle[1] + far + 1, free.shape[1])):
+            if not free[row, column] and _apart((row, column), middle) <= reach:
+                return False
+    return True
+
+
+@njit(nogil=True)
+def _theta_star(begin: Cell, end: Cell, reach: float, free: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Finds the cells (k, 2) at the corners of the path from `begin` to the first cell within `reach` cells of `end`.
+
+    There is none if there is no path.
+    """
     length = np.full(free.shape, np.inf)  # of the path from `begin`, in cells
     parents = np.zeros((free.shape[0], free.shape[1], 2), np.int64)
     closed = np.zeros(free.shape, np.bool_)
     length[begin] = 0.0
     parents[begin] = begin
-    heap = [(_apart(begin, end), begin)]
+    heap = [(max(_apart(begin, end) - reach, 0.0), begin)]
     while heap:
         _, cell = heappop(heap)
         if closed[cell]:
@@ -195,7 +211,8 @@ def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.i
                             parents[cell] = (row, column)
             parent = parents[cell][0], parents[cell][1]
         closed[cell] = True
-        if cell == end:
+        if _apart(cell, end) <= reach:
+            end = cell
             break
         for row in range(max(cell[0] - 1, 0), min(cell[0] + 2, free.shape[0])):
             for column in range(max(cell[1] - 1, 0), min(cell[1] + 2, free.shape[1])):
@@ -204,7 +221,7 @@ def _theta_star(begin: Cell, end: Cell, free: NDArray[np.bool_]) -> NDArray[np.i
                     if candidate < length[row, column]:
                         length[row, column] = candidate
                         parents[row, column] = parent
-                        heappush(heap, (candidate + _apart((row, column), end), (row, column)))
+                        heappush(heap, (candidate + max(_apart((row, column), end) - reach, 0.0), (row, column)))
     corners = [end]
     if not closed[end]:
         return np.zeros((0, 2), np.int64)

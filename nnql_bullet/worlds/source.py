@@ -1,30 +1,34 @@
 """Kinds of worlds: their description, in TOML or in code, and the drawing of worlds."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import dist, radians
+from math import cos, degrees, dist, pi, radians, sin
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, Tag, ValidationError
 
 from nnql_bullet import assets, paper
+from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
-from nnql_bullet.geometry import Pose, bearing
+from nnql_bullet.geometry import Pose, bearing, placed, wrap_angle
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Extent, NonNegative, Number
-from nnql_bullet.worlds.layouts import AnyLayout, Arena
+from nnql_bullet.types import LARGEST, Extent, NonNegative, Number
+from nnql_bullet.worlds.importers import is_foreign
+from nnql_bullet.worlds.layouts import AnyLayout, Arena, Layout
+from nnql_bullet.worlds.layouts.base import Densifiable
+from nnql_bullet.worlds.narrowing import as_narrow_as
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
+MOST_NARROWINGS = 50
+"""Largest number of random layouts that are narrowed to the bottleneck of a seed."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
-FOREIGN = (".yaml", ".yml", ".pgm", ".png", ".world", ".sdf", ".xml", ".json")
-"""Suffixes of maps and worlds of other programs."""
 MOST_NAME = 100
 """Longest name of a world."""
 WIDTH = 0.65
@@ -66,6 +70,13 @@ class World:
     """Height of boxes and walls [m]."""
     clearance: NonNegative = 0.1
     """How much wider than the vehicle the narrowest passage is at least [m]."""
+    max_clearance: NonNegative | None = None
+    """How much wider it is at most [m]: each seed then has a bottleneck between the two, every width as often, for
+    which obstacles are added to the layout. Without it bottlenecks are as they come."""
+    origin: tuple[Number, Number] = (0.0, 0.0)
+    """The arena's lower left corner in the frame of the map that it was made from [m], in which no other key is."""
+    origin_yaw_degrees: Number = 0.0
+    """Yaw of the arena in that frame [degrees]."""
 
     def __post_init__(self) -> None:
         """Refuses a name that no file could be named for, and a target that is reached at the start."""
@@ -76,10 +87,69 @@ class World:
                 f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
                 f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
             )
+        if self.max_clearance is None:
+            return
+        if self.max_clearance < self.clearance:
+            raise ValueError(f"max_clearance {self.max_clearance:g} is less than clearance {self.clearance:g}")
+        if not isinstance(self.layout, Densifiable):
+            raise ValueError(f"max_clearance: a layout '{self.layout.kind}' cannot be made denser; leave it out")
+
+    @property
+    def is_random(self) -> bool:
+        """Whether seeds give different worlds."""
+        return self.layout.is_random or self.patrols is not None
+
+    @property
+    def frame(self) -> Pose:
+        """The arena's lower left corner in the frame of the map that it was made from; at (0, 0) for other worlds."""
+        return Pose(*self.origin, radians(self.origin_yaw_degrees))
+
+    def between(self, start: Sequence[float] | None = None, target: Sequence[float] | None = None) -> "World":
+        """Returns the world with another start or target.
+
+        Args:
+            start: x, y [m] and, if given, yaw [rad], in the frame of the world's map; without a yaw it looks towards
+                the target.
+            target: x, y [m] in that frame.
+
+        Raises:
+            UserError: If these are no numbers of a place in the arena, or the target is reached at the start.
+        """
+        values: dict[str, Any] = {}
+        if start is not None:
+            values["start"] = in_frame(self.frame, _place("start", start, (2, 3)))
+            yaw = degrees(wrap_angle(start[2] - self.frame.yaw)) if len(start) == 3 else None
+            values["start_yaw_degrees"] = yaw
+        if target is not None:
+            values["target"] = in_frame(self.frame, _place("target", target, (2,)))
+        try:
+            world = replace(self, **values)
+        except ValidationError as error:
+            raise UserError(f"world '{self.name}': {error.errors()[0]['msg'].partition(', ')[2]}") from None
+        world.check_ends()
+        return world
+
+    def check_ends(self) -> None:
+        """Checks that start and target are in the arena.
+
+        Raises:
+            UserError: If one is not.
+        """
+        for name, (x, y) in (("start", self.start), ("target", self.target)):
+            if not (0 < x < self.width and 0 < y < self.depth):
+                mapped = placed(self.frame, x, y)
+                given = "" if self.frame == Pose(0.0, 0.0, 0.0) else f", ({mapped[0]:g}, {mapped[1]:g}) in its map,"
+                raise UserError(
+                    f"world '{self.name}': its {name} ({x:g}, {y:g}){given} is outside the arena; move it inside"
+                )
 
     @staticmethod
+    @checked
     def load(name: "str | Path | World") -> "World":
-        """Reads a shipped world or a TOML file; a `World` is returned as it is.
+        """Reads a shipped world, a TOML file, or a map or world of another program; a `World` is returned as it is.
+
+        ROS maps (.yaml), SDF (.world, .sdf), MovingAI maps (.map) and GeoJSON are read as `import_world` does without
+        options.
 
         Raises:
             UserError: If a file is missing or malformed.
@@ -87,6 +157,7 @@ class World:
         return name if isinstance(name, World) else load_world(str(name))
 
     @staticmethod
+    @checked
     def from_toml(path: str | Path) -> "World":
         """Reads a TOML file, and the files that its `base` names under it.
 
@@ -96,6 +167,7 @@ class World:
         return load_world(str(path))
 
     @staticmethod
+    @checked
     def from_boxes(boxes: Iterable[tuple[float, ...]], **values: Any) -> "World":
         """Makes a world with boxes at given places.
 
@@ -110,17 +182,20 @@ class World:
         layout = {"kind": "boxes", "boxes": [dict(zip(names, box, strict=False)) for box in boxes]}
         return parse(World, {**values, "layout": layout}, "world")
 
+    @checked
     def plot(self, path: Path | str, seed: int = 0) -> None:
         """Draws the world of a seed as a picture (.png)."""
         from nnql_bullet.reports.plots import draw_map
 
         draw_map(self.draw(seed), Path(path))
 
+    @checked
     def draw(self, seed: int, vehicle_width: float = WIDTH, allow_impassable: bool = False) -> WorldSpec:
         """Draws the world of a seed, whose widest path is wider than the vehicle by `clearance` everywhere.
 
-        A random layout is drawn again until it leaves such a path. The result depends on the arguments alone. Patrols
-        are drawn last, so they do not change the other obstacles; they may cross the path.
+        A random layout is drawn again until it leaves such a path. With `max_clearance`, the bottleneck is as wide as
+        the seed says, to a centimetre. The result depends on the arguments alone. Patrols are drawn last, so they do
+        not change the other obstacles; they may cross the path.
 
         Args:
             seed: The seed.
@@ -130,15 +205,18 @@ class World:
         Raises:
             UserError: If the path is too narrow, an end is outside the arena, or there is no room for the patrols.
         """
-        for name, (x, y) in (("start", self.start), ("target", self.target)):
-            if not (0 < x < self.width and 0 < y < self.depth):
-                raise UserError(f"world '{self.name}': its {name} ({x:g}, {y:g}) is outside the arena; move it inside")
+        if not 0 <= seed < 2**63:
+            given = f", not {seed}" if abs(seed) < 10**30 else ""
+            raise UserError(f"a world seed must be from 0 to 2^63 - 1{given}")
+        self.check_ends()
+        if isinstance(self.layout, Densifiable) and self.max_clearance is not None:
+            return self._with_patrols(self._as_narrow_as_drawn(self.layout, seed, vehicle_width, self.max_clearance))
         attempts = MOST_ATTEMPTS if self.layout.is_random else 1
         for attempt in range(attempts):
-            world = self._attempt(seed, attempt)
-            if allow_impassable or world.bottleneck.width >= vehicle_width + self.clearance:
+            world = self._attempt(seed, attempt, self.layout)
+            if allow_impassable or world.bottleneck.admits(vehicle_width + self.clearance):
                 return self._with_patrols(world)
-            if attempt == 0 and replace(world, obstacles=()).bottleneck.width < vehicle_width + self.clearance:
+            if attempt == 0 and not replace(world, obstacles=()).bottleneck.admits(vehicle_width + self.clearance):
                 attempts = 1  # no draw of obstacles mends ends that walls are too near to
                 break
         found, again = world.bottleneck, f" in {attempts} attempts" if attempts > 1 else ""
@@ -150,7 +228,19 @@ class World:
             "allow impassable worlds"
         )
 
-    def _attempt(self, seed: int, attempt: int) -> WorldSpec:
+    def _as_narrow_as_drawn(self, layout: Densifiable, seed: int, width: float, most: float) -> WorldSpec:
+        """Draws the bottleneck of a seed, and a world that has it."""
+        wanted = width + round(float(rng(seed, Stream.BOTTLENECK).uniform(self.clearance, most)), 3)
+        for attempt in range(MOST_NARROWINGS):
+            world = as_narrow_as(wanted, lambda share: self._attempt(seed, attempt, layout.denser(share)))  # noqa: B023
+            if world is not None:
+                return world
+        raise UserError(
+            f"world '{self.name}', seed {seed}: in {MOST_NARROWINGS} attempts none had a bottleneck of {wanted:.2f} m; "
+            "make the layout sparser, or smaller obstacles possible, or change 'clearance' and 'max_clearance'"
+        )
+
+    def _attempt(self, seed: int, attempt: int, layout: Layout) -> WorldSpec:
         arena = Arena(self.width, self.depth, (self.start, self.target))
         yaw = bearing(Pose(*self.start, 0.0), *self.target)
         if self.start_yaw_degrees is not None:
@@ -160,7 +250,7 @@ class World:
             seed=seed,
             width=self.width,
             depth=self.depth,
-            obstacles=self.layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
+            obstacles=layout.place(arena, rng(seed, Stream.LAYOUT, attempt)),
             start=Pose(*self.start, round(yaw, 6)),
             target=self.target,
             target_radius=self.target_radius,
@@ -172,25 +262,48 @@ class World:
         return replace(world, patrols=patrols.draw(world, rng(world.seed, Stream.PATROLS))) if patrols else world
 
 
+def in_frame(frame: Pose, point: Sequence[float]) -> tuple[float, float]:
+    """Transforms a point x, y [m] from the frame that `frame` lies in into `frame`, to a micrometre."""
+    dx, dy = point[0] - frame.x, point[1] - frame.y
+    c, s = cos(frame.yaw), sin(frame.yaw)
+    return round(c * dx + s * dy, 6), round(c * dy - s * dx, 6)
+
+
+def _place(name: str, numbers: Sequence[float], counts: tuple[int, ...]) -> Sequence[float]:
+    """Checks the numbers of a place.
+
+    Raises:
+        UserError: If there are not so many, one is not finite or too large, or the yaw is beyond a turn.
+    """
+    if len(numbers) not in counts or not all(abs(number) <= LARGEST for number in numbers):
+        what = "x,y" if counts == (2,) else "x,y or x,y,yaw"
+        raise UserError(f"{name}: must be {what}: finite numbers in metres{'' if counts == (2,) else ' and radians'}")
+    if len(numbers) == 3 and abs(numbers[2]) > 2 * pi:
+        raise UserError(f"{name}: its yaw is in radians, from -6.28 to 6.28, not {numbers[2]:g}")
+    return numbers
+
+
 WorldLike = Annotated[
     Annotated[str, Tag("a name")] | Annotated[World, Tag("a table")],
     Discriminator(lambda value: "a table" if isinstance(value, Mapping | World) else "a name"),
 ]
-"""The name of a shipped world, the path of a TOML file, or a `World`."""
+"""The name of a shipped world, the path of a file, or a `World`."""
 
 
 def load_world(name: str) -> World:
     """Reads a world file, and the files that its `base` names under it.
 
     Args:
-        name: A shipped world's name or a path to a TOML file.
+        name: A shipped world's name, or a path to a TOML file or to a map or world of another program.
 
     Raises:
         UserError: If a file is missing or malformed.
     """
     path = assets.find("worlds", name)
-    if path.suffix.lower() in FOREIGN:
-        raise UserError(f"{path}: maps and worlds of other programs are not read; write its boxes into a TOML file")
+    if is_foreign(path):
+        from nnql_bullet.worlds.imported import import_file
+
+        return import_file(path).world
     return parse(World, {"name": path.stem, **_with_base(path, ())}, str(path))
 
 

@@ -7,6 +7,7 @@ from math import hypot
 
 import numpy as np
 
+from nnql_bullet.blocks import by_place
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.passages import Passage, narrowest_passage
@@ -103,9 +104,14 @@ class WorldSpec:
         )
 
     @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Obstacles and walls; many are sorted by place."""
+        return by_place(self.obstacles + self.walls)
+
+    @cached_property
     def solids(self) -> Array:
-        """Obstacles and walls as the rows (n, 7) of `geometry.as_rows`."""
-        return as_rows(self.obstacles + self.walls)
+        """The `shapes` as the rows (n, 7) of `geometry.as_rows`."""
+        return as_rows(self.shapes)
 
     @cached_property
     def tracks(self) -> Array:

@@ -72,6 +72,7 @@ CASES = {
         before=("drive straight --world small.toml --sim kinematic --out d",),
     ),
     "report": Case("report run", before=(TRAIN,)),
+    "fidelity": Case("fidelity --physics fast --out fidelity", before=("fidelity --sim bullet --out fidelity",)),
 }
 
 

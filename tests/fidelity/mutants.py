@@ -284,7 +284,7 @@ FAULTS = {
     "track 2 % wider": Fault(("five-actions", "steady-turn"), urdf=wider_track),
     "drive wheels 2 % larger": Fault(("settle", "acceleration", "coast", "straight"), urdf=larger_wheels),
     "caster wheel 2 % larger": Fault(("settle",), urdf=larger_caster),
-    "trail 1 cm shorter": Fault(("caster",), urdf=shorter_trail),
+    "trail 1 cm shorter": Fault(("caster", "reversing"), urdf=shorter_trail),
     "wheelbase 2 % longer": Fault(("settle", "steady-turn"), urdf=moved("joint[@name='swivel']/origin", x=0.014)),
     "mass 2 % larger": Fault(
         ("read-back", "settle", "acceleration", "wall"), urdf=scaled("link/inertial/mass", "value", 1.02)
@@ -319,7 +319,7 @@ FAULTS = {
     "joints held below 100 rad/s": Fault(("coast",), made_by=changed("base", maxJointVelocity=100.0)),
     "joint damping": Fault(("coast", "acceleration"), made_by=changed("left", "right", jointDamping=0.1)),
     "motor left on the caster": Fault(("coast", "caster"), made_by=motor_left_on("caster_roll")),
-    "motor left on the swivel": Fault(("five-actions", "caster"), made_by=motor_left_on("swivel")),
+    "motor left on the swivel": Fault(("five-actions", "caster", "reversing"), made_by=motor_left_on("swivel")),
     "motor left on a drive": Fault(("coast",), made_by=motor_left_on("left_drive")),
     "10 iterations": Fault(("creep", "straight", "five-actions"), settings=partial(replace, iterations=10)),
     "residual 1e-4": Fault(("creep", "acceleration"), settings=partial(replace, residual=1e-4)),

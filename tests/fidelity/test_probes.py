@@ -158,6 +158,10 @@ EXPECTED = {
         "load on caster": IN_TURN,
     },
     "caster": {"from 30 to 1 deg at 0.5 m/s": TRAIL / 0.5 * log(tan(radians(15)) / tan(radians(0.5)))},
+    "reversing": {
+        "from 30 to 150 deg at -0.5 m/s": TRAIL / 0.5 * log(tan(radians(75)) / tan(radians(15))),
+        **{f"turn of {turn} deg backwards": turn for turn in (0, 60, -60)},
+    },
     "skids": {
         f"distance {direction}, mu = {mu}": (2 * V) ** 2 / (2 * mu * G)
         for direction in ("ahead", "sideways")

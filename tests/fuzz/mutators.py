@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from random import Random
@@ -83,6 +84,21 @@ def bytes_changed(data: bytes, random: Random) -> bytes:
             lines = data.split(b"\n")
             lines.insert(random.randrange(len(lines) + 1), random.choice(lines))
             return b"\n".join(lines)
+
+
+def numbers_changed(data: bytes, random: Random) -> bytes:
+    """A number in a text replaced by another, its tag or line doubled or removed, or bytes changed."""
+    if random.random() < 0.4:
+        return bytes_changed(data, random)
+    found = list(re.finditer(rb"(?<![\w.])-?\d+(\.\d+)?|<[^<>]*>|\n[^\n]*", data[:20_000]))
+    if not found:
+        return bytes_changed(data, random)
+    its = random.choice(found)
+    if its[0].startswith((b"<", b"\n")):
+        other = its[0] * random.choice((0, 2, 60))
+    else:
+        other = str(random.choice((*FLOATS, *NUMBERS[:-1], "", "1,5", "0x10", "1e-3", "[1]"))).encode()
+    return data[: its.start()] + other + data[its.end() :]
 
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:

@@ -1,20 +1,24 @@
 """Classes of input: a valid file of each, what may happen to it, and the reader that a user would reach with it."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
 import mutators
+import numpy as np
+from PIL import Image
 
 import nnql_bullet as nb
 from nnql_bullet import assets
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.env import Navigation
+from nnql_bullet.evaluation.drives import Setting, draw_tiers
 from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.evaluation.replays import open_evaluation
-from nnql_bullet.evaluation.splits import load_frozen
+from nnql_bullet.evaluation.splits import Draws, load_frozen
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import PRESETS, load_config
 from nnql_bullet.recording import load_recording
@@ -25,6 +29,7 @@ from nnql_bullet.runs import load_policy, load_run
 from nnql_bullet.session import check
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
+from nnql_bullet.worlds.importers.barn import read_reference_path
 
 Changed = Callable[[bytes, Random], bytes]
 
@@ -68,6 +73,10 @@ def targets(home: Path) -> dict[str, Target]:
         (worlds / path.name).write_bytes(path.read_bytes())
     (worlds / "fixed.toml").write_text(_BOXES)
     (worlds / "based.toml").write_text('base = "fixed"\nwidth = 60\n')
+    maps = _made(home / "maps")
+    for name in ("fixed", "based", "rooms"):
+        (maps / f"{name}.toml").write_bytes((worlds / f"{name}.toml").read_bytes())
+    foreign = _foreign_files(_made(home / "foreign"))
     configs = _made(home / "configs")
     for name, config in PRESETS.items():
         (configs / f"{name}.toml").write_text(_config_text(config))
@@ -87,6 +96,10 @@ def targets(home: Path) -> dict[str, Target]:
     return {
         "configuration": Target(configs, {f"{name}.toml": toml for name in PRESETS}, _configure),
         "worlds": Target(worlds, {path.name: toml for path in worlds.iterdir()}, _draw),
+        "folders of worlds": Target(
+            maps, {"fixed.toml": mutators.bytes_changed, "based.toml": toml, "rooms.toml": toml}, _draw_folder
+        ),
+        "maps": Target(foreign, _FOREIGN, _import),
         "robots": Target(robots, {"tricycle.toml": toml, "tricycle.urdf": mutators.bytes_changed}, _load_robot),
         "policies": Target(run, {"policy.safetensors": st}, lambda folder: load_policy(folder / "policy.safetensors")),
         "checkpoints": Target(
@@ -129,6 +142,38 @@ yaw_degrees = 30
 count = 2
 """
 
+_FOREIGN: dict[str, Changed] = {
+    "map.yaml": mutators.numbers_changed,
+    "map.pgm": mutators.numbers_changed,
+    "other.yaml": mutators.numbers_changed,
+    "other.png": mutators.bytes_changed,
+    "hall.world": mutators.numbers_changed,
+    "world_3.world": mutators.numbers_changed,
+    "path_3.npy": mutators.bytes_changed,
+    "cells.map": mutators.numbers_changed,
+    "plan.geojson": mutators.json_changed,
+}
+
+
+def _foreign_files(folder: Path) -> Path:
+    """Maps and worlds of other programs."""
+    for name in ("map.yaml", "hall.world"):
+        nb.export_world("rooms", folder / name, seed=1, cell=0.2)
+    with Image.open(folder / "map.pgm") as image:
+        image.save(folder / "other.png")
+    (folder / "other.yaml").write_text((folder / "map.yaml").read_text().replace("map.pgm", "other.png"))
+    nb.export_world("cells", folder / "world_3.world", seed=1)
+    np.save(folder / "path_3.npy", np.array([[1, 2], [3, 4]]))
+    rows = ["." * 30] * 10 + ["." * 12 + "@@TTWW" + "." * 12] * 4 + ["." * 30] * 10
+    (folder / "cells.map").write_text("\n".join(["type octile", "height 24", "width 30", "map", *rows, ""]))
+    ring, hole = [[0, 0], [9, 1], [5, 8], [0, 0]], [[4, 3], [5, 3], [5, 4], [4, 3]]
+    square = [[20, 0], [24, 0], [24, 3], [20, 3], [20, 0]]
+    shapes = [{"type": "Polygon", "coordinates": [ring, hole]}, {"type": "MultiPolygon", "coordinates": [[square]]}]
+    shapes.append({"type": "Point", "coordinates": [1, 2]})
+    features = [{"type": "Feature", "properties": {"name": "a"}, "geometry": shape} for shape in shapes]
+    (folder / "plan.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return folder
+
 
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
@@ -155,6 +200,22 @@ def _configure(folder: Path) -> None:
 def _draw(folder: Path) -> None:
     world = nb.World.load(_changed_file(folder))
     world.draw(0).digest  # noqa: B018 (hashes it)
+
+
+def _draw_folder(folder: Path) -> None:
+    kinematic, draws = Setting("kinematic", "reference"), Draws(range(700_000, 700_002), None)
+    (tier,), refused = draw_tiers([folder], draws, kinematic, open_policies("straight"))
+    if {its.file for its in (*tier.worlds, *refused)} != {str(path) for path in folder.iterdir()}:
+        raise RuntimeError(f"{folder}: a file is neither drawn nor refused")
+
+
+def _import(folder: Path) -> None:
+    changed = _changed_file(folder)
+    if changed.suffix == ".npy":
+        read_reference_path(changed)
+        return
+    path = changed.with_suffix(".yaml") if changed.suffix in (".pgm", ".png") else changed
+    nb.import_world(path).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)
 
 
 def _load_robot(folder: Path) -> None:

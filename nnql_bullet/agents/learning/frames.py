@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
-from nnql_bullet.env import ACTIONS, STOP, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import nearest_rays
@@ -96,7 +96,7 @@ class FrameMaker:
         self.rays, self.frames, self.with_map = rays, frames, with_map
         self._limits, self._sensor = vehicle.limits, vehicle.sensor
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
-        self._speed = drive.speed
+        self._drive = drive
         self._taken = nearest_rays(vehicle.sensor.rays)
         self._angles, self._origin = vehicle.sensor.angles[self._taken], np.array(vehicle.sensor.position[:2])
         reaches = np.repeat(np.arange(len(grid_map.REACHES) if with_map else 0), grid_map.BEARINGS)
@@ -153,14 +153,14 @@ class FrameMaker:
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
-        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions)
-        turns = heading_change(actions, o.target_bearing)
+        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
+        turns, top = heading_change(actions, o.target_bearing), self._drive.speed
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
-        ways = ramp_distances(self._speed * speeds, self._speed * goals, self._limits.acceleration, self._times)
+        ways = ramp_distances(top * speeds, top * goals, self._limits.acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
-        change = self._limits.acceleration * self._times[-1] / self._speed
+        change = self._limits.acceleration * self._times[-1] / top
         speeds = np.clip(goals, speeds - change, speeds + change)
-        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % STOP, speeds=speeds)
+        return replace(memory, age=memory.age + 1, steps=steps, actions=actions % ACTIONS, speeds=speeds)
 
     def mirrored(self, stacked: Bytes) -> Bytes:
         """Mirror images of network inputs (m, frames * width)."""

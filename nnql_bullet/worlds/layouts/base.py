@@ -1,11 +1,12 @@
 """The interface of layouts, and the test that all random layouts apply to their boxes."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Array, OrientedBox, Shape, squared_distance
+from nnql_bullet.geometry import COLUMNS, Array, OrientedBox, Shape, clearance, reach_of, squared_distance
 from nnql_bullet.jit import njit
 
 MOST_BOXES = 100_000
@@ -44,6 +45,17 @@ class Layout(Protocol):
         """
 
 
+@runtime_checkable
+class Densifiable(Layout, Protocol):
+    """A layout that can be made denser, so that its passages become narrower."""
+
+    def denser(self, share: float) -> Layout:
+        """Returns the layout denser, by a share of what is possible, 0 to 1; the same numbers from `rng` drawn again.
+
+        Obstacles of the layout stay where they are, and others are added, as far as that is possible.
+        """
+
+
 @njit(nogil=True)
 def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) -> bool:
     """Whether a box is inside the arena and far enough from some points.
@@ -62,6 +74,51 @@ def leaves_room(row: Array, size: Array, keep_free: Array, clear_radius: float) 
     for point in keep_free:
         nearest = min(nearest, squared_distance(point[0], point[1], row))
     return bool(nearest >= clear_radius**2)
+
+
+@njit(nogil=True)
+def placed(
+    rows: Array, amounts: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float, spacing: float
+) -> tuple[NDArray[np.int64], float]:
+    """Chooses shapes in their order, until they amount to what is wanted; rejects those that leave no room.
+
+    Args:
+        rows: The shapes, rows (n, 7) of `as_rows`.
+        amounts: What each counts for (n,).
+        wanted: Sum of the amounts.
+        size: See `leaves_room`.
+        keep_free: See `leaves_room`.
+        clear_radius: See `leaves_room`.
+        spacing: Distance that two shapes are farther apart than [m].
+
+    Returns:
+        Indices of the chosen shapes, and their amount.
+    """
+    there = np.empty_like(rows)
+    chosen = np.empty(len(rows), dtype=np.int64)
+    count, amount = 0, 0.0
+    for i in range(len(rows)):
+        if amount >= wanted:
+            break
+        if leaves_room(rows[i], size, keep_free, clear_radius) and _is_apart(rows[i], there[:count], spacing):
+            for j in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
+                there[count, j] = rows[i, j]
+            chosen[count] = i
+            amount += amounts[i]
+            count += 1
+    return chosen[:count], amount
+
+
+@njit(nogil=True)
+def _is_apart(row: Array, others: Array, spacing: float) -> bool:
+    """Whether a shape is farther than `spacing` [m] from others; it measures only those whose circles are as near."""
+    reach = reach_of(row) + spacing + 1e-9
+    for k in range(len(others)):
+        far = reach + reach_of(others[k])
+        dx, dy = row[0] - others[k, 0], row[1] - others[k, 1]
+        if dx * dx + dy * dy < far * far and clearance(row, others[k : k + 1]) <= spacing:
+            return False
+    return True
 
 
 def rounded(box: OrientedBox) -> OrientedBox:

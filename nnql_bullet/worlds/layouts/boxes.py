@@ -1,6 +1,7 @@
 """A fixed layout: the world file lists all boxes and circles."""
 
-from math import radians
+from collections.abc import Sequence
+from math import degrees, radians
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -46,3 +47,15 @@ class Boxes:
         del arena, rng
         boxes = [OrientedBox(b.x, b.y, b.length / 2, b.width / 2, radians(b.yaw_degrees)) for b in self.boxes]
         return *boxes, *(Circle(c.x, c.y, c.radius) for c in self.circles)
+
+
+def boxes_of(shapes: Sequence[Shape]) -> Boxes:
+    """The fixed layout of shapes."""
+    boxes, circles = [], []
+    for its in shapes:
+        if isinstance(its, OrientedBox):
+            yaw = round(degrees(its.yaw), 9) + 0.0
+            boxes.append(Box(x=its.x, y=its.y, length=2 * its.half_length, width=2 * its.half_width, yaw_degrees=yaw))
+        else:
+            circles.append(Disc(x=its.x, y=its.y, radius=its.radius))
+    return Boxes(kind="boxes", boxes=tuple(boxes), circles=tuple(circles))

@@ -3,6 +3,7 @@
 After Perille, Truong, Xiao and Stone, Benchmarking Metric Ground Navigation (SSRR 2020).
 """
 
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -20,6 +21,7 @@ NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 BIRTH, LONELY = 5, 1
 """Numbers of filled neighbours from which a cell is filled, and up to which it is emptied."""
 MOST_CELLS = 40_000
+MOST_FILL = 0.6
 
 
 @options
@@ -28,7 +30,7 @@ class Cells:
 
     is_random: ClassVar[bool] = True
     kind: Literal["cells"]
-    fill: Annotated[float, Field(ge=0, le=0.6)]
+    fill: Annotated[float, Field(ge=0, le=MOST_FILL)]
     """Probability that a cell is filled at first."""
     cell: Extent = 0.3
     """Side of a cell, and diameter of the circle in a filled one [m]."""
@@ -36,6 +38,10 @@ class Cells:
     """Number of steps of the automaton."""
     clear_radius: NonNegative = 3.0
     """Smallest distance of circles from the start and the target [m]."""
+
+    def denser(self, share: float) -> "Cells":
+        """Returns the layout with more cells filled at first; whatever was filled in the end stays so."""
+        return replace(self, fill=self.fill + share * (MOST_FILL - self.fill))
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[Circle, ...]:
         """Fills cells at random, and lets those with many filled neighbours grow and lonely ones die.

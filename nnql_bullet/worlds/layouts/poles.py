@@ -1,5 +1,6 @@
 """A random layout: upright poles of random diameter, some distance apart."""
 
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -7,10 +8,11 @@ from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Circle, as_rows, clearance
+from nnql_bullet.geometry import COLUMNS, Array, Circle
 from nnql_bullet.types import Extent, NonNegative
-from nnql_bullet.worlds.layouts.base import Arena, leaves_room
+from nnql_bullet.worlds.layouts.base import Arena, placed
 
+MOST_POLES = 2000
 TRIES_PER_POLE = 100
 """Largest number of candidates for each pole."""
 
@@ -21,7 +23,7 @@ class Poles:
 
     is_random: ClassVar[bool] = True
     kind: Literal["poles"]
-    count: Annotated[int, Field(ge=0, le=2000)]
+    count: Annotated[int, Field(ge=0, le=MOST_POLES)]
     """Number of poles."""
     min_diameter: Extent = 0.02
     """[m]"""
@@ -36,6 +38,10 @@ class Poles:
         """Refuses diameters in the wrong order."""
         refuse_crossed_ranges(self, "diameter")
 
+    def denser(self, share: float) -> "Poles":
+        """Returns the layout with more poles; the first ones stay where they are."""
+        return replace(self, count=round(self.count + share * (MOST_POLES - self.count)))
+
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[Circle, ...]:
         """Draws poles one by one, and rejects those that are too near another, the walls, the start or the target.
 
@@ -43,17 +49,23 @@ class Poles:
             UserError: If the arena has no room for them.
         """
         size, keep_free = arena.limits
-        poles: list[Circle] = []
-        rows = as_rows([])
-        low, high = (0.0, 0.0, self.min_diameter), (arena.width, arena.depth, self.max_diameter)
-        for x, y, diameter in rng.uniform(low, high, (TRIES_PER_POLE * self.count, 3)).tolist():
-            if len(poles) == self.count:
+        candidates = self._draw(arena, rng, self.count + self.count // 2)
+        while True:
+            rows = np.zeros((len(candidates), COLUMNS))
+            rows[:, [0, 1, 6]], rows[:, 4] = candidates, 1.0
+            ones = np.ones(len(rows))
+            chosen, count = placed(rows, ones, self.count, size, keep_free, self.clear_radius, self.spacing)
+            if count >= self.count:
+                return tuple(Circle(*pole) for pole in candidates[chosen].tolist())
+            more = min(len(candidates), TRIES_PER_POLE * self.count - len(candidates))
+            if more == 0:
                 break
-            pole = Circle(round(x, 3), round(y, 3), round(diameter / 2, 4))
-            row = as_rows([pole])[0]
-            if leaves_room(row, size, keep_free, self.clear_radius) and clearance(row, rows) >= self.spacing:
-                poles.append(pole)
-                rows = as_rows(poles)
-        if len(poles) < self.count:
-            raise UserError(f"layout: no room for {self.count} poles; lower 'count', 'spacing' or 'clear_radius'")
-        return tuple(poles)
+            candidates = np.concatenate([candidates, self._draw(arena, rng, more)])
+        raise UserError(f"layout: no room for {self.count} poles; lower 'count', 'spacing' or 'clear_radius'")
+
+    def _draw(self, arena: Arena, rng: np.random.Generator, count: int) -> Array:
+        """Draws candidates (count, 3): centre and radius [m], rounded so that all machines draw the same."""
+        low, high = (0.0, 0.0, self.min_diameter), (arena.width, arena.depth, self.max_diameter)
+        drawn = rng.uniform(low, high, (count, 3)).tolist()
+        poles = [(round(x, 3), round(y, 3), round(diameter / 2, 4)) for x, y, diameter in drawn]
+        return np.array(poles).reshape(count, 3)

@@ -1,19 +1,19 @@
 """A random layout: boxes of random size, place and yaw that do not overlap and cover a share of the arena."""
 
+from dataclasses import replace
 from math import pi
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import COLUMNS, Array, OrientedBox, clearance
-from nnql_bullet.jit import njit
+from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.types import Extent, NonNegative
-from nnql_bullet.worlds.layouts.base import Arena, leaves_room
+from nnql_bullet.worlds.layouts.base import Arena, placed
 
+MOST_COVER = 0.4
 MOST_RANDOM = 5_000
 """Largest number of boxes."""
 MOST_TRIES = 20_000
@@ -28,7 +28,7 @@ class RandomBoxes:
 
     is_random: ClassVar[bool] = True
     kind: Literal["random_boxes"]
-    cover: Annotated[float, Field(ge=0, le=0.4)]
+    cover: Annotated[float, Field(ge=0, le=MOST_COVER)]
     """Share of the arena's area under boxes."""
     min_side: Extent = 2.0
     """Length of a side [m]."""
@@ -40,6 +40,10 @@ class RandomBoxes:
     def __post_init__(self) -> None:
         """Refuses sides in the wrong order."""
         refuse_crossed_ranges(self, "side")
+
+    def denser(self, share: float) -> "RandomBoxes":
+        """Returns the layout with more cover; the first boxes stay where they are."""
+        return replace(self, cover=self.cover + share * (MOST_COVER - self.cover))
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
         """Draws boxes one by one, and rejects those that overlap another, leave the arena, or are near start or target.
@@ -55,7 +59,9 @@ class RandomBoxes:
         size, keep_free = arena.limits
         candidates = self._draw(arena, rng, FIRST_TRIES)
         while True:
-            chosen, area = _chosen(_rows(candidates), wanted, size, keep_free, self.clear_radius)
+            rows = _rows(candidates)
+            areas = 4.0 * rows[:, 2] * rows[:, 3]
+            chosen, area = placed(rows, areas, wanted, size, keep_free, self.clear_radius, 0.0)
             if area >= wanted:
                 return tuple(OrientedBox(*box) for box in candidates[chosen].tolist())
             more = min(len(candidates) // 2, MOST_TRIES - len(candidates))
@@ -84,27 +90,3 @@ def _rows(candidates: Array) -> Array:
     """Candidates as the rows (n, 7) of `geometry.as_rows`."""
     yaw = candidates[:, 4]
     return np.column_stack([candidates[:, :4], np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))])
-
-
-@njit(nogil=True)
-def _chosen(
-    rows: Array, wanted: float, size: Array, keep_free: Array, clear_radius: float
-) -> tuple[NDArray[np.int64], float]:
-    """Chooses boxes (n, 7) in their order until their area is `wanted` [m2].
-
-    Returns:
-        Indices of the chosen boxes, and their area [m2].
-    """
-    placed = np.empty_like(rows)
-    chosen = np.empty(len(rows), dtype=np.int64)
-    count, area = 0, 0.0
-    for i in range(len(rows)):
-        if area >= wanted:
-            break
-        if leaves_room(rows[i], size, keep_free, clear_radius) and clearance(rows[i], placed[:count]) > 0:
-            for j in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
-                placed[count, j] = rows[i, j]
-            chosen[count] = i
-            area += 4.0 * rows[i, 2] * rows[i, 3]
-            count += 1
-    return chosen[:count], area

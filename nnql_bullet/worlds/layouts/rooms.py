@@ -1,5 +1,6 @@
 """A random layout: the arena is divided into rooms by walls with doors (binary space partitioning)."""
 
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -11,6 +12,8 @@ from nnql_bullet.types import Extent, NonNegative
 from nnql_bullet.worlds.layouts.base import Arena
 
 Span = tuple[float, float]
+NARROWEST = 0.1
+"""Share of the width of doors that is left where they are narrowest."""
 MOST_TRIES = 20
 """Largest number of places that are tried for a wall."""
 
@@ -37,6 +40,11 @@ class Rooms:
         refuse_crossed_ranges(self, "door")
         if self.max_door > self.min_room - 2 * self.wall:
             raise ValueError(f"max_door {self.max_door:g} does not fit into min_room {self.min_room:g}; enlarge that")
+
+    def denser(self, share: float) -> "Rooms":
+        """Returns the layout with narrower doors."""
+        narrower = 1.0 - share * (1.0 - NARROWEST)
+        return replace(self, min_door=narrower * self.min_door, max_door=narrower * self.max_door)
 
     def place(self, arena: Arena, rng: np.random.Generator) -> tuple[OrientedBox, ...]:
         """Divides rooms until they are small, each by a wall with one door."""
