@@ -61,7 +61,7 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
         raise UserError(f"{urdf_path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
     meshes, source = Meshes(urdf_path), read(urdf_path)
     try:
-        mechanism = mechanism_of(source, meshes, robot.joints)
+        mechanism = mechanism_of(source, meshes, robot.joints, needs_effort=robot.limits.wheel_torque is None)
         made = vehicle_of(path.stem, urdf_path, canonical(source, mechanism, meshes), mechanism, robot)
     except Unfit as error:
         raise UserError(f"{urdf_path}: {error}") from None
@@ -81,7 +81,7 @@ def robot_name(vehicle: str | Path | VehicleSpec) -> str:
     return vehicle.source
 
 
-def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None) -> Mechanism:
+def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None, needs_effort: bool = False) -> Mechanism:
     """Finds what drives a vehicle, and checks that it is what its TOML says.
 
     Raises:
@@ -95,6 +95,8 @@ def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None) -> 
     except Unfit as error:
         refuse([*problems, str(error)])
         raise
+    if needs_effort:
+        problems += _check_efforts(found)
     if joints:
         if found.left.joint != joints.left_drive:
             problems.append("the left drive wheel is not to the left of the right one; swap the joints in the TOML")
@@ -121,7 +123,7 @@ def vehicle_of(name: str, path: Path, written: Element, mechanism: Mechanism, ro
         robot: What its TOML says.
 
     Raises:
-        Unfit: If it would not stand, or has no torque limit.
+        Unfit: If it would not stand.
     """
     urdf = describe(written)
     bodies = [placed_inertia(link, urdf.frames[link.name]) for link in urdf.links.values()]
@@ -161,8 +163,7 @@ def vehicle_of(name: str, path: Path, written: Element, mechanism: Mechanism, ro
         wheel_spin_inertia=_spin_inertia(urdf, left.part.name),
         wheel_torque=torque,
     )
-    problems = [*_check_torque(mechanism, torque), *_check_balance(vehicle), *_check_heights(vehicle, mechanism)]
-    refuse(problems)
+    refuse([*_check_balance(vehicle), *_check_heights(vehicle, mechanism)])
     return vehicle
 
 
@@ -183,9 +184,10 @@ def _spin_inertia(urdf: Description, link: str) -> float:
     return float(axis @ np.asarray(wheel.inertia) @ axis)
 
 
-def _check_torque(mechanism: Mechanism, torque: float) -> Iterator[str]:
+def _check_efforts(mechanism: Mechanism) -> Iterator[str]:
     """Checks that the drives have a torque limit."""
-    if not 0 < torque < inf:
+    efforts = [mechanism.urdf.joints[its.joint].effort or 0.0 for its in (mechanism.left, mechanism.right)]
+    if not all(0 < effort < inf for effort in efforts):
         names = f"'{mechanism.left.joint}' and '{mechanism.right.joint}'"
         yield f"the drive joints {names} have no <limit effort>; give it in N m, or limits.wheel_torque in the TOML"
 
