@@ -129,7 +129,7 @@ def test_what_is_written_is_read_as_the_same_vehicle(tmp_path: Path) -> None:
             r"3 wheels on fixed axles \('l', 'r', 'f'\), which must skid",
         ),
         (
-            WHEELS[:3] + [joint("r", "right", "0.1 -0.25 0.1", "continuous", rpy="-1.5708 0 0"), *BALL],
+            [*WHEELS[:3], joint("r", "right", "0.1 -0.25 0.1", "continuous", "0 1 0"), *BALL],
             "not on one axle",
         ),
         (WHEELS + caster("c", -0.2, 0.0, -0.3), "not under its swivel 'c_swivel'"),
