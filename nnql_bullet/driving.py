@@ -78,7 +78,7 @@ def drive(
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     recorder = Recorder(experiment.vehicle)
-    navigation = Navigation(experiment.simulator, config.task, reward)
+    navigation = Navigation(experiment.simulator, experiment.task, reward)
     summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(

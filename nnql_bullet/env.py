@@ -37,9 +37,11 @@ STOP = ACTIONS
 """Added to an action: the same turn, while the vehicle brakes to a stand, and on the spot once it stands."""
 REVERSE = 2 * ACTIONS
 """Added to an action: the same heading change, while the vehicle drives backwards; from ahead it brakes first."""
-MANOEUVRES = 3 * ACTIONS
-"""An action ahead, with `STOP` or with `REVERSE`: what a policy may choose. The agents of this package choose among the
-actions alone; a shield chooses among all, and so may a policy of your own."""
+SLOW = 3 * ACTIONS
+"""Added to an action: the same turn, while the vehicle drives ahead as slowly as it reverses."""
+MANOEUVRES = 4 * ACTIONS
+"""An action ahead, with `STOP`, with `REVERSE` or with `SLOW`: what a policy may choose. The agents of this package
+choose among the actions alone; a shield chooses among all, and so may a policy of your own."""
 LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
 
@@ -66,8 +68,8 @@ def heading_change(action: int | Sequence[int] | NDArray[np.int64], target_beari
 
 
 def speed_scale(action: int | NDArray[np.int64], drive: DriveOptions) -> Array:
-    """Wanted speeds (...) of manoeuvres (...), as shares of the drive's: ahead, to stop, or negative in reverse."""
-    return np.array([1.0, 0.0, -drive.reverse_share])[np.floor_divide(action, ACTIONS)]
+    """Wanted speeds (...) of manoeuvres (...), as shares of the drive's, negative in reverse."""
+    return np.array([1.0, 0.0, -drive.reverse_share, drive.reverse_share])[np.floor_divide(action, ACTIONS)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,12 @@ from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
+from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
 from nnql_bullet.vehicle.controller import DriveOptions, own_speed
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
@@ -64,14 +66,18 @@ class Experiment:
         self.config = config = at_own_speed(config, self.vehicle)
         self.worlds = self.kind(config.world)
 
-    def kind(self, name: str | World) -> World:
+    def kind(self, name: str | World, own_ends: bool = False) -> World:
         """Reads a kind of worlds for this vehicle.
+
+        Args:
+            name: Its name.
+            own_ends: Whether its start and target stay, whatever the configuration says.
 
         Raises:
             UserError: If it cannot be read, or its obstacles do not reach up to the vehicle's sensor.
         """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
-        if name == self.config.world:
+        if not own_ends:
             source = source.between(self.config.start, self.config.target)
         if source.obstacle_height <= sensor_height:
             raise UserError(
@@ -79,6 +85,11 @@ class Experiment:
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
+
+    @cached_property
+    def task(self) -> TaskOptions:
+        """The task, with distances that follow the vehicle."""
+        return self.config.task.scaled(length_scale(self.vehicle.footprint), self.vehicle.sensor.range)
 
     def world(self, seed: int) -> WorldSpec:
         """Draws the world of a seed.
@@ -99,7 +110,7 @@ class Experiment:
         if selection is None:
             return []
         names = selection.worlds or self.config.training.worlds or (self.config.world,)
-        sources = [self.kind(name) for name in dict.fromkeys(names)]
+        sources = [self.kind(name, name != self.config.world) for name in dict.fromkeys(names)]
         return [self.draw(source, seed) for source in sources for seed in selection.seeds]
 
     def draw(self, source: World, seed: int) -> WorldSpec:
@@ -127,7 +138,7 @@ class Experiment:
         Raises:
             UserError: If one cannot be read.
         """
-        return [self.kind(name) for name in self.config.training.worlds] or [self.worlds]
+        return [self.kind(name, name != self.config.world) for name in self.config.training.worlds] or [self.worlds]
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -137,7 +148,7 @@ class Experiment:
     @cached_property
     def navigation(self) -> Navigation:
         """The task over `simulator`."""
-        return Navigation(self.simulator, self.config.task)
+        return Navigation(self.simulator, self.task)
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator with the configuration's number of vehicles; the caller closes it.
@@ -181,7 +192,7 @@ class Experiment:
     def policy(self) -> Policy:
         """The policy that drives after training: the agent, in its shield if it has one."""
         c = self.config
-        return Shield(c.shield, self.agent, self.vehicle, c.drive, c.task) if c.shield else self.agent
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:
@@ -229,4 +240,4 @@ class Experiment:
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
         with closing(kinematic.new_simulator(workers)) as simulator:
-            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.config.task), worlds)
+            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.task), worlds)

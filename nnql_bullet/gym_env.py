@@ -10,7 +10,8 @@ Observation, `Box` of 11 float32:
 | 10 | yaw rate, positive to the left | rad/s | -10 to 10, clipped |
 
 Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 4 right 60, 5 toward the target. With
-`manoeuvres=True` it is `Discrete(18)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards.
+`manoeuvres=True` it is `Discrete(24)`: add 6 to brake and turn on the spot, 12 to turn while driving backwards, 18 to
+drive slowly.
 
 Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
 terminates at the target or at a collision; it is truncated after 500 steps, or as `stuck` once the vehicle has stayed
@@ -117,7 +118,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             UserError: If a key or value is wrong.
         """
         self._experiment = _experiment(config, changes)
-        self._navigation = Navigation(self._experiment.simulator, self._experiment.config.task, reward)
+        self._navigation = Navigation(self._experiment.simulator, self._experiment.task, reward)
         self.observation_space = _observation_space(self._experiment)
         self._count = MANOEUVRES if manoeuvres else ACTIONS
         self.action_space = gymnasium.spaces.Discrete(self._count)
@@ -200,7 +201,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         simulator = self._experiment.new_simulator(workers)
-        self._navigation = Navigation(simulator, self._experiment.config.task, reward)
+        self._navigation = Navigation(simulator, self._experiment.task, reward)
         self._generators = [np_random()[0] for _ in range(num_envs)]
         self._over = np.zeros(num_envs, np.bool_)
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.env import REVERSE, STOP, Navigation, Observation, Transition
+from nnql_bullet.env import REVERSE, SLOW, STOP, Navigation, Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.task import ENDINGS, NO_ENDING, StateProperty
@@ -174,7 +174,7 @@ class Tally:
         if overridden is not None:
             self._overridden += on & overridden
         self._stops += on & (t.a_tm1 >= STOP) & (t.a_tm1 < REVERSE)
-        self._reverses += on & (t.a_tm1 >= REVERSE)
+        self._reverses += on & (t.a_tm1 >= REVERSE) & (t.a_tm1 < SLOW)
         self._standing[on] += np.where(m.path_length[on] < STANDSTILL_DISTANCE, m.duration[on], 0.0)
         self._ending[on] = t.ending[on]
         self._steps += on

@@ -16,6 +16,8 @@ RAYS = 72
 """Number of rays where nothing else is said."""
 MOST_RAYS = 1440
 """Four rays for each degree. PyBullet casts 16 384 rays at a time, and no more."""
+LONGEST_RANGE = 100.0
+"""[m]"""
 WIDEST_BLIND_ARC = 270.0
 """[degrees]"""
 FRONT, FRONT_LEFT, FRONT_RIGHT = 0, 1, 7
@@ -34,7 +36,7 @@ def _checked_arc(arc: tuple[float, float]) -> tuple[float, float]:
 
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 RayCount = Annotated[int, Field(ge=paper.SECTORS, le=MOST_RAYS, multiple_of=4)]
-SensorRange = Annotated[float, Field(gt=0, le=100)]
+SensorRange = Annotated[float, Field(gt=0, le=LONGEST_RANGE)]
 BlindArc = Annotated[tuple[_Degrees, _Degrees], AfterValidator(_checked_arc)]
 
 

@@ -4,7 +4,7 @@ The functions take one vehicle or many: `(...)` in a shape is () or (n,).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from math import isfinite
@@ -18,12 +18,20 @@ from nnql_bullet import paper
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, middle_readings, sector_readings, smallest
+from nnql_bullet.sensing import (
+    FRONT,
+    FRONT_LEFT,
+    FRONT_RIGHT,
+    LONGEST_RANGE,
+    middle_readings,
+    sector_readings,
+    smallest,
+)
 from nnql_bullet.types import LARGEST, Number, Steps
 
 Properties = int | NDArray[np.int64]
 Booleans = bool | NDArray[np.bool_]
-Distance = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
+Distance = Annotated[float, Field(ge=0, le=LONGEST_RANGE)]
 
 
 class StateProperty(IntEnum):
@@ -45,7 +53,7 @@ SAFE, NON_SAFE, WINNING, FAILURE = map(int, StateProperty)  # NumPy compares wit
 
 @options
 class TaskOptions:
-    """What the paper leaves open about states, rewards and endings."""
+    """What the paper leaves open about states, rewards and endings. Distances are those of the shipped vehicle."""
 
     front_distance: Distance = 5.0
     """A state is non-safe when the front sector reads less than this [m]."""
@@ -78,6 +86,14 @@ class TaskOptions:
         thresholds[FRONT] = self.front_distance
         thresholds[[FRONT_LEFT, FRONT_RIGHT]] = self.front_side_distance
         return thresholds
+
+    def scaled(self, scale: float, sensor_range: float) -> "TaskOptions":
+        """Returns the task of a vehicle whose lengths are so many times as large (see `vehicle.scale`).
+
+        What a sensor does not see is not near, so no threshold exceeds its range [m].
+        """
+        names = "front_distance", "front_side_distance", "other_distance", "hysteresis"
+        return replace(self, **{name: min(scale * getattr(self, name), sensor_range) for name in names})
 
 
 def readings_of(ray_distances: Array, task: TaskOptions) -> Array:

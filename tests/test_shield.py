@@ -21,6 +21,7 @@ from nnql_bullet.agents.rules.vfh import Vfh, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.env import (
     ACTIONS,
+    REVERSE,
     STOP,
     TOWARD_TARGET,
     Navigation,
@@ -39,6 +40,7 @@ from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, Sensor, ray_angles
+from nnql_bullet.shield.lengths import ShieldOptions
 from nnql_bullet.shield.recovery import (
     FARTHEST,
     FIRST_GAIN,
@@ -48,7 +50,7 @@ from nnql_bullet.shield.recovery import (
     STUCK_AFTER,
     Recovery,
 )
-from nnql_bullet.shield.shield import Shield, ShieldOptions
+from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
@@ -258,11 +260,12 @@ class TestStops:
         with closing(made) as simulator:
             summary, done, _ = drive(simulator, self.pocket(world_of), around(always(TOWARD_TARGET)), steps=200)
         assert summary.ending == "goal"
-        pivots = [action - STOP for action in done if action >= STOP and action not in (STOP, STOP + TOWARD_TARGET)]
+        stops = [action for action in done if STOP <= action < REVERSE]
+        pivots = [action - STOP for action in stops if action not in (STOP, STOP + TOWARD_TARGET)]
         assert pivots
         first = pivots[: max(1, len(pivots) // 2)]
         assert all(turn in (1, 2) for turn in first) or all(turn in (3, 4) for turn in first)
-        assert summary.stop_steps == sum(action >= STOP for action in done)
+        assert summary.stop_steps == len(stops)
         assert summary.overridden_steps >= summary.stop_steps > 0
         assert 0 < summary.standing_time < summary.duration / 2
 
@@ -314,7 +317,6 @@ class TestMemory:
             memory, dx, dy = shield.state.memories[0], pose.x - before.x, pose.y - before.y
             c, s = cos(before.yaw), sin(before.yaw)
             assert memory.scan.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
-            assert memory.speed == DRIVE.speed
             before = pose
 
     def test_an_agent_that_remembers_is_told_what_was_done(
@@ -427,7 +429,7 @@ class TestReckoning:
                 navigation = Navigation(simulator, TaskOptions())
                 observed, moving = begun(navigation, load_world("cover_20").draw(seed, 0.8)), 0
                 for _ in range(80):
-                    moving += int(bare.perceived(observed, shield.state.memories)[1].any())
+                    moving += int(bare.perceived(observed, shield.state.memories).moving.any())
                     transition = navigation.step(shield.act(observed))
                     assert not transition.motion.touching
                     observed = transition.s_t
@@ -547,7 +549,7 @@ class TestEscape:
     def after(self, recovery: Recovery, *distances: float) -> Recovery:
         """A decision at each of these distances from the target."""
         for distance in distances:
-            recovery = recovery.updated(distance, self.SEES, 0, 0.5)
+            recovery = recovery.updated(distance, self.SEES, 0, 0.5, 1.0)
         return recovery
 
     def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> Recovery:
@@ -588,15 +590,15 @@ class TestEscape:
     def test_it_keeps_a_wall_on_its_other_side(self) -> None:
         recovery = Recovery(side=1)
         wall = OrientedBox(MIDDLE.x, MIDDLE.y - 1.2 - 0.5, 50.0, 0.5)
-        assert recovery.heading(0.0, rays_from(MIDDLE, wall), MOUNTED) == pytest.approx(0.0, abs=0.02)
+        assert recovery.heading(0.0, rays_from(MIDDLE, wall), MOUNTED, 1.0) == pytest.approx(0.0, abs=0.02)
         nearer = rays_from(replace(MIDDLE, y=99.7), wall)
-        assert recovery.heading(0.0, nearer, MOUNTED) > 0.05
+        assert recovery.heading(0.0, nearer, MOUNTED, 1.0) > 0.05
         farther = rays_from(replace(MIDDLE, y=101.0), wall)
-        assert recovery.heading(0.0, farther, MOUNTED) < -0.3
-        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall), MOUNTED) == pytest.approx(
+        assert recovery.heading(0.0, farther, MOUNTED, 1.0) < -0.3
+        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall), MOUNTED, 1.0) == pytest.approx(
             0.0, abs=0.02
         )
-        assert Recovery().heading(0.7, nearer, MOUNTED) == 0.7
+        assert Recovery().heading(0.7, nearer, MOUNTED, 1.0) == 0.7
 
 
 class TestRecords:
@@ -610,7 +612,7 @@ class TestRecords:
         recording = recorder.recording()
         assert recording.overridden.shape == recording.action.shape
         assert recording.overridden.sum() == summary.overridden_steps > 0
-        assert (recording.action >= STOP).sum() == summary.stop_steps
+        assert ((recording.action >= STOP) & (recording.action < REVERSE)).sum() == summary.stop_steps
         recording.save(tmp_path / "new.npz")
         assert np.array_equal(load_recording(tmp_path / "new.npz").overridden, recording.overridden)
         with np.load(tmp_path / "new.npz") as stored:

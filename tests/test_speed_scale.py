@@ -17,6 +17,7 @@ from nnql_bullet.env import (
     ACTIONS,
     MANOEUVRES,
     REVERSE,
+    SLOW,
     STOP,
     TOWARD_TARGET,
     Navigation,
@@ -381,7 +382,7 @@ class TestManoeuvres:
                 assert np.array_equal(heading_change(actions + added, bearing), heading_change(actions, bearing))
             assert speed_scale(actions + added, drive).tolist() == [share] * ACTIONS
             assert heading_change(TOWARD_TARGET + added, 0.3) == pytest.approx(0.3)
-        assert (STOP, REVERSE, MANOEUVRES, len(labels.MANOEUVRES)) == (6, 12, 18, 18)
+        assert (STOP, REVERSE, SLOW, MANOEUVRES, len(labels.MANOEUVRES)) == (6, 12, 18, 24, 24)
         assert labels.MANOEUVRES[REVERSE + 1] == "reverse, left 30°"
 
     @pytest.mark.parametrize("actions", [[-1, 0], [0, MANOEUVRES], [0], [0, 0, 0], [0.5, 1.0]])
@@ -389,7 +390,7 @@ class TestManoeuvres:
         with closing(KinematicSimulator(vehicle, DriveOptions(), 2, 1)) as simulator:
             navigation = Navigation(simulator, TaskOptions())
             navigation.reset({i: world_of() for i in range(2)})
-            with pytest.raises(UserError, match="give 2 whole numbers from 0 to 17"):
+            with pytest.raises(UserError, match="give 2 whole numbers from 0 to 23"):
                 navigation.step(np.array(actions))
 
     def test_vehicles_carry_them_out(self, vehicle: VehicleSpec, world_of: WorldOf) -> None:

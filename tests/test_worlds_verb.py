@@ -116,8 +116,8 @@ class TestImportAndExport:
             (("import", "hall.yaml", "--out", "a.toml", "--start", "99,0"), "outside"),
             (("import", "hall.yaml", "--out", "a.toml", "--start", "0,0,90"), "radians"),
             (("export", "rooms", "--out", "a.obj"), "end in one of"),
-            (("export", "rooms", "--out", "a.yaml", "--resolution", "0"), "give a larger cell"),
-            (("export", "rooms", "--out", "a.yaml", "--resolution", "nan"), "give a larger cell"),
+            (("export", "rooms", "--out", "a.yaml", "--resolution", "0"), "from 0.001 to 100 m"),
+            (("export", "rooms", "--out", "a.yaml", "--resolution", "nan"), "from 0.001 to 100 m"),
             (("export", "rooms", "--out", "nowhere/a.yaml"), "No such file"),
         ],
     )
@@ -152,8 +152,8 @@ class TestOtherVerbs:
         config = load_run(Path("run")).config
         assert (config.start, config.target, config.world) == ((-4.0, -2.0, 0.5), (4.0, 2.0), hall)
         assert changed_sources(Path("run")) == []
-        code, out, _ = run_cli("evaluate", "run", "straight", *kinematic, "--workers", 1, "--out", "e")
-        assert code == 0, out
+        code, _, err = run_cli("evaluate", "run", "straight", *kinematic, "--workers", 1, "--out", "e")
+        assert code == 0, err
         values = json.loads(Path("e/results.json").read_text())
         assert (values["start"], values["target"]) == ([-4.0, -2.0, 0.5], [4.0, 2.0])
         assert "--start -4,-2,0.5 --target 4,2" in values["command"]

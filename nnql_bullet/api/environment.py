@@ -36,7 +36,8 @@ def make_env(
         n_envs: Number of vehicles of a vector environment; without it the environment has one vehicle.
         reward: A reward of your own: terms whose sum it is (see `task.RewardTerm`), or a function of the transitions of
             n vehicles that returns n numbers.
-        manoeuvres: Whether an action may also stop or reverse: 18 actions, see `env.MANOEUVRES`, in place of 6.
+        manoeuvres: Whether an action may also stop, reverse or drive slowly: 24 actions, see `env.MANOEUVRES`, in place
+            of 6.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
             environment; None takes one a core.
         **changes: Keys of the configuration: world, robot, simulator, physics, conditions, task and so on.

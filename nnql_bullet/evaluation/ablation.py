@@ -92,7 +92,7 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
     with closing(experiment.new_training_simulator(workers=1)) as simulator:
-        training = experiment.trainer(Navigation(simulator, config.task))
+        training = experiment.trainer(Navigation(simulator, experiment.task))
         agent, selection = experiment.trainable, config.training.selection
         candidates: Candidates = {}
         for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
@@ -107,7 +107,7 @@ def train_and_test(task: AblationTask) -> list[Counts]:
         test = Experiment(changed(config, world=world, vehicles=vehicles))
         worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds)]
         with closing(test.new_simulator(workers=1)) as simulator:
-            summaries = run_episodes(Navigation(simulator, config.task), worlds, experiment.agent)
+            summaries = run_episodes(Navigation(simulator, experiment.task), worlds, experiment.agent)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found

@@ -18,11 +18,13 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recording
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
 from nnql_bullet.vehicle.profiles import plan_turn, rolled_path, sample_ramp, sample_turn
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cause = Literal["slip", "tracking lag", "grazing contact", "other"]
 CAUSES: tuple[Cause, ...] = ("slip", "tracking lag", "grazing contact", "other")
 
+# Distances are those of the shipped vehicle; see `vehicle.scale`.
 NOTABLE = 0.03
 """Smallest slip or lag of a control period that counts, over the distance driven in it."""
 DRIFT = 0.1
@@ -138,13 +140,14 @@ def explain(first: Recording, second: Recording, vehicle: VehicleSpec, drive: Dr
     lag = max(float(np.max((part.lag / part.distance)[:until])) for part in parts)
     slipped = sum(float(np.sum(part.slip[:until])) for part in parts)
     lagged = sum(float(np.sum(part.lag[:until])) for part in parts)
-    miss = min(_miss(first, second), _miss(second, first))
+    scale = length_scale(vehicle.footprint)
+    miss = min(_miss(first, second, SAME_PLACE * scale), _miss(second, first, SAME_PLACE * scale))
     times, distances = apart(first, second)
     there = min(k, len(distances) - 1)
     cause: Cause = "other"
-    if max(slip, lag) > NOTABLE or distances[there] > DRIFT:
+    if max(slip, lag) > NOTABLE or distances[there] > DRIFT * scale:
         cause = "slip" if slipped >= lagged else "tracking lag"
-    elif miss < GRAZE:
+    elif miss < GRAZE * scale:
         cause = "grazing contact"
     return Explanation(
         cause=cause,
@@ -168,12 +171,12 @@ def _q_margin(first: Recording, second: Recording, k: int) -> float:
     return float(min(q_one[one] - q_one[other], q_other[other] - q_other[one]))
 
 
-def _miss(touched: Recording, through: Recording) -> float:
-    """Finds the clearance of one drive where the other collided [m]; infinite if it did not pass that place."""
+def _miss(touched: Recording, through: Recording, near_by: float) -> float:
+    """Finds the clearance of one drive within some metres of where the other collided; infinite if it was not there."""
     if not touched.contact[-1]:
         return float("inf")
     place = touched.state_pose[-1, :2]
     steps = len(through.action)
-    near = np.hypot(*(through.sample_pose[:, :2] - place).T) < SAME_PLACE
+    near = np.hypot(*(through.sample_pose[:, :2] - place).T) < near_by
     step = np.searchsorted(through.state_time, through.sample_time[near] - 1e-9, side="left") - 1
     return float(np.min(through.clearance[np.clip(step, 0, steps - 1)], initial=np.inf))

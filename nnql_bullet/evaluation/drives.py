@@ -113,8 +113,6 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
-            "start": self.start,
-            "target": self.target,
         }
 
     @property
@@ -306,7 +304,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.config.task)
+            navigation = Navigation(simulator, experiment.task)
             return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
     experiment = _experiment(task.policy, task.tier, task.setting, 1)
     return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)
@@ -386,5 +384,6 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
-    changes = {"world": world, "vehicles": vehicles, **setting.changes, **policy.changes}
+    ends = {"start": setting.start, "target": setting.target}
+    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes, **policy.changes}
     return load_policy(policy.source, changes).experiment

@@ -12,6 +12,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, bearing, closest_points, moved
 from nnql_bullet.recording import Recording
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.worlds.spec import track_velocities
 
 Group = Literal[
@@ -44,7 +45,7 @@ REVERSALS = 2
 LAST_PART = 60.0
 """Length of the last part of a drive that ran out of time [s]; the paper's vehicle can cross its arena in it."""
 NEAR_TARGET = 10.0
-"""Largest distance from the target of a vehicle that circles it [m]: the sensors' range."""
+"""Largest distance from the target of a vehicle that circles it, for the shipped vehicle [m]: its sensor's range."""
 ROUNDS = 2.0
 """Smallest number of full turns to one side, less those to the other, in the last part of circling."""
 REVISITED = 0.75
@@ -52,7 +53,7 @@ REVISITED = 0.75
 RETURN_AFTER = 10.0
 """Smallest time between two visits of a place [s]."""
 SAME_PLACE = 1.0
-"""Distance below which two places are the same [m]: about the vehicle's length."""
+"""Distance below which two places are the same, for the shipped vehicle [m]: about its length."""
 _STRIDE = 6
 """Number of samples between those that are compared."""
 _LEVEL = 0.01
@@ -93,6 +94,8 @@ class Timeout:
     """Largest distance from the target [m]."""
     progress: float
     """Decrease of the distance to the target [m]."""
+    scale: float = 1.0
+    """Of the vehicle's lengths; see `vehicle.scale`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +139,7 @@ def _group_of_contact(contact: Contact) -> Group:
 def _group_of_timeout(late: Timeout) -> Group:
     if late.stuck:
         return "stuck"
-    if late.farthest <= NEAR_TARGET:
+    if late.farthest <= NEAR_TARGET * late.scale:
         return "target circling"
     if abs(late.rounds) >= ROUNDS:
         return "circling"
@@ -232,6 +235,7 @@ def _timeout(recording: Recording, away: Array) -> Timeout:
         revisited=_revisited(recording),
         farthest=float(away[late].max()),
         progress=float(away[late][0] - away[-1]),
+        scale=length_scale(recording.footprint),
     )
 
 
@@ -240,4 +244,4 @@ def _revisited(recording: Recording) -> float:
     late = times >= recording.sample_time[-1] - LAST_PART
     earlier = times <= times[late, None] - RETURN_AFTER  # (late, all)
     apart = np.hypot(*(places[late, None] - places).transpose(2, 0, 1))
-    return float(np.mean(np.any(earlier & (apart < SAME_PLACE), axis=1)))
+    return float(np.mean(np.any(earlier & (apart < SAME_PLACE * length_scale(recording.footprint)), axis=1)))

@@ -15,12 +15,11 @@ from nnql_bullet.sensing import RAYS, first_ray
 
 ENOUGH = 3.0
 """Number of contradictions from which a sensor counts as dead, until it reads something."""
-NEAR, CLOSE = 8.0, 4.0
+NEAR, CLOSE = 0.8, 0.4
 """Largest distance of an obstacle that contradicts a sensor at all, and of one at a single border of the sector that
-counts in full [m]; a farther one may be out of range or between two rays."""
-
-ALIKE = 2.0
-"""Largest difference between the distances at both borders of a sector for one obstacle [m]."""
+counts in full, over the sensor's range; a farther one may be out of range or between two rays."""
+ALIKE = 0.2
+"""Largest difference between the distances at both borders of a sector for one obstacle, over the sensor's range."""
 
 
 @njit()
@@ -45,9 +44,9 @@ def contradictions(distances: Array, expected: Array, sensor: Array, sensor_rang
         sensor_range: Distance of a ray that meets nothing [m].
     """
     silent, against = silent_sectors(distances, sensor_range), np.zeros(paper.SECTORS)
-    rays = len(distances)
+    near, rays = NEAR * sensor_range, len(distances)
     for x, y in expected:
-        if np.hypot(x - sensor[0], y - sensor[1]) < NEAR:
+        if np.hypot(x - sensor[0], y - sensor[1]) < near:
             place = place_among_rays(x, y, sensor, rays)
             sector = _sector_of(int(place), rays)
             if silent[sector] and first_ray(sector, rays) + 1.0 <= place <= first_ray(sector + 1, rays) - 2.0:
@@ -55,8 +54,9 @@ def contradictions(distances: Array, expected: Array, sensor: Array, sensor_rang
     for sector in range(paper.SECTORS):
         right, left = borders(distances, sector)
         if silent[sector]:
-            both, close = max(right, left) < NEAR and abs(right - left) < ALIKE, min(right, left) < CLOSE
-            against[sector] += 1.0 if both or close else 0.5 if min(right, left) < NEAR else 0.0
+            both = max(right, left) < near and abs(right - left) < ALIKE * sensor_range
+            close = min(right, left) < CLOSE * sensor_range
+            against[sector] += 1.0 if both or close else 0.5 if min(right, left) < near else 0.0
     return against
 
 

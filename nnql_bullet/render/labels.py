@@ -16,5 +16,5 @@ TURNS = tuple(
     f"{'left' if turn > 0 else 'right'} {abs(degrees(turn)):.0f}°" if turn else "straight on" for turn in paper.TURNS
 )
 _ACTIONS = (*TURNS, "toward the target")
-MANOEUVRES = tuple(f"{way}{action}" for way in ("", "stop, ", "reverse, ") for action in _ACTIONS)
+MANOEUVRES = tuple(f"{way}{action}" for way in ("", "stop, ", "reverse, ", "slowly, ") for action in _ACTIONS)
 """Names of the manoeuvres, in the order of `env`: the actions, then the same with a stop, then in reverse."""

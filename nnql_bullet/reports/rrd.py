@@ -217,7 +217,7 @@ def _log_states(stream: rr.RecordingStream, recording: Recording) -> None:
     stream.send_columns(
         "property", _at_states(recording), rr.StateChange.columns(state=recording.state_property.tolist())
     )
-    action_colours = [*LINES[:ACTIONS], *[TIMEOUT] * ACTIONS, *[MOVING] * ACTIONS]
+    action_colours = [*LINES[:ACTIONS], *[TIMEOUT] * ACTIONS, *[MOVING] * ACTIONS, *LINES[:ACTIONS]]
     _log_line(stream, recording, "action", MANOEUVRES, action_colours, recording.action)
     _log_line(stream, recording, "decided_by", tuple(DECIDERS), tuple(DECIDERS.values()), recording.overridden)
 

@@ -1,4 +1,7 @@
-"""What a vehicle does when no action stays clear: it brakes, and once it stands it turns on the spot."""
+"""What a vehicle does when no action stays clear: it brakes, and once it stands it turns on the spot.
+
+Where it cannot, or has turned all round in vain, it backs out the way it came until it can turn round.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -7,10 +10,11 @@ import numpy as np
 from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
 from nnql_bullet.env import STOP
 from nnql_bullet.geometry import Array
-from nnql_bullet.shield.prediction import Predictor, ShieldOptions, Situation
+from nnql_bullet.mapping.seen_space import RecentScans
+from nnql_bullet.shield.prediction import Predictor, Situation
 
-STANDSTILL_SPEED = 0.05
-"""Speed below which a vehicle stands [m/s]."""
+STILL = 0.1
+"""Yaw rate up to which a vehicle that cannot follow its turns starts another on the spot [rad/s]."""
 FULL_TURN = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
 
@@ -22,13 +26,15 @@ class Spin:
     side: int = 0
     """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
     decisions: int = 0
-    """Decisions to turn on the spot since it last drove at speed."""
+    """Decisions to turn on the spot since it last drove on."""
+    backs: bool = False
+    """Whether it backs out of where it can neither drive on nor turn round."""
 
 
 def fallback(
     predictor: Predictor,
-    options: ShieldOptions,
     situation: Situation,
+    scans: RecentScans,
     ranks: Array,
     margin: float,
     spin: Spin,
@@ -39,8 +45,8 @@ def fallback(
 
     Args:
         predictor: Predicts clearances.
-        options: Of the shield.
         situation: Of this vehicle alone.
+        scans: Its recent scans.
         ranks: How good each action is held to be (6,).
         margin: Clearance that it keeps if it can [m].
         spin: Its turning on the spot so far.
@@ -50,24 +56,39 @@ def fallback(
     Returns:
         The manoeuvre, and the turning on the spot with it.
     """
+    lengths = predictor.lengths
+    tight = min(margin, lengths.tight_margin)
     stops = predictor.stop_clearances(situation)
-    if situation.moves:
+    seen = predictor.can_stop_after(situation, scans, STOP, tight)
+    if situation.moving.any():
         courses = np.concatenate([predictor.drive_clearances(situation), stops])
-        return int(course_scores(courses, options.margin).argmax()), spin
-    if situation.speed[0] >= STANDSTILL_SPEED:
+        safe = np.concatenate([predictor.can_stop_after(situation, scans, 0, tight), seen])
+        safe[STOP:] |= not safe.any()
+        return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
+    if situation.speed[0] >= lengths.standstill:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
-        return STOP + int(order[course_scores(stops, options.margin)[order].argmax()]), spin
+        scores = course_scores(stops, lengths.margin) + seen
+        return STOP + int(order[scores[order].argmax()]), spin
+    if not predictor.follows and abs(float(situation.yaw_rate[0])) > STILL:
+        return STOP, spin
+    if spin.backs and not predictor.can_turn_round(situation):
+        action = predictor.reverses(situation, scans, tight)
+        if action >= 0:
+            return action, spin
     side = spin.side or preferred_side or predictor.open_side(situation, target_bearing)
     spin = Spin(side, spin.decisions + 1)
-    tight = min(margin, options.tight_margin)
     clearances = stops.min(axis=-1)
     turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
-    possible = [turn for turn in turns if clearances[turn] >= tight]
+    possible = [turn for turn in turns if clearances[turn] >= tight and seen[turn]]
     if not possible or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            if clear.any():
-                return int(np.where(clear, ranks, -np.inf).argmax()), spin
+            action = predictor.first_safe(situation, scans, ranks, clear, tight)
+            if action >= 0:
+                return action, spin
+        action = predictor.reverses(situation, scans, tight)
+        if action >= 0:
+            return action, Spin(side, backs=True)
     if not possible:
         return STOP, spin
     return STOP + possible[0], replace(spin, side=1 if possible[0] in LEFT_TURNS else -1)

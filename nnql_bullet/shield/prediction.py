@@ -1,4 +1,8 @@
-"""Which actions leave a vehicle room to stop, predicted against the last scan under its load and grip."""
+"""Which actions leave a vehicle room to stop, predicted from its speed, load and grip.
+
+What recent scans saw has to stay clear of the course. Where they saw nothing at all, an obstacle of the least width may
+stand: the vehicle has to be able to stop before it comes near such a place.
+"""
 
 from dataclasses import dataclass, fields
 from math import sqrt
@@ -7,44 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.config import options
+from nnql_bullet.env import REVERSE, SLOW, speed_scale
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
-from nnql_bullet.types import NonNegative, Reach
+from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
+from nnql_bullet.shield.courses import clear_courses, drives_then_stops
+from nnql_bullet.shield.lengths import Lengths
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.limits import followed_limits, turning_deceleration
+from nnql_bullet.vehicle.limits import followed_limits
 from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 DISTANCE_STEP = 0.1
-"""Distance between predicted places along a straight line [m]."""
-GRIP_SHARE = 0.9
-"""Fraction of the hardest braking that load and friction allow, which the prediction counts on."""
+"""Distance between predicted places along a straight line, for the shipped vehicle [m]."""
 APPROACH = 0.03
-"""Distance by which a vehicle that is nearer than the margin may get nearer still in a decision [m]."""
+"""Distance by which that vehicle may get nearer still in a decision if it is nearer than the margin [m]."""
 LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
-AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 """The rear-axle centre as a footprint without size."""
-
-
-@options
-class ShieldOptions:
-    """Options of the shield: the clearance that it keeps, and how far ahead it keeps it."""
-
-    margin: Reach = 0.3
-    """Smallest clearance between the footprint and the last scan [m]. An obstacle may reach out between two rays."""
-    tight_margin: Reach = 0.06
-    """The same for a vehicle that stands and has no other way out [m]."""
-    look_ahead: Reach = 2.0
-    """Distance along every action that has to be clear [m]; more where a control period and braking take more."""
-    corridor: Reach = 6.0
-    """Distance within which there has to be a place to turn round on the spot [m]. The vehicle does not reverse, so
-    that it could not leave a path without one."""
-    box_speed: NonNegative = 1.0
-    """Speed at which moving obstacles may come nearer [m/s]."""
-    recovers: bool = True
-    """Whether the shield leads an agent that gets no nearer to the target (see `recovery`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,61 +40,61 @@ class Situation:
     yaw_rate: Array
     """Yaw rates (n,) [rad/s]."""
     speed: Array
-    """Commanded speeds (n,) [m/s]."""
+    """Measured speeds (n,) [m/s], negative backwards."""
     turns: Array
     """Heading changes of the six actions (n, 6) [rad]."""
     points: Array
-    """Points of the scan in the vehicle frame (n, rays, 2) [m]; NaN for none."""
-    moving: Array
-    """Those of them that belong to moving obstacles (n, rays, 2) [m]; NaN for the others."""
+    """Points of obstacles in the vehicle frame (n, m, 2) [m]; NaN for none."""
+    moving: NDArray[np.bool_]
+    """Whether they belong to moving obstacles (n, m)."""
 
     def of(self, vehicles: NDArray[np.int64]) -> "Situation":
         """The situation of some of the vehicles."""
         return Situation(*(getattr(self, its.name)[vehicles] for its in fields(self)))
 
-    @property
-    def moves(self) -> bool:
-        """Whether any obstacle moves."""
-        return bool(np.isfinite(self.moving).any())
-
 
 class Predictor:
     """Predicts the clearance of actions and of stops. It keeps no state."""
 
-    def __init__(self, options: ShieldOptions, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+    def __init__(self, lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         """Computes what depends on the vehicle alone.
 
         Args:
-            options: Of the shield.
+            lengths: Of the shield.
             vehicle: The vehicle with its load and grip.
             drive: How decisions reach the wheels.
         """
-        self._options, self._drive = options, drive
+        self.lengths, self._drive = lengths, drive
         self._footprint = as_rows((vehicle.footprint,))[0]
+        self._sensor, self._first_angle = np.array(vehicle.sensor.position[:2]), float(vehicle.sensor.angles[0])
         limits = vehicle.limits
-        self._deceleration = min(limits.acceleration, GRIP_SHARE * turning_deceleration(vehicle, drive.speed))
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
-        self._look_ahead = max(options.look_ahead, float(self.stopping_distance(np.array(drive.speed))))
-        self._turning_circle = float(np.hypot(*vehicle.footprint.corners().T).max()) + LEAST_CLEARANCE
-        longest = max(self._look_ahead, options.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
-        stop = drive.speed / self._deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
+        self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
+        longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
+        stop = drive.speed / lengths.deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
         self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
         self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
+
+    @property
+    def follows(self) -> bool:
+        """Whether load and grip let the vehicle follow the turns that the drive asks for."""
+        return self._followed_changing == self._asked
 
     def stopping_distance(self, speeds: Array) -> Array:
         """Distances up to a stop of vehicles that drive on for one more control period (...) [m]."""
         period = self._drive.decision_period
         after = np.minimum(speeds + self._asked.acceleration * period, self._drive.speed)
-        return np.asarray((speeds + after) / 2 * period + after * after / (2 * self._deceleration))
+        return np.asarray((speeds + after) / 2 * period + after * after / (2 * self.lengths.deceleration))
 
     def margins(self, points: Array) -> Array:
         """Clearances that vehicles have to keep (n,) [m]: the margin or, where they have less already, about that."""
+        least, approach = self.lengths.times(LEAST_CLEARANCE), self.lengths.times(APPROACH)
         here: Array = scan_clearances(np.zeros((len(points), 1, 1, 3)), points, self._footprint)[:, 0, 0]
-        less = np.where(here < LEAST_CLEARANCE, here - APPROACH / 6, np.maximum(here - APPROACH, LEAST_CLEARANCE))
-        return np.minimum(less, self._options.margin)
+        less = np.where(here < least, here - approach / 6, np.maximum(here - approach, least))
+        return np.minimum(less, self.lengths.margin)
 
     def stays_clear(self, situation: Situation, margins: Array, turns_round: bool = True) -> NDArray[np.bool_]:
         """Which actions (n, 6) keep a clearance up to where the vehicle can stop and turn round on the spot.
@@ -128,6 +114,90 @@ class Predictor:
                 clear[some] &= self._keeps(s.of(some), margins[some], turns_round, followed)
         return clear
 
+    def can_stop(self, situation: Situation, scans: RecentScans, turn: float, goal: float, margin: float) -> bool:
+        """Whether one vehicle that carries out a decision and then brakes straight ahead stays clear.
+
+        It stays clear of what was seen, and keeps to where nothing can stand unseen.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            turn: Heading change of the decision [rad].
+            goal: Speed that the decision asks for [m/s].
+            margin: Clearance from what was seen [m].
+        """
+        tight, width = self.lengths.tight_margin, self.lengths.least_width
+        courses = self._until_it_stands(situation, turn, goal)
+        return all(
+            scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
+        ) and not any(
+            meets_unseen(course, self._footprint, tight, width, scans, self._sensor, self._first_angle)
+            for course in courses
+        )
+
+    def can_stop_after(self, situation: Situation, scans: RecentScans, manner: int, margin: float) -> NDArray[np.bool_]:
+        """Whether one vehicle can stop after each of the six actions (6,), see `can_stop`.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            manner: 0, `STOP`, `REVERSE` or `SLOW`.
+            margin: Clearance from what was seen [m].
+        """
+        turns, goal = situation.turns[0].tolist(), self._speed(manner)
+        return np.array([self.can_stop(situation, scans, turn, goal, margin) for turn in turns])
+
+    def _until_it_stands(self, situation: Situation, turn: float, goal: float) -> list[Array]:
+        """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
+        return [
+            drives_then_stops(
+                *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal, self._drive.decision_period),
+                *(limits.yaw_rate, limits.yaw_acceleration, limits.acceleration, self.lengths.deceleration),
+            )
+            for limits in dict.fromkeys((self._asked, self._followed_changing))
+        ]
+
+    def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
+        """How one vehicle reverses, as straight as it can; -1 if it cannot.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            margin: Clearance that it keeps [m].
+        """
+        possible = np.flatnonzero(self.can_stop_after(situation, scans, REVERSE, margin))
+        return REVERSE + int(min(possible, key=lambda action: abs(situation.turns[0, action]))) if len(possible) else -1
+
+    def can_turn_round(self, situation: Situation) -> bool:
+        """Whether one vehicle has room to turn round on the spot."""
+        here = np.zeros((1, 1, 1, 3))
+        return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
+
+    def first_safe(
+        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_], margin: float
+    ) -> int:
+        """The best of one vehicle's clear actions after which it can stop; -1 if there is none.
+
+        It carries an action out slowly where it can stop after that and not after full speed.
+
+        Args:
+            situation: Of this vehicle alone.
+            scans: Its recent scans.
+            ranks: How good each action is held to be (6,).
+            clear: Whether each action stays clear (6,).
+            margin: Clearance that it keeps up to the stop [m].
+        """
+        for action in np.argsort(-ranks, kind="stable").tolist():
+            for slowly in (0, SLOW):
+                turn, goal = float(situation.turns[0, action]), self._speed(slowly)
+                if clear[action] and self.can_stop(situation, scans, turn, goal, margin):
+                    return int(action + slowly)
+        return -1
+
+    def _speed(self, manner: int) -> float:
+        """The speed that an action asks for with 0, `STOP`, `REVERSE` or `SLOW` added to it [m/s]."""
+        return float(speed_scale(manner, self._drive)) * self._drive.speed
+
     def drive_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that drives on along the six turns (6, k) [m], for as long as braking takes."""
         at_speed = situation.speed[0] >= self._drive.speed
@@ -144,41 +214,51 @@ class Predictor:
         Directions near the target's cost less.
         """
         angles = np.radians(np.arange(-180.0, 181.0, 15.0))
-        distances = np.arange(DISTANCE_STEP, self._look_ahead, DISTANCE_STEP)
+        step = self.lengths.times(DISTANCE_STEP)
+        distances = np.arange(step, self.lengths.look_ahead, step)
         along, turned = np.broadcast_arrays(distances, angles[:, None])
         poses = np.stack([along * np.cos(turned), along * np.sin(turned), turned], axis=-1)
         clearances = scan_clearances(poses[None], situation.points, self._footprint)[0].min(axis=-1)
         cost = np.abs(angles) + np.abs(wrap_angles(angles - target_bearing)) / 2
-        cost = np.where(clearances >= self._options.margin, cost, np.inf)
+        cost = np.where(clearances >= self.lengths.margin, cost, np.inf)
         return 1 if cost[angles >= 0].min() <= cost[angles <= 0].min() else -1
 
-    def _predicted(self, s: Situation, goal: float, times: Array, limits: Limits) -> tuple[Array, Array, Array]:
-        """Poses along the six turns (n, 6, k, 3), clearances there (n, 6, k) and distances driven (n, 1, k) [m].
-
-        Moving obstacles may have come nearer by then.
-        """
+    def _poses(self, s: Situation, goal: float, times: Array, limits: Limits) -> tuple[Array, Array]:
+        """Poses along the six turns (n, 6, k, 3), and distances from each to the next (n, k) [m]."""
         goals = np.full(len(s.speed), goal)
-        acceleration = limits.acceleration if goal > 0 else self._deceleration
+        acceleration = limits.acceleration if goal > 0 else self.lengths.deceleration
         distances = ramp_distances(s.speed, goals, acceleration, times)
-        poses = predicted_poses(s.yaw_rate, s.turns, distances, limits, times)
-        clearances: Array = scan_clearances(poses, s.points, self._footprint)
-        if s.moves:
-            moving = scan_clearances(poses, s.moving, self._footprint) - self._options.box_speed * times
-            clearances = np.minimum(clearances, np.maximum(moving, 0.0))
-        return poses, clearances, np.cumsum(distances, axis=-1)[:, None, :]
+        return predicted_poses(s.yaw_rate, s.turns, distances, limits, times), distances
 
     def _keeps(self, s: Situation, margins: Array, turns_round: bool, limits: Limits) -> NDArray[np.bool_]:
         """`stays_clear` under the limits that the vehicle follows."""
-        poses, clearances, distances = self._predicted(s, self._drive.speed, self._times, limits)
-        free = np.logical_and.accumulate(clearances >= margins[:, None, None], axis=-1)
-        stops = free & (distances >= self.stopping_distance(s.speed)[:, None, None])
-        if not turns_round:
-            return np.asarray(stops.any(axis=-1))
-        has_room = scan_clearances(poses, s.points, AXLE) >= self._turning_circle
-        return np.asarray((free & (distances >= self._look_ahead)).any(axis=-1) & (stops & has_room).any(axis=-1))
+        poses, distances = self._poses(s, self._drive.speed, self._times, limits)
+        closing: Array = np.where(s.moving, self.lengths.box_speed, 0.0)
+        clear: NDArray[np.bool_] = clear_courses(
+            poses,
+            np.cumsum(distances, axis=-1),
+            s.points,
+            closing,
+            self._times,
+            self._footprint,
+            margins,
+            self.stopping_distance(s.speed),
+            self.lengths.look_ahead if turns_round else 0.0,
+            self._turning_circle if turns_round else 0.0,
+        )
+        return clear
 
-    def _worse(self, situation: Situation, goal: float, followed: Limits) -> Array:
-        """The smaller clearances of a vehicle that turns as asked and of one that falls behind (6, k) [m]."""
-        both = self._asked, followed
-        asked, behind = (self._predicted(situation, goal, self._stop_times, limits)[1][0] for limits in both)
-        return np.asarray(np.minimum(asked, behind))
+    def _worse(self, s: Situation, goal: float, followed: Limits) -> Array:
+        """The smaller clearances of a vehicle that turns as asked and of one that falls behind (6, k) [m].
+
+        Moving obstacles may have come nearer by then.
+        """
+        worse = np.full((s.turns.shape[1], len(self._stop_times)), np.inf)
+        moving, nearer = np.where(s.moving[..., None], s.points, np.nan), self.lengths.box_speed * self._stop_times
+        for limits in (self._asked, followed):
+            poses, _ = self._poses(s, goal, self._stop_times, limits)
+            worse = np.minimum(worse, scan_clearances(poses, s.points, self._footprint)[0])
+            if s.moving.any():
+                came = scan_clearances(poses, moving, self._footprint)[0] - nearer
+                worse = np.minimum(worse, np.maximum(came, 0.0))
+        return worse

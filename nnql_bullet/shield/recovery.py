@@ -1,5 +1,7 @@
 """Recovery of a vehicle that gets no nearer to its target: it follows the obstacle until it is nearer than ever.
 
+The lengths are those of the shipped vehicle (see `vehicle.scale`); another's are multiples of them.
+
 The method is the boundary following of the Bug algorithms (Lumelsky and Stepanov, Algorithmica 2, 1987; Choset et al.,
 Principles of Robot Motion, chapter 2), with limits of time and distance, after which the vehicle tries the other side.
 """
@@ -55,7 +57,7 @@ class Recovery:
     guided_until: float = inf
     """Distance to the target up to which the vehicle is guided [m]; infinite before the first recovery."""
 
-    def updated(self, distance: float, readings: Array, side: int, period: float) -> "Recovery":
+    def updated(self, distance: float, readings: Array, side: int, period: float, scale: float) -> "Recovery":
         """Returns progress and recovery at the next decision.
 
         Args:
@@ -63,14 +65,15 @@ class Recovery:
             readings: Readings of the eight sensors (8,) [m].
             side: Side to which the vehicle turns on the spot; 0 if it does not.
             period: Time since the last decision [s].
+            scale: Of lengths, see `lengths.Lengths`.
         """
-        nearer = distance < self.closest - PROGRESS
+        nearer = distance < self.closest - PROGRESS * scale
         waited = 0.0 if nearer else self.waited + period
         closest = distance if nearer else self.closest
         now = replace(self, waited=waited, closest=closest)
         if self.side:
             now = replace(now, left=self.left - period)
-            if nearer or now.left < 0 or distance > closest + FARTHEST:
+            if nearer or now.left < 0 or distance > closest + FARTHEST * scale:
                 failures = self.failures + (not nearer)
                 return replace(now, side=0, waited=0.0, swap=not nearer, failures=failures)
             return now
@@ -83,7 +86,7 @@ class Recovery:
             side=chosen,
             last_side=chosen,
             left=FIRST_LIMIT * LIMIT_GROWTH**self.failures,
-            guided_until=closest - FIRST_GAIN * GAIN_GROWTH**self.recoveries,
+            guided_until=closest - FIRST_GAIN * scale * GAIN_GROWTH**self.recoveries,
             recoveries=self.recoveries + 1,
         )
 
@@ -91,7 +94,7 @@ class Recovery:
         """Whether the recovery, not the agent, leads the vehicle at a distance to the target [m]."""
         return self.side != 0 or (self.recoveries > 0 and distance > self.guided_until)
 
-    def heading(self, target_bearing: float, ray_distances: Array, sensor: Sensor) -> float:
+    def heading(self, target_bearing: float, ray_distances: Array, sensor: Sensor, scale: float) -> float:
         """Heading change [rad]: toward the target or, during a recovery, along the obstacle that is followed."""
         if not self.side:
             return target_bearing
@@ -100,5 +103,6 @@ class Recovery:
         distances = np.where((beside > -AHEAD) & (beside < BEHIND), ray_distances, inf)
         nearest = int(distances.argmin())
         bearing = float(bearings[nearest]) if sensor.met(distances[nearest]) else -self.side * pi / 2
-        closing = min(max((float(distances[nearest]) - KEPT_DISTANCE) * CORRECTION, -1.0), 1.0) * max(paper.TURNS)
+        deviation = float(distances[nearest]) / scale - KEPT_DISTANCE
+        closing = min(max(deviation * CORRECTION, -1.0), 1.0) * max(paper.TURNS)
         return float(wrap_angle(bearing + self.side * (pi / 2 - closing)))

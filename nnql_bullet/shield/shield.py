@@ -1,18 +1,19 @@
 """A shield around any agent: it admits only actions that leave the vehicle room to stop.
 
-Before each decision it predicts every action against the last scan: the turn under the drive's own profile and straight
-on after it, over one control period and the distance in which the vehicle, with its load and grip, comes to a stop
-(`prediction`). It takes the agent's best action that stays clear. If there is none, the vehicle brakes; once it stands,
-it turns on the spot, to one side, until there is one (`fallback`). It leads an agent that gets no nearer to the target
-(`recovery`). It completes sensors that read nothing against all evidence, and expects moving obstacles to come nearer
-(`perception`).
+Before each decision it predicts every action from the measured speed: the turn under the drive's own profile and
+straight on after it. It takes the agent's best action that stays clear of what recent scans saw, and after which the
+vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
+`mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
+it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
+no nearer to the target (`recovery`). It completes sensors that read nothing against all evidence, and expects moving
+obstacles to come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
 Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,14 +21,14 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import STOP, Observation, heading_change
+from nnql_bullet.env import Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
-from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.rollout import Actions, Policy, PolicyState
-from nnql_bullet.shield.fallback import STANDSTILL_SPEED, Spin, fallback
-from nnql_bullet.shield.perception import LastScan, perceived
-from nnql_bullet.shield.prediction import Predictor, ShieldOptions, Situation
+from nnql_bullet.shield.fallback import Spin, fallback
+from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
+from nnql_bullet.shield.perception import LastScan, Perception, perceived
+from nnql_bullet.shield.prediction import Predictor, Situation
 from nnql_bullet.shield.recovery import Recovery
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -41,8 +42,6 @@ __all__ = ["Shield", "ShieldOptions"]
 class Memory:
     """The shield's memory of one vehicle."""
 
-    speed: float
-    """Commanded speed [m/s]."""
     spin: Spin = field(default_factory=Spin)
     scan: LastScan = field(default_factory=LastScan)
     recovery: Recovery = field(default_factory=Recovery)
@@ -77,17 +76,17 @@ class Shield:
         self.options = options
         self.agent = agent
         self._vehicle, self._drive, self._task = vehicle, drive, task
-        self._predictor = Predictor(options, vehicle, drive)
+        self._lengths = lengths_of(options, vehicle, drive)
+        self._predictor = Predictor(self._lengths, vehicle, drive)
 
     def initial_state(self, size: int) -> ShieldState:
-        """Returns the state of n vehicles at the drive's speed."""
-        memories = (Memory(self._drive.speed),) * size
+        """Returns the state of n vehicles that have seen nothing."""
+        memories = (Memory(),) * size
         return ShieldState(memories, np.zeros(size, np.bool_), self.agent.initial_state(size))
 
     def reset(self, state: ShieldState, world_seeds: Mapping[int, int]) -> ShieldState:
-        """Forgets vehicles, which are put into worlds at the drive's speed."""
-        new = Memory(self._drive.speed)
-        memories = tuple(new if i in world_seeds else memory for i, memory in enumerate(state.memories))
+        """Forgets vehicles that are put into worlds."""
+        memories = tuple(Memory() if i in world_seeds else memory for i, memory in enumerate(state.memories))
         return replace(state, memories=memories, agent=self.agent.reset(state.agent, world_seeds))
 
     def action_values(self, observations: Observation, state: ShieldState) -> Array:
@@ -100,52 +99,51 @@ class Shield:
 
     def act(self, observations: Observation, state: ShieldState) -> tuple[Actions, ShieldState]:
         """Chooses the agent's best action that stays clear or, where there is none, the fallback."""
-        o, moving, scans = self.perceived(observations, state.memories)
+        seen = self.perceived(observations, state.memories)
+        o = seen.observation
         values = self.agent.action_values(o, state.agent)
         wanted, agent_state = self.agent.act(o, state.agent)
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted, turns), state.memories
         if self.options.recovers:
             memories = self._recovering(ranks, o, turns, memories)
-        points = point_cloud(o.ray_distances, self._vehicle.sensor)
-        speed = np.array([memory.speed for memory in memories])
-        situation = Situation(o.yaw_rate, speed, turns, points, np.where(moving[..., None], points, np.nan))
-        margins = self._predictor.margins(points)
+        situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
+        margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
-        chosen: NDArray[np.int64] = np.where(clear, ranks, -np.inf).argmax(axis=-1)
-        spins = [memory.spin for memory in memories]
-        for i in np.flatnonzero(~clear.any(axis=-1)).tolist():
-            chosen[i], spins[i] = fallback(
-                self._predictor,
-                self.options,
-                situation.of(np.array([i])),
-                ranks[i],
-                margins[i],
-                spins[i],
-                memories[i].recovery.side,
-                float(o.target_bearing[i]),
-            )
+        chosen, spins = np.empty(len(wanted), np.int64), []
+        for i, memory in enumerate(memories):
+            alone, recent = situation.of(np.array([i])), seen.scans[i].recent
+            backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
+            admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            chosen[i], spin = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin), memory.spin
+            if chosen[i] < 0:
+                chosen[i], spin = fallback(
+                    *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
+                    *(memory.recovery.side, float(o.target_bearing[i])),
+                )
+            spins.append(spin)
         if isinstance(self.agent, Overridable):
             agent_state = self.agent.override(agent_state, chosen)
-        after = self._remembered(o, chosen, memories, spins, scans)
+        after = self._remembered(o, chosen, memories, spins, seen.scans)
         return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
 
-    def perceived(
-        self, observations: Observation, memories: Sequence[Memory]
-    ) -> tuple[Observation, NDArray[np.bool_], list[LastScan]]:
-        """Completes the scans of n vehicles, and finds moving obstacles; see `perception.perceived`."""
-        standing = [memory.speed < STANDSTILL_SPEED for memory in memories]
+    def perceived(self, observations: Observation, memories: Sequence[Memory]) -> Perception:
+        """What n vehicles know of their surroundings; see `perception.perceived`."""
+        standing = observations.speed < self._lengths.standstill
         last = [memory.scan for memory in memories]
-        return perceived(observations, last, standing, self._vehicle.sensor, self._task)
+        return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
 
     def _recovering(self, ranks: Array, o: Observation, turns: Array, memories: Sequence[Memory]) -> tuple[Memory, ...]:
         """Updates the recoveries, and ranks in place the actions of the vehicles that they lead."""
         after = []
         for i, memory in enumerate(memories):
             distance = float(o.target_distance[i])
-            recovery = memory.recovery.updated(distance, o.readings[i], memory.spin.side, self._drive.decision_period)
+            recovery = memory.recovery.updated(
+                distance, o.readings[i], memory.spin.side, self._drive.decision_period, self._lengths.scale
+            )
             if recovery.leads(distance):
-                heading = recovery.heading(float(o.target_bearing[i]), o.ray_distances[i], self._vehicle.sensor)
+                sensor, bearing = self._vehicle.sensor, float(o.target_bearing[i])
+                heading = recovery.heading(bearing, o.ray_distances[i], sensor, self._lengths.scale)
                 ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
             after.append(replace(memory, recovery=recovery))
         return tuple(after)
@@ -155,23 +153,21 @@ class Shield:
         o: Observation,
         chosen: NDArray[np.int64],
         memories: Sequence[Memory],
-        spins: Iterable[Spin],
-        scans: Iterable[LastScan],
+        spins: Sequence[Spin],
+        scans: Sequence[LastScan],
     ) -> tuple[Memory, ...]:
-        """The memories after the decisions, with the pose and speed that each vehicle should have then."""
+        """The memories after the decisions, with the pose that each vehicle should have then."""
         limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
-        speed = np.array([memory.speed for memory in memories])
-        goals = np.where(chosen < STOP, self._drive.speed, 0.0)
-        distances = ramp_distances(speed, goals, limits.acceleration, times)
+        goals = speed_scale(chosen, self._drive) * self._drive.speed
+        distances = ramp_distances(o.speed, goals, limits.acceleration, times)
         turns = heading_change(chosen, o.target_bearing)
         moved = predicted_poses(o.yaw_rate, turns[:, None], distances, limits, times)[:, 0, -1]
-        change = limits.acceleration * self._drive.decision_period
-        speed = np.minimum(np.maximum(goals, speed - change), speed + change)
         after = []
-        for memory, pose, now, spin, scan in zip(memories, moved, speed.tolist(), spins, scans, strict=True):
-            if now >= 0.9 * self._drive.speed:
+        for i, memory in enumerate(memories):
+            spin = spins[i]
+            if o.speed[i] >= 0.9 * goals[i] > 0:
                 spin = Spin(spin.side if memory.recovery.side else 0)
-            after.append(Memory(now, spin, replace(scan, moved=pose), memory.recovery))
+            after.append(Memory(spin, replace(scans[i], moved=moved[i]), memory.recovery))
         return tuple(after)
 
 

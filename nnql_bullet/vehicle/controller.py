@@ -31,9 +31,9 @@ class DriveOptions:
     decision_period: Period = 0.5
     """Time between decisions [s]; the paper states no length of "one step". A turn may last for several decisions."""
     speed: Speed = paper.SPEED
-    """Speed of the rear-axle centre [m/s], unless a decision asks to stop or to reverse."""
+    """Speed of the rear-axle centre [m/s], unless a decision asks to stop, to reverse or to drive slowly."""
     reverse_share: Annotated[float, Field(gt=0, le=1)] = 0.25
-    """Speed of reversing, as a share of `speed`."""
+    """Speed of reversing and of driving slowly, as a share of `speed`."""
     heading_gain: Annotated[float, Field(ge=0, le=1000)] = 4.0
     """Yaw rate per heading error [1/s]."""
 

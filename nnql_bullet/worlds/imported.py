@@ -13,7 +13,7 @@ from nnql_bullet.worlds.ends import Ends, choose_ends
 from nnql_bullet.worlds.importers import ForeignWorld, Reading, read_foreign
 from nnql_bullet.worlds.layouts.boxes import boxes_of
 from nnql_bullet.worlds.passages import Point
-from nnql_bullet.worlds.source import WIDTH, World, in_frame
+from nnql_bullet.worlds.source import WIDTH, World, check_inside, checked_place, in_frame
 from nnql_bullet.worlds.spec import WorldSpec
 
 TARGET_RADIUS = 1.0
@@ -69,9 +69,12 @@ def import_file(
     frame, chosen = found.frame, ""
     if start is None and found.start:
         start = found.start.x, found.start.y, found.start.yaw
-    begin = in_frame(frame, start) if start else None
-    goal = target or found.target
-    end = in_frame(frame, goal) if goal else None
+    goal = found.target if target is None else target
+    begin = None if start is None else in_frame(frame, checked_place("start", start))
+    end = None if goal is None else in_frame(frame, checked_place("target", goal))
+    for name, point in (("start", begin), ("target", end)):
+        if point:
+            check_inside(f"{path}: its {name}", point, (found.width, found.depth), frame)
     yaw = start[2] - frame.yaw if start and len(start) > 2 else None
     if begin is None or end is None:
         ends, chosen = _chosen(found, begin, end, passage, path)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import cos, degrees, dist, pi, radians, sin
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag, ValidationError
 
@@ -117,11 +117,11 @@ class World:
         """
         values: dict[str, Any] = {}
         if start is not None:
-            values["start"] = in_frame(self.frame, _place("start", start, (2, 3)))
+            values["start"] = in_frame(self.frame, checked_place("start", start))
             yaw = degrees(wrap_angle(start[2] - self.frame.yaw)) if len(start) == 3 else None
             values["start_yaw_degrees"] = yaw
         if target is not None:
-            values["target"] = in_frame(self.frame, _place("target", target, (2,)))
+            values["target"] = in_frame(self.frame, checked_place("target", target))
         try:
             world = replace(self, **values)
         except ValidationError as error:
@@ -135,13 +135,8 @@ class World:
         Raises:
             UserError: If one is not.
         """
-        for name, (x, y) in (("start", self.start), ("target", self.target)):
-            if not (0 < x < self.width and 0 < y < self.depth):
-                mapped = placed(self.frame, x, y)
-                given = "" if self.frame == Pose(0.0, 0.0, 0.0) else f", ({mapped[0]:g}, {mapped[1]:g}) in its map,"
-                raise UserError(
-                    f"world '{self.name}': its {name} ({x:g}, {y:g}){given} is outside the arena; move it inside"
-                )
+        for name, point in (("start", self.start), ("target", self.target)):
+            check_inside(f"world '{self.name}': its {name}", point, (self.width, self.depth), self.frame)
 
     @staticmethod
     @checked
@@ -269,18 +264,31 @@ def in_frame(frame: Pose, point: Sequence[float]) -> tuple[float, float]:
     return round(c * dx + s * dy, 6), round(c * dy - s * dx, 6)
 
 
-def _place(name: str, numbers: Sequence[float], counts: tuple[int, ...]) -> Sequence[float]:
-    """Checks the numbers of a place.
+def checked_place(name: Literal["start", "target"], numbers: Sequence[float]) -> Sequence[float]:
+    """Checks the numbers of a start or target: x, y [m] and, of a start, maybe yaw [rad].
 
     Raises:
         UserError: If there are not so many, one is not finite or too large, or the yaw is beyond a turn.
     """
+    counts, what = {"start": ((2, 3), "x,y or x,y,yaw"), "target": ((2,), "x,y")}[name]
     if len(numbers) not in counts or not all(abs(number) <= LARGEST for number in numbers):
-        what = "x,y" if counts == (2,) else "x,y or x,y,yaw"
-        raise UserError(f"{name}: must be {what}: finite numbers in metres{'' if counts == (2,) else ' and radians'}")
+        raise UserError(f"{name}: must be {what}, finite numbers in metres{' and radians' if name == 'start' else ''}")
     if len(numbers) == 3 and abs(numbers[2]) > 2 * pi:
         raise UserError(f"{name}: its yaw is in radians, from -6.28 to 6.28, not {numbers[2]:g}")
     return numbers
+
+
+def check_inside(what: str, point: tuple[float, float], size: tuple[float, float], frame: Pose) -> None:
+    """Checks that a point [m] is in an arena of a size [m], whose corner lies at `frame` in its map.
+
+    Raises:
+        UserError: If it is not.
+    """
+    x, y = point
+    if not (0 < x < size[0] and 0 < y < size[1]):
+        u, v = placed(frame, x, y)
+        given = "" if frame == Pose(0.0, 0.0, 0.0) else f", ({u:g}, {v:g}) in its map,"
+        raise UserError(f"{what} ({x:g}, {y:g}){given} is outside the arena; move it inside")
 
 
 WorldLike = Annotated[

@@ -31,6 +31,7 @@ from nnql_bullet.sensing import FRONT
 from nnql_bullet.task import NO_ENDING, StateProperty
 from nnql_bullet.types import BatchSize, BufferSize, Bytes, Count, Few, Frames, Layers, Number, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 FRONT_DISTANCE = 5.0
@@ -156,6 +157,7 @@ class DoubleDqn:
     def __init__(self, options: DoubleDqnOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self.options = options
         self._seed = seed
+        self._scale = length_scale(vehicle.footprint)
         self._frames = FrameMaker(options.rays, options.frames, options.grid_map, vehicle, drive)
         self._inputs = options.frames * self._frames.width
         with fenced(rng(seed, Stream.WEIGHTS)):
@@ -214,7 +216,7 @@ class DoubleDqn:
             look.memory.frames[:, 0],
             look.memory.age,
             t.a_tm1,
-            reward(t, o),
+            reward(t, o, self._scale),
             ends,
             o.reward_progress * look.progress,
         )
@@ -292,9 +294,9 @@ class DoubleDqn:
         return float(torch.cat(errors).square().mean().sqrt())
 
 
-def reward(t: Transition, o: DoubleDqnOptions) -> Array:
-    """Rewards of steps (n,), except for the progress, which is known at the next decision."""
-    nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / FRONT_DISTANCE, 0.0)
+def reward(t: Transition, o: DoubleDqnOptions, scale: float = 1.0) -> Array:
+    """Rewards of steps (n,) of vehicles of a scale, except for the progress, which is known at the next decision."""
+    nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / (FRONT_DISTANCE * scale), 0.0)
     turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
     won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
     before_end = o.reward_step + o.reward_turn * turns + o.reward_near * nearness

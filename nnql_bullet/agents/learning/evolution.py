@@ -52,7 +52,7 @@ class Evolution:
         while True:
             generation = self._generation
             worlds = [self._world_of(generation * o.worlds + i) for i in range(o.worlds)]
-            crowd = Crowd(np.repeat(self._genomes, o.worlds, axis=0))
+            crowd = Crowd(np.repeat(self._genomes, o.worlds, axis=0), self._agent.scale)
             fitness = np.zeros(size)
             ended = finished_episodes(self._navigation, worlds * o.population, crowd)
             for count, (place, summary) in enumerate(ended):
@@ -107,12 +107,12 @@ class Evolution:
 class Networks(TurnChooser):
     """Drives each of n vehicles by a network of its own, given by its genome (n, 89)."""
 
-    def __init__(self, genomes: Array) -> None:
-        self._genomes = genomes
+    def __init__(self, genomes: Array, scale: float) -> None:
+        self._genomes, self._scale = genomes, scale
 
     def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """Returns the outputs of the networks."""
-        return network_outputs(self._genomes[asked], observations.readings[asked])
+        return network_outputs(self._genomes[asked], observations.readings[asked] / self._scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +128,8 @@ class CrowdState:
 class Crowd(NoValues):
     """Drives one episode with each of several genomes, in the order in which the episodes begin."""
 
-    def __init__(self, genomes: Array) -> None:
-        self._genomes = genomes
+    def __init__(self, genomes: Array, scale: float) -> None:
+        self._genomes, self._scale = genomes, scale
         self.remaining = np.zeros(len(genomes))
         """Distance of each genome's vehicle from its target at its last decision [m]; `act` writes it."""
 
@@ -147,7 +147,7 @@ class Crowd(NoValues):
         """Chooses the action with the largest output of each vehicle's network."""
         driven = state.genomes >= 0
         self.remaining[state.genomes[driven]] = observations.target_distance[driven]
-        actions, _ = Networks(self._genomes[state.genomes]).act(observations, None)
+        actions, _ = Networks(self._genomes[state.genomes], self._scale).act(observations, None)
         return actions, state
 
 

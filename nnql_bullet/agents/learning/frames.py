@@ -15,6 +15,7 @@ from nnql_bullet.sensing import nearest_rays
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 FAR = 50.0
@@ -94,11 +95,16 @@ class FrameMaker:
             drive: Likewise speed and time between decisions.
         """
         self.rays, self.frames, self.with_map = rays, frames, with_map
-        self._limits, self._sensor = vehicle.limits, vehicle.sensor
+        self._limits, self._scale = vehicle.limits, length_scale(vehicle.footprint)
+        self._range = vehicle.sensor.range / self._scale
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
+        self._speed, self._acceleration = drive.speed / self._scale, vehicle.limits.acceleration / self._scale
         self._drive = drive
         self._taken = nearest_rays(vehicle.sensor.rays)
-        self._angles, self._origin = vehicle.sensor.angles[self._taken], np.array(vehicle.sensor.position[:2])
+        self._angles, self._origin = (
+            vehicle.sensor.angles[self._taken],
+            np.array(vehicle.sensor.position[:2]) / self._scale,
+        )
         reaches = np.repeat(np.arange(len(grid_map.REACHES) if with_map else 0), grid_map.BEARINGS)
         around = mirrored_directions(grid_map.BEARINGS)[np.arange(len(reaches)) % grid_map.BEARINGS]
         parts = [
@@ -131,20 +137,20 @@ class FrameMaker:
     def look(self, memory: Memory, observations: Observation) -> Look:
         """Enters the observations of n vehicles into a copy of their memory."""
         o, new = observations, memory.age == 0
-        rays = o.ray_distances[:, self._taken]
-        first = grid_map.first_poses(o.target_distance, o.target_bearing)
-        later = grid_map.tracked(memory.poses, memory.steps, o.target_distance, o.target_bearing)
+        rays, away = o.ray_distances[:, self._taken] / self._scale, o.target_distance / self._scale
+        first = grid_map.first_poses(away, o.target_bearing)
+        later = grid_map.tracked(memory.poses, memory.steps, away, o.target_bearing)
         poses = np.where(new[:, None], first, later)
         before = np.where(new[:, None], poses, memory.poses)[:, :2]
         corners, cells = memory.corners.copy(), memory.cells.copy()
         if self.with_map:
             cells[new] = 0
-            grid_map.add_scans(cells, corners, poses, rays, self._origin, self._angles, self._sensor.range)
+            grid_map.add_scans(cells, corners, poses, rays, self._origin, self._angles, self._range)
             around, ways, progress = grid_map.sensed(cells, corners, poses, before)
         else:
-            around, ways = np.zeros((len(new), 0)), o.target_distance
-            progress = np.hypot(*before.T) - o.target_distance
-        frame = self._frame(o, rays, around, ways - o.target_distance, np.where(new, -1, memory.actions))
+            around, ways = np.zeros((len(new), 0)), away
+            progress = np.hypot(*before.T) - away
+        frame = self._frame(o, rays, away, around, ways - away, np.where(new, -1, memory.actions))
         earlier = np.where(new[:, None, None], frame[:, None], memory.frames)
         frames = np.concatenate([frame[:, None], earlier[:, : self.frames - 1]], axis=1)
         seen = replace(memory, poses=poses, corners=corners, cells=cells, frames=frames)
@@ -154,11 +160,11 @@ class FrameMaker:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
         o, memory = observations, look.memory
         speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
-        turns, top = heading_change(actions, o.target_bearing), self._drive.speed
+        turns = heading_change(actions, o.target_bearing)
         headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
-        ways = ramp_distances(top * speeds, top * goals, self._limits.acceleration, self._times)
+        ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
-        change = self._limits.acceleration * self._times[-1] / top
+        change = self._acceleration * self._times[-1] / self._speed
         speeds = np.clip(goals, speeds - change, speeds + change)
         return replace(memory, age=memory.age + 1, steps=steps, actions=actions % ACTIONS, speeds=speeds)
 
@@ -167,14 +173,16 @@ class FrameMaker:
         seen = stacked.reshape(len(stacked), self.frames, self.width)[:, :, self._mirrored]
         return np.where(self._odd, 255 - seen, seen).reshape(stacked.shape)
 
-    def _frame(self, o: Observation, rays: Array, around: Array, detour: Array, actions: NDArray[np.int64]) -> Bytes:
-        """Frames (n, width) of 72 rays (n, 72) [m]; an action of -1 is none."""
-        far = np.where(self._sensor.met(rays), rays, paper.SENSOR_RANGE)
+    def _frame(
+        self, o: Observation, rays: Array, away: Array, around: Array, detour: Array, actions: NDArray[np.int64]
+    ) -> Bytes:
+        """Frames (n, width) of 72 rays (n, 72) and a target so far away (n,); an action of -1 is none."""
+        far = np.where(rays < self._range, rays, paper.SENSOR_RANGE)
         nearest = far.reshape(len(actions), self.rays, -1).min(axis=-1)
         reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)
         state = [
             np.cos(o.target_bearing),
-            1 - 2 * o.target_distance / FAR,
+            1 - 2 * away / FAR,
             2 * detour / DETOUR - 1,
             np.sin(o.target_bearing),
             o.yaw_rate / self._limits.yaw_rate,

@@ -20,6 +20,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.types import Count, Few, NonNegative, Population, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -67,19 +68,19 @@ class GeneticOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Genetic":
         """Builds the agent."""
-        return Genetic(self, seed)
+        return Genetic(self, seed, length_scale(vehicle.footprint))
 
 
 class Genetic(TurnChooser):
     """Drives greedily with the fittest genome."""
 
-    def __init__(self, options: GeneticOptions, seed: int) -> None:
-        self.options = options
+    def __init__(self, options: GeneticOptions, seed: int, scale: float = 1.0) -> None:
+        self.options, self.scale = options, scale
         self._genome = first_generation(options, seed)[0]
 
     def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """What its network puts out."""
-        readings = observations.readings[asked]
+        readings = observations.readings[asked] / self.scale
         return network_outputs(np.repeat(self._genome[None], len(readings), axis=0), readings)
 
     def make_trainer(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> Trainer:
@@ -118,7 +119,7 @@ def layers(genomes: Array) -> dict[str, Array]:
 
 
 def network_outputs(genomes: Array, readings: Array) -> Array:
-    """What the networks of n genomes (n, 89) put out (n, 5), each for readings of its own (n, 8) [m]."""
+    """What the networks of n genomes (n, 89) put out (n, 5), each for readings of its own (n, 8) [m], scaled."""
     w1, b1, w2, b2 = layers(genomes).values()
     hidden = expit(np.einsum("nij,nj->ni", w1, encode(readings, "proximity")) + b1)
     return np.asarray(np.einsum("nij,nj->ni", w2, hidden) + b2)

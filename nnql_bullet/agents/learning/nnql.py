@@ -15,6 +15,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import Positive, Units
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 
@@ -46,7 +47,7 @@ class NnqlOptions(QLearningOptions):
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Nnql":
         """Builds the untrained agent."""
-        return Nnql(self, seed)
+        return Nnql(self, seed, length_scale(vehicle.footprint))
 
 
 class Nnql(QLearning):
@@ -54,8 +55,8 @@ class Nnql(QLearning):
 
     options: NnqlOptions
 
-    def __init__(self, options: NnqlOptions, seed: int) -> None:
-        self.options = options
+    def __init__(self, options: NnqlOptions, seed: int, scale: float = 1.0) -> None:
+        self.options, self._scale = options, scale
         self._units = paper.SECTORS, options.hidden_units, len(paper.TURNS)
         inputs, hidden, outputs = self._units
         with torch.random.fork_rng(devices=[]):  # torch draws weights of its own, from the global generator
@@ -111,7 +112,7 @@ class Nnql(QLearning):
         weights.load_state_dict(self.network, arrays, "an NNQL network", self._units)
 
     def _encoded(self, readings: Array) -> torch.Tensor:
-        return torch.from_numpy(encode(readings, self.options.encoding))
+        return torch.from_numpy(encode(readings / self._scale, self.options.encoding))
 
 
 def squared_error_gradients(network: torch.nn.Module, q_a_tm1: torch.Tensor, errors: Array) -> tuple[torch.Tensor, ...]:
@@ -126,8 +127,8 @@ def squared_error_gradients(network: torch.nn.Module, q_a_tm1: torch.Tensor, err
 
 
 def encode(readings: Array, encoding: str) -> Array:
-    """Network inputs (..., 8) for readings (..., 8) [m]: see `NnqlOptions.encoding`."""
-    nearness = 1.0 - readings / paper.SENSOR_RANGE
+    """Network inputs (..., 8) for readings (..., 8), in metres of the shipped vehicle: see `NnqlOptions.encoding`."""
+    nearness = 1.0 - np.minimum(readings, paper.SENSOR_RANGE) / paper.SENSOR_RANGE
     if encoding == "proximity":
         return nearness
     return np.where(readings < paper.SENSOR_RANGE, 1.0 - nearness, 0.0)

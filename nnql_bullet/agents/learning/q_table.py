@@ -18,6 +18,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 MOST_STATES = 2**22
@@ -53,7 +54,7 @@ class QTableOptions(QLearningOptions):
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "QTable":
         """Builds the agent."""
-        return QTable(self)
+        return QTable(self, length_scale(vehicle.footprint))
 
 
 class QTable(QLearning):
@@ -61,14 +62,14 @@ class QTable(QLearning):
 
     options: QTableOptions
 
-    def __init__(self, options: QTableOptions) -> None:
-        self.options = options
+    def __init__(self, options: QTableOptions, scale: float = 1.0) -> None:
+        self.options, self._edges = options, scale * np.array(options.edges)
         self._table = np.zeros((options.states, len(paper.TURNS)))
         self._visited = np.zeros(options.states, np.bool_)
 
     def state(self, readings: Array) -> NDArray[np.int64]:
         """Rows of the table (n,) for readings (n, 8) [m]."""
-        levels = np.digitize(readings[:, self.options.sectors], self.options.edges)
+        levels = np.digitize(readings[:, self.options.sectors], self._edges)
         base = len(self.options.edges) + 1
         return np.asarray(levels @ base ** np.arange(len(self.options.sectors)))
 

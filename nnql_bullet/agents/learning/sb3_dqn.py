@@ -22,12 +22,15 @@ from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.training.base import Trainer
 from nnql_bullet.types import BatchSize, BufferSize, Count, Layers, Positive, UnitInterval
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 SCALE = np.array([*[paper.SENSOR_RANGE] * paper.SECTORS, paper.ARENA_SIDE, pi, 1.0], np.float32)
 """What the environment's 11 numbers are divided by, so that all inputs are of order one."""
 INPUTS = len(SCALE)
+DISTANCES = paper.SECTORS + 1
+"""How many of them, the first, are distances."""
 
 
 @options
@@ -70,14 +73,14 @@ class Sb3DqnOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Sb3Dqn":
         """Builds the agent."""
-        return Sb3Dqn(self, seed)
+        return Sb3Dqn(self, seed, length_scale(vehicle.footprint))
 
 
 class Sb3Dqn(NoMemory):
     """Chooses among all six actions at every step, by what the environment's 11 numbers are worth to the network."""
 
-    def __init__(self, options: Sb3DqnOptions, seed: int) -> None:
-        self.options = options
+    def __init__(self, options: Sb3DqnOptions, seed: int, scale: float = 1.0) -> None:
+        self.options, self.scale = options, scale
         widths = [INPUTS, *options.hidden]
         with fenced(rng(seed, Stream.WEIGHTS)):
             hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
@@ -114,10 +117,12 @@ class Sb3Dqn(NoMemory):
     def _values(self, observations: Observation) -> Array:
         """Q(s, a) of the six actions (n, 6)."""
         with torch.no_grad():
-            values: Array = self.network(torch.from_numpy(inputs(observations))).numpy().astype(np.float64)
+            values: Array = self.network(torch.from_numpy(inputs(observations, self.scale))).numpy().astype(np.float64)
         return values
 
 
-def inputs(observations: Observation) -> NDArray[np.float32]:
-    """What the network sees (n, 11)."""
-    return as_numbers(observations) / SCALE
+def inputs(observations: Observation, scale: float) -> NDArray[np.float32]:
+    """What the network of a vehicle of a scale sees (n, 11)."""
+    numbers = as_numbers(observations) / SCALE
+    numbers[:, :DISTANCES] /= scale
+    return numbers

@@ -60,7 +60,7 @@ class DqnTraining:
     def _train(self) -> Iterator[tuple[TrainingEpisode, dict[str, Array]]]:
         """Trains from the beginning; yields each episode as it finishes, with the weights of then."""
         o = self._agent.options
-        vehicles = VehiclesVecEnv(self._navigation, self._world_of)
+        vehicles = VehiclesVecEnv(self._navigation, self._world_of, self._agent.scale)
         n = vehicles.num_envs
         together = max(o.steps_per_update // n, 1)
         with fenced(rng(self._seed, Stream.WEIGHTS)), without_cache_folder():
@@ -97,8 +97,8 @@ class VehiclesVecEnv(VecEnv):
     As in `Training`, it takes the next episode that nobody has begun.
     """
 
-    def __init__(self, navigation: Navigation, world_of: Callable[[int], WorldSpec]) -> None:
-        self._navigation = navigation
+    def __init__(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], scale: float = 1.0) -> None:
+        self._navigation, self._scale = navigation, scale
         self._world_of = world_of
         n = navigation.simulator.size
         self._tally = Tally(navigation)
@@ -122,7 +122,7 @@ class VehiclesVecEnv(VecEnv):
         """Carries out one decision of each vehicle."""
         t = self._navigation.step(self._actions)
         self._tally.add(t)
-        seen, over = inputs(t.s_t), self._tally.over
+        seen, over = inputs(t.s_t, self._scale), self._tally.over
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(over).tolist()
         for vehicle in ended:
@@ -139,7 +139,7 @@ class VehiclesVecEnv(VecEnv):
             self._tally.reset(vehicle, worlds[vehicle].seed)
             self._next_episode += 1
         self._navigation.reset(worlds)
-        return inputs(self._navigation.observation)
+        return inputs(self._navigation.observation, self._scale)
 
     def close(self) -> None:
         """Does nothing: the caller closes the simulator."""

@@ -20,6 +20,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Reading = Annotated[float, Field(ge=0, le=paper.SENSOR_RANGE)]
@@ -75,7 +76,7 @@ class FuzzyOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Fuzzy":
         """Builds the agent."""
-        return Fuzzy(self)
+        return Fuzzy(self, length_scale(vehicle.footprint))
 
 
 class Fuzzy(Rule):
@@ -84,8 +85,12 @@ class Fuzzy(Rule):
     It sees the three front ones of the eight readings and the target's bearing, and remembers nothing.
     """
 
-    def __init__(self, options: FuzzyOptions) -> None:
+    def __init__(self, options: FuzzyOptions, scale: float) -> None:
         """Sets up the terms.
+
+        Args:
+            options: Of the terms.
+            scale: Of the vehicle's lengths; see `vehicle.scale`.
 
         Raises:
             UserError: If scikit-fuzzy is not installed.
@@ -95,6 +100,7 @@ class Fuzzy(Rule):
         except ImportError:
             raise missing_library("scikit-fuzzy", "baselines") from None
         self.options = options
+        self._scale = scale
         self._fuzz: Any = skfuzzy
         self._turns = {
             name: skfuzzy.trimf(UNIVERSE_DEGREES, [centre - 30.0, centre, centre + 30.0])
@@ -103,7 +109,8 @@ class Fuzzy(Rule):
 
     def decide(self, observations: Observation) -> Actions:
         """What the rule base says."""
-        wanted = np.radians(self.turns_degrees(observations.readings, observations.target_bearing))
+        readings = observations.readings / self._scale
+        wanted = np.radians(self.turns_degrees(readings, observations.target_bearing))
         return nearest_actions(wanted, observations.target_bearing)
 
     def turns_degrees(self, readings: Array, target_bearing: Array) -> Array:

@@ -15,6 +15,7 @@ from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, sca
 from nnql_bullet.rollout import Actions
 from nnql_bullet.types import Reach
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 
@@ -45,6 +46,7 @@ class LookAhead(Rule):
         self.options = options
         self._vehicle = vehicle
         self._footprint = as_rows((vehicle.footprint,))[0]
+        self._margin = options.margin * length_scale(vehicle.footprint)
         self._speed = drive.speed
         self._times = PREDICTION_STEP * np.arange(1.0, options.horizon / PREDICTION_STEP + 1e-9)
 
@@ -56,7 +58,7 @@ class LookAhead(Rule):
         points = point_cloud(o.ray_distances, self._vehicle.sensor)
         clearances: Array = scan_clearances(poses, points, self._footprint)
         smallest = clearances.min(axis=-1)
-        clear = smallest > self.options.margin
+        clear = smallest > self._margin
         off_target = np.abs(wrap_angles(o.target_bearing[:, None] - turns))
         free_until = np.where(smallest > 0, len(self._times), (clearances <= 0).argmax(axis=-1))
         lasts_longest = free_until == free_until.max(axis=-1, keepdims=True)

@@ -20,6 +20,7 @@ from nnql_bullet.rollout import Actions
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.types import Positive
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale, scaled
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 CLOSEST = 0.01
@@ -40,7 +41,7 @@ class PotentialFieldOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "PotentialField":
         """Builds the agent."""
-        return PotentialField(self, vehicle)
+        return PotentialField(self, vehicle, length_scale(vehicle.footprint))
 
 
 class PotentialField(Rule):
@@ -50,19 +51,20 @@ class PotentialField(Rule):
     ends repels.
     """
 
-    def __init__(self, options: PotentialFieldOptions, vehicle: VehicleSpec) -> None:
+    def __init__(self, options: PotentialFieldOptions, vehicle: VehicleSpec, scale: float) -> None:
         self.options = options
-        self._vehicle = vehicle
+        self._sensor, self._scale = vehicle.sensor, scale
+        self._footprint = scaled(vehicle.footprint, 1 / scale)
         self._gain = options.gain * (RAYS / vehicle.sensor.rays)
         self._in_view = np.abs(wrap_angles(vehicle.sensor.angles)) < radians(options.view_degrees) + 1e-9
 
     def decide(self, observations: Observation) -> Actions:
         """Where the force points."""
         bearing = observations.target_bearing
-        points = point_cloud(observations.ray_distances, self._vehicle.sensor)[:, self._in_view]
+        points = point_cloud(observations.ray_distances, self._sensor)[:, self._in_view] / self._scale
         # The attraction is as strong everywhere, as Khatib's is wherever the speed is limited.
         force = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-        force += repulsion(points, self._vehicle.footprint, self._gain, self.options.influence)
+        force += repulsion(points, self._footprint, self._gain, self.options.influence)
         return nearest_actions(np.arctan2(force[:, 1], force[:, 0]), bearing)
 
 

@@ -26,6 +26,7 @@ from nnql_bullet.sensing import RAYS
 from nnql_bullet.types import NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import turn_headings
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Blocked = NDArray[np.bool_]
@@ -113,10 +114,12 @@ class Vfh(NoValues):
         self.options = options
         self._limits = vehicle.limits
         self._period = np.array([drive.decision_period])
-        self._turning_radius = drive.speed / vehicle.limits.yaw_rate
+        self._scale = length_scale(vehicle.footprint)
+        self._turning_radius = drive.speed / vehicle.limits.yaw_rate / self._scale
         self._sensor = vehicle.sensor
-        self._centre = vehicle.sensor.position[:2]
-        self._radius = _radius_about(self._centre, vehicle.footprint) + options.safety_distance
+        ahead, left, _ = vehicle.sensor.position
+        self._centre = ahead / self._scale, left / self._scale
+        self._radius = _radius_about((ahead, left), vehicle.footprint) / self._scale + options.safety_distance
         self._bearings = wrap_angles(vehicle.sensor.angles)
         self._weights = np.array([options.target_weight, options.heading_weight, options.previous_weight])
 
@@ -137,7 +140,7 @@ class Vfh(NoValues):
     def act(self, observations: Observation, state: VfhState) -> tuple[Actions, VfhState]:
         """Chooses the action nearest to the opening of least cost."""
         o, bearing, headings = self.options, observations.target_bearing, state.headings
-        distances = seen_distances(observations.ray_distances, self._sensor)
+        distances = seen_distances(observations.ray_distances, self._sensor) / self._scale
         density = primary_histograms(distances, headings[:, None] + self._bearings, o.window, self._radius)
         density *= RAYS / self._sensor.rays
         blocked = binary_histograms(density, state.blocked, o.low_threshold, o.high_threshold)

@@ -28,12 +28,12 @@ def write_ros_map(world: WorldSpec, frame: Pose, path: Path, cell: float) -> lis
     Raises:
         UserError: If it has too many cells.
     """
+    if not 1e-3 <= cell <= 100:
+        raise UserError(f"the side of a cell must be from 0.001 to 100 m, not {cell:g}")
     columns, rows = (ceil(side / cell - 1e-6) + 2 for side in (world.width, world.depth))
-    if not cell >= 1e-3 or columns * rows > MOST_CELLS:
-        raise UserError(
-            f"world '{world.name}' has {columns} x {rows} cells of {cell:g} m; up to {MOST_CELLS} cells of 0.001 m or "
-            "more are written: give a larger cell"
-        )
+    if columns * rows > MOST_CELLS:
+        size = f"{columns} x {rows} cells of {cell:g} m"
+        raise UserError(f"world '{world.name}' has {size}; up to {MOST_CELLS} are written: give a larger cell")
     solid = _covered((rows, columns), cell, world.solids, TOUCH)
     picture, corner = path.with_suffix(".pgm"), turned_corner(frame.x, frame.y, frame.yaw, -cell, -cell)
     head = f"P5\n{columns} {rows}\n255\n".encode("ascii")

@@ -139,7 +139,8 @@ def _walls(
 
 def turned_corner(x: float, y: float, yaw: float, along: float, across: float) -> Pose:
     """The pose of a corner that lies (along, across) [m] from the origin of a turned grid."""
-    return Pose(x + cos(yaw) * along - sin(yaw) * across, y + sin(yaw) * along + cos(yaw) * across, yaw)
+    moved = x + cos(yaw) * along - sin(yaw) * across, y + sin(yaw) * along + cos(yaw) * across
+    return Pose(round(moved[0], 9) + 0.0, round(moved[1], 9) + 0.0, yaw)
 
 
 def box_around(points: Array, yaw: float) -> OrientedBox:
