@@ -1,6 +1,6 @@
 """Translates the URDF or xacro of any robot that drives by two wheels into files that this package reads.
 
-What a URDF does not say follows from the shipped vehicle by scale: a robot of half its length drives at half its speed,
+What a URDF does not say follows from the shipped vehicle by scale: a robot of half its size drives at half its speed,
 so that it turns and stops in the same times. Grip, tipping and the drives' torque bound that, each by half.
 """
 
@@ -23,15 +23,14 @@ from nnql_bullet.vehicle.controller import own_speed
 from nnql_bullet.vehicle.description import Unfit, parse, read, text_of
 from nnql_bullet.vehicle.limits import grip_acceleration, static_rear_load, tip_acceleration
 from nnql_bullet.vehicle.mechanism import Mechanism
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.shapes import Meshes
 from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, VehicleSpec
 from nnql_bullet.vehicle.stances import loads_at_rest
 from nnql_bullet.vehicle.urdf import RobotFile, mechanism_of, vehicle_of
 
-LENGTH = 1.1
-"""Length of the shipped vehicle [m], whose limits are scaled."""
 YAW_RATE, YAW_ACCELERATION, ACCELERATION = 1.5708, 7.4, 2.5
-"""Its limits [rad/s, rad/s2, m/s2]."""
+"""Limits of the shipped vehicle [rad/s, rad/s2, m/s2]."""
 WHEEL_FRICTION, ROLLING, SPINNING = 0.8, 0.016, 0.04
 """Its friction, and the lever arms of resistance over the wheel radius."""
 RESERVE = 0.5
@@ -109,7 +108,7 @@ class Translation:
         torque = f"wheel_torque = {limits.wheel_torque:.4g}  # [N m]\n" if limits.wheel_torque else ""
         x, y, z = (round(value, 4) + 0.0 for value in vehicle.sensor.position)
         return (
-            f"# {vehicle.name}, translated; the limits are those of the shipped vehicle, scaled by length.\n"
+            f"# {vehicle.name}, translated; the limits are those of the shipped vehicle, scaled by its size.\n"
             f"urdf = {_quoted(urdf)}\n\n"
             f"[joints]\nleft_drive = {_quoted(joints['left_drive'])}\n"
             f"right_drive = {_quoted(joints['right_drive'])}\n\n"
@@ -206,12 +205,11 @@ def expanded(path: Path) -> Element:
 
 def suitable_limits(vehicle: VehicleSpec, mechanism: Mechanism, torque_told: bool) -> tuple[Limits, list[str]]:
     """Computes limits within which a vehicle follows its commands, and says where they come from."""
-    length = 2 * max(vehicle.footprint.half_length, vehicle.footprint.half_width)
-    scale = min(length / LENGTH, 1.0)
+    scale = min(length_scale(vehicle.footprint), 1.0)
     told = [mechanism.urdf.joints[its.joint].velocity or inf for its in (mechanism.left, mechanism.right)]
     own = min(rate * vehicle.wheel_radius for rate in told) if min(told) > LEAST_EFFORT else inf
     speed = min(paper.SPEED * scale, max(own - YAW_RATE * vehicle.track / 2, RESERVE * own) if own < inf else inf)
-    notes = [f"limits are those of the shipped vehicle, scaled by length ({length:.3g} over {LENGTH:g} m)"]
+    notes = [f"limits are those of the shipped vehicle, scaled by its size, {scale:.3g}"]
     stance, height, a = vehicle.stance, vehicle.com_height, vehicle.com_ahead
     friction, share = vehicle.contact.wheel_friction, vehicle.rear_share
     backwards, forwards = (a + stance.behind) / height, (stance.ahead - a) / height
