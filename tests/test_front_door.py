@@ -103,7 +103,11 @@ class TestArguments:
             ("drive", {"policy": "vfh", "changes": [1]}, "'changes' must be a Mapping"),
             ("evaluate", {"policies": "vfh", "worlds": "traps"}, "'worlds' must be a Sequence, not 'traps'"),
             ("evaluate", {"policies": "vfh", "n_worlds": 2.0}, "'n_worlds' must be a whole number"),
-            ("gap", {"policies": "vfh", "split": "tests"}, "'split' must be 'validation' or 'test' or None, not 'tests'"),
+            (
+                "gap",
+                {"policies": "vfh", "split": "tests"},
+                "'split' must be 'validation' or 'test' or None, not 'tests'",
+            ),
             ("ablate", {"only": "hysteresis"}, "'only' must be a Sequence or None"),
             ("make_env", {"n_envs": "2"}, "'n_envs' must be a whole number or None, not '2'"),
             ("train", {"out": "a\0b"}, "'out': no file can be named 'a\\x00b'"),
