@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from nnql_bullet.run_config import Conditions
     from nnql_bullet.runs import load_policy, load_run
     from nnql_bullet.vehicle.spec import VehicleSpec as Vehicle
+    from nnql_bullet.vehicle.translation import read_robot
     from nnql_bullet.work import Progress
     from nnql_bullet.worlds.source import World
 
@@ -55,6 +56,7 @@ _HOMES = {
     "load_policy": "runs",
     "load_run": "runs",
     "make_env": "api.environment",
+    "read_robot": "vehicle.translation",
     "resume": "api.training",
     "train": "api.training",
     "view_world": "api.worlds",
@@ -81,6 +83,7 @@ __all__ = [
     "load_policy",
     "load_run",
     "make_env",
+    "read_robot",
     "resume",
     "train",
     "view_world",

@@ -1,6 +1,7 @@
 """Options as frozen dataclasses, and their TOML. Every key is checked, and an error is one line."""
 
 import json
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from difflib import get_close_matches
@@ -14,11 +15,15 @@ import numpy as np
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
-from tomlkit.exceptions import TOMLKitError
 from typing_extensions import dataclass_transform
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import read_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 T = TypeVar("T")
 
@@ -86,10 +91,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         UserError: If the file cannot be read or is not TOML.
     """
     try:
-        return tomlkit.parse(read_text(path)).unwrap()
+        return tomllib.loads(read_text(path))
     except RecursionError:
         raise UserError(f"{path}: its values are nested too deeply") from None
-    except (TOMLKitError, ValueError, TypeError, KeyError, IndexError, AttributeError) as error:  # tomlkit's own faults
+    except ValueError as error:
         raise UserError(f"{path}: cannot be read as TOML: {_reason(error)}") from None
 
 

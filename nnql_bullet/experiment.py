@@ -1,6 +1,7 @@
 """Makes the objects of a run from its configuration."""
 
 from contextlib import closing
+from dataclasses import replace
 from functools import cached_property, partial
 
 from nnql_bullet.agents import LearningAgent, Trainable
@@ -22,10 +23,29 @@ from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
+from nnql_bullet.vehicle.controller import DriveOptions, own_speed
 from nnql_bullet.vehicle.scale import length_scale
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+
+def at_own_speed(config: RunConfig, vehicle: VehicleSpec) -> RunConfig:
+    """A configuration whose default speed is the vehicle's own, if it has one that is less.
+
+    Raises:
+        UserError: If another speed is asked for that is more than the vehicle's own.
+    """
+    speed, own = config.drive.speed, own_speed(vehicle)
+    if speed <= own:
+        return config
+    if speed != DriveOptions().speed:
+        raise UserError(
+            f"robot '{vehicle.name}' drives at {own:g} m/s at most, not at {speed:g} m/s; lower the speed, or raise "
+            "limits.speed in its TOML"
+        )
+    return replace(config, drive=replace(config.drive, speed=own))
 
 
 class Experiment:
@@ -41,9 +61,9 @@ class Experiment:
         Raises:
             UserError: If vehicle or world cannot be read.
         """
-        self.config = config
         self._given = agent
         self.vehicle = config.conditions.applied_to(load_vehicle(config.robot))
+        self.config = config = at_own_speed(config, self.vehicle)
         self.worlds = self.kind(config.world)
 
     def kind(self, name: str | World, own_ends: bool = False) -> World:

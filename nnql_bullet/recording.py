@@ -79,7 +79,7 @@ class Recording:
     sample_pose: Array
     """(m, 3)"""
     joint_angles: Array
-    """Left drive, right drive, swivel, caster roll (m, 4) [rad]."""
+    """Left drive, right drive, and of each caster that swivels its swivel and its roll (m, j) [rad]."""
     wheel_speeds: Array
     """Left, right (m, 2) [rad/s]."""
 
@@ -269,7 +269,7 @@ def _check(recording: Recording) -> None:
         "reward_terms": (n, len(recording.term_names)),
         "sample_time": (m,),
         "sample_pose": (m, 3),
-        "joint_angles": (m, 4),
+        "joint_angles": (m, len(about["vehicle"].get("joints", range(4)))),
         "wheel_speeds": (m, 2),
         "action": (n,),
     }
@@ -369,7 +369,7 @@ class Recorder:
                     "sensor_range": vehicle.sensor.range,
                     "blind_arc_degrees": vehicle.sensor.blind_arc_degrees,
                     "urdf": urdf_text(vehicle),
-                    "joints": {field.name: getattr(vehicle.joints, field.name) for field in fields(vehicle.joints)},
+                    "joints": vehicle.joints,
                     "wheel_radius": vehicle.wheel_radius,
                 },
                 "ending": None if self._ending == NO_ENDING else ENDINGS[self._ending],

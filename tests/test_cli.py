@@ -498,7 +498,7 @@ class TestBadRobot:
             ('urdf = "tricycle.urdf"', 'urdf = "none.urdf"', ["none.urdf", "no such URDF"]),
             ("wheel_friction", "wheel_grip", ["unknown key 'contact.wheel_grip'", "wheel_friction"]),
             ("yaw_rate = 1.5708", "yaw_rate = 0.0", ["limits.yaw_rate", "greater than 0"]),
-            ('swivel = "swivel"', "", ["joints.swivel", "missing"]),
+            ('swivel = "swivel"', "", ["joints.swivel", "trails"]),
             ('swivel = "swivel"', 'swivel = "elbow"', ["elbow", "left_drive"]),
             ("[0.35, 0.0, 0.475]", "[0.35, 0.0]", ["sensor.position"]),
         ],

@@ -103,7 +103,11 @@ class TestArguments:
             ("drive", {"policy": "vfh", "changes": [1]}, "'changes' must be a Mapping"),
             ("evaluate", {"policies": "vfh", "worlds": "traps"}, "'worlds' must be a Sequence, not 'traps'"),
             ("evaluate", {"policies": "vfh", "n_worlds": 2.0}, "'n_worlds' must be a whole number"),
-            ("gap", {"policies": "vfh", "split": "tests"}, "'split' must be 'validation' or 'test', not 'tests'"),
+            (
+                "gap",
+                {"policies": "vfh", "split": "tests"},
+                "'split' must be 'validation' or 'test' or None, not 'tests'",
+            ),
             ("ablate", {"only": "hysteresis"}, "'only' must be a Sequence or None"),
             ("make_env", {"n_envs": "2"}, "'n_envs' must be a whole number or None, not '2'"),
             ("train", {"out": "a\0b"}, "'out': no file can be named 'a\\x00b'"),
@@ -233,13 +237,13 @@ class TestOwnPolicy:
         with pytest.raises(nb.UserError, match=r"no policy: it has no method act\(observations\)"):
             nb.drive(object(), simulator="kinematic")  # type: ignore[arg-type]
 
-    @pytest.mark.parametrize("given", [None, "x", [np.nan], [1.5], [-1], [6], [2**70], [0, 0], [[0]], 0, [True]])
+    @pytest.mark.parametrize("given", [None, "x", [np.nan], [1.5], [-1], [24], [2**70], [0, 0], [[0]], 0, [True]])
     def test_has_to_give_actions(self, given: Any) -> None:
         class Wrong:
             def act(self, observations: Any) -> Any:
                 return given
 
-        with pytest.raises(nb.UserError, match="give 1 whole numbers from 0 to 5 as actions, not"):
+        with pytest.raises(nb.UserError, match="give 1 whole numbers from 0 to 23 as actions, not"):
             nb.drive(Wrong(), simulator="kinematic")
 
 

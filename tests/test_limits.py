@@ -62,8 +62,13 @@ def test_straight_asks_for_nothing_and_leaves_the_loads_of_rest(vehicle: Vehicle
     assert static_rear_load(vehicle) == pytest.approx(483.3, abs=0.1)
 
 
+def upright(vehicle: VehicleSpec) -> VehicleSpec:
+    """The vehicle with the contact point of its caster under the swivel."""
+    return replace(vehicle, casters=(replace(vehicle.casters[0], trail=0.0),))
+
+
 def test_loads_of_a_steady_turn_typed_by_hand(vehicle: VehicleSpec) -> None:
-    plain = replace(vehicle, caster_trail=0.0, wheel_spin_inertia=0.0)
+    plain = replace(upright(vehicle), wheel_spin_inertia=0.0)
     loads, _ = at(plain, 2.0, 1.0)
     outwards = MASS * 2.0 * 1.0 * H / TRACK  # 82.3 N
     forwards = MASS * A * 1.0 * H / WHEELBASE  # 4.4 N
@@ -206,7 +211,7 @@ def test_tip_angle_is_where_a_slope_takes_the_load_off_a_wheel(vehicle: VehicleS
 
 
 def test_inner_wheel_lifts_at_the_tip_acceleration(vehicle: VehicleSpec) -> None:
-    plain = replace(vehicle, caster_trail=0.0, wheel_spin_inertia=0.0)
+    plain = replace(upright(vehicle), wheel_spin_inertia=0.0)
     speed = 1e4  # so wide a turn that the centre of mass is hardly drawn back
     loads, _ = at(plain, speed, tip_acceleration(plain) / speed)
     assert loads[0] == pytest.approx(0.0, abs=1e-3)
@@ -215,7 +220,7 @@ def test_inner_wheel_lifts_at_the_tip_acceleration(vehicle: VehicleSpec) -> None
 def test_steady_turn_at_the_grip_limit_needs_all_friction(vehicle: VehicleSpec) -> None:
     assert grip_acceleration(vehicle) == pytest.approx(5.95, abs=0.01)
     speed = 1e4
-    _, friction = at(replace(vehicle, caster_trail=0.0), speed, grip_acceleration(vehicle) / speed)
+    _, friction = at(upright(vehicle), speed, grip_acceleration(vehicle) / speed)
     assert friction == pytest.approx(0.8, rel=1e-4)
 
 

@@ -83,14 +83,6 @@ def turned(rpy: str, size: str) -> Edits:
 
 
 WRONG: dict[str, tuple[Edits, str]] = {
-    "box askew": (turned("0 0 0.3", "1.1 0.65 0.28"), r"box of base link 'chassis' is askew; turn it by quarters only"),
-    "box pitched": (turned("0 0.1 0", "1.1 0.65 0.28"), "is askew"),
-    "box turned and sides kept": (turned("0 0 1.5708", "1.1 0.65 0.28"), "box of the base link must cover the wheels"),
-    "box narrower than the track": (
-        [("1.1 0.65 0.28", "1.1 0.1 0.28")],
-        r"must cover the wheels.* y = -0\.05 to 0\.05 m",
-    ),
-    "box behind the caster": ([("1.1 0.65 0.28", "0.8 0.65 0.28")], r"to 0\.83 m .* it is from x = -0\.05 to 0\.75 m"),
     "box above the obstacles": (
         [(BOX, BOX.replace("0.35 0 0.12", "0.35 0 0.9"))],
         r"between the heights 0\.885 and 1\.165 m, so that obstacles that the sensor sees at 0\.6 m may not touch it",
@@ -99,36 +91,14 @@ WRONG: dict[str, tuple[Edits, str]] = {
         [(BOX, BOX.replace("0.35 0 0.12", "0.35 0 -0.4"))],
         "between the heights -0.415 and -0.135 m",
     ),
-    "two boxes": (
-        [(f"<collision>\n      {BOX}", f"{SHAPE}<collision>\n      {BOX}")],
-        r"must have exactly one collision shape, a <box> over the footprint, not: box, box",
-    ),
-    "mesh for a box": (
-        [('<box size="1.1 0.65 0.28" />', '<mesh filename="package://a/b.stl" />')],
-        r"exactly one collision shape, a <box> over the footprint, not: mesh 'package://a/b\.stl'",
-    ),
-    "shape on a fork": ([(FORK, FORK + SHAPE)], r"link 'fork' has a collision shape that would touch nothing"),
-    "shape on a further link": (
-        [(END, link("bumper", SHAPE) + joint("b", "chassis", "bumper") + END)],
-        r"link 'bumper' has a collision shape that would touch nothing",
-    ),
     "second caster": (
         [(END, link("wheel_2", SHAPE) + joint("roll_2", "chassis", "wheel_2", kind="continuous") + END)],
-        r"joint 'roll_2' is continuous, and \[joints\] names no role for it; make it fixed \(a vehicle has",
-    ),
-    "lift": (
-        [(END, link("fork_2") + joint("lift", "chassis", "fork_2", kind="prismatic") + END)],
-        "joint 'lift' is prismatic, and",
-    ),
-    "frame in the middle": (
-        [(LEFT, LEFT.replace("0 0.3 0", "-0.35 0.3 0")), (RIGHT, RIGHT.replace("0 -0.3 0", "-0.35 -0.3 0"))],
-        r"the base link 'chassis' must lie in the middle of the drive axle, which is at \(-0\.35, 0\.0, 0\.0\)",
+        r"besides its drive wheels it has wheels on fixed axles \('roll_2'\), which skid",
     ),
     "frame on the ground": (
         [(LEFT, LEFT.replace("0 0.3 0", "0 0.3 0.125")), (RIGHT, RIGHT.replace("0 -0.3 0", "0 -0.3 0.125"))],
-        r"at \(0\.0, 0\.0, 0\.125\) in it; move all origins in the base link by \(0\.0, 0\.0, -0\.125\)",
+        r"caster 'caster_wheel' ends 0\.125 m below the ground that the drive wheels of radius 0\.125 m stand on",
     ),
-    "frame off the middle": ([(RIGHT, RIGHT.replace("-0.3", "-0.25"))], r"which is at \(0\.0, 0\.025, 0\.0\)"),
     "drive wheels on two axles": (
         [(LEFT, LEFT.replace("0 0.3 0", "0.1 0.3 0"))],
         r"the drive wheels are not on one axle, but at \(0\.1, 0\.3, 0\.0\) and \(0\.0, -0\.3, 0\.0\)",
@@ -139,18 +109,20 @@ WRONG: dict[str, tuple[Edits, str]] = {
     ),
     "caster behind": (
         [(SWIVEL, SWIVEL.replace("0.74", "-0.6"))],
-        r"the caster wheel is not ahead of the drive axle, but at x = -0\.64 m; .* one caster in front that swivels",
+        r"would tip over: its centre of mass is at x = 0\.08608, .* and it stands on x = -0\.64 to 0 m",
     ),
-    "caster to the side": (
-        [(SWIVEL, SWIVEL.replace("0.74 0 ", "0.74 0.2 "))],
-        r"off the centre line: its swivel is at y = 0\.2 m",
+    "caster wheel to the side": (
+        [(ROLL, ROLL.replace("-0.04 0 0", "-0.04 0.03 0"))],
+        r"not under its swivel 'swivel': the swivel is at \(0\.74, 0\.0, -0\.075\), the wheel at \(0\.7, 0\.03",
     ),
-    "caster wheel to the side": ([(ROLL, ROLL.replace("-0.04 0 0", "-0.04 0.03 0"))], "its wheel at 0.03 m"),
-    "caster without trail": ([(ROLL, ROLL.replace("-0.04", "0"))], "the caster wheel does not trail its swivel"),
+    "caster without trail": (
+        [(ROLL, ROLL.replace("-0.04", "0"))],
+        r"'caster_roll' \(joints\.caster_roll\) is no wheel that trails the swivel 'swivel'",
+    ),
     "caster above the ground": ([(SWIVEL, SWIVEL.replace("-0.075", "-0.055"))], r"ends 0\.02 m above the ground"),
     "caster not below its swivel": (
         [('<parent link="fork" />', '<parent link="chassis" />'), (ROLL, ROLL.replace("-0.04 0 0", "0.7 0 -0.075"))],
-        r"joint 'caster_roll' \(joints\.caster_roll\) must hang on its swivel 'swivel'",
+        r"'caster_roll' \(joints\.caster_roll\) is no wheel that trails the swivel 'swivel'",
     ),
     "drive wheel on the fork": (
         [
@@ -159,41 +131,30 @@ WRONG: dict[str, tuple[Edits, str]] = {
                 '<parent link="fork" />\n    <child link="left_wheel" />',
             )
         ],
-        r"joint 'left_drive' \(joints\.left_drive\) must hang on the base link 'chassis'",
-    ),
-    "drive wheel turned": (
-        [(RIGHT, RIGHT.replace('rpy="0 0 0"', 'rpy="0 0 3.14159265"'))],
-        r"joint 'right_drive' must have the axis \(0\.0, 1\.0, 0\.0\), so that .*, it has \(0\.0, -1\.0, 0\.0\)",
+        r"drive joint 'left_drive' does not turn about a level axis",
     ),
     "drive axis of the chassis in a turned wheel": (
         [(RIGHT, RIGHT.replace('rpy="0 0 0"', 'rpy="-1.5708 0 0"'))],
-        r"it has \(0\.0, -0\.0, -1\.0\)|it has \(0\.0, 0\.0, -1\.0\)",
+        r"drive joint 'right_drive' does not turn about a level axis",
     ),
-    "no axis, which is x": (
-        [('<axis xyz="0 0 1" />', "")],
-        r"joint 'swivel' must have the axis .* has \(1\.0, 0\.0, 0\.0\)",
-    ),
+    "no axis, which is x": ([('<axis xyz="0 0 1" />', "")], r"wheels on fixed axles \('swivel'\)"),
     "sphere off the axle": (
         [(SPHERE, SPHERE.replace("0 0 0", "0 0 0.02", 1))],
-        r"the sphere of wheel 'left_wheel' is at \(0\.0, 0\.0, 0\.02\) from its axle; put it at 0 0 0",
+        r"the sphere of the wheel on joint 'left_drive' is 0\.02 m off its axle, and its radius is 0\.125 m",
     ),
     "two shapes on a wheel": (
         [('<link name="caster_wheel">', '<link name="caster_wheel">' + SHAPE)],
-        "wheel 'caster_wheel' has 2 collision shapes; leave it one <sphere>",
+        r"caster 'caster_wheel' ends 0\.02071 m below the ground",
     ),
     "mass behind the axle": (
         [(COM, COM.replace("0.12", "-0.1"))],
-        r"would tip over: its centre of mass is at x = -0\.0\d+ m",
+        r"would tip over: its centre of mass is at x = -0\.0\d+, y = 0 m",
     ),
     "mass ahead of the caster": ([(COM, COM.replace("0.12", "0.85"))], "would tip over"),
-    "mass to the side": (
-        [(COM, COM.replace("0.12 0", "0.12 0.05"))],
-        r"centre of mass is off the centre line, at y = 0\.043",
-    ),
     "mass under the ground": ([(COM, COM.replace("0.095", "-0.3"))], "centre of mass is under the ground"),
     "massless wheel": (
         [('<inertial>\n      <origin xyz="-0.02 0 0.02" rpy="0 0 0" />\n      <mass value="1.5" />', "<inertial>")],
-        "link 'fork' has no mass and inertia; give it an <inertial>",
+        r"has no mass and inertia; give it an <inertial>",
     ),
     "nan position": (
         [(SWIVEL, SWIVEL.replace("0.74", "nan"))],
@@ -213,10 +174,7 @@ WRONG: dict[str, tuple[Edits, str]] = {
         [('ixx="2.76577"', 'ixx="0.1"')],
         r"link 'chassis' has an inertia that no body has: its largest moment, 10\.89 kg m2, is more than both others",
     ),
-    "infinite mass": (
-        [('mass value="104.5"', 'mass value="inf"')],
-        "link 'chassis' has a mass or inertia that is not positive",
-    ),
+    "infinite mass": ([('mass value="104.5"', 'mass value="inf"')], r"link 'chassis' has a mass of inf kg"),
     "two links of a name": ([(FORK, '<link name="chassis">')], "two links are named 'chassis'"),
     "link of no name": ([(FORK, "<link>")], "a <link> has no name"),
     "two joints of a name": (
@@ -312,6 +270,57 @@ RIGHT_ONES: dict[str, Edits] = {
 }
 
 
+ACCEPTED: dict[str, tuple[Edits, dict[str, float]]] = {
+    "box askew": (
+        turned("0 0 0.3", "1.1 0.65 0.28"),
+        dict(half_length=0.55 * cos(0.3) + 0.325 * sin(0.3), half_width=0.55 * sin(0.3) + 0.325 * cos(0.3)),
+    ),
+    "box pitched": (
+        turned("0 0.1 0", "1.1 0.65 0.28"),
+        dict(half_length=0.55 * cos(0.1) + 0.14 * sin(0.1), half_width=0.325),
+    ),
+    "box turned and sides kept": (turned("0 0 1.5708", "1.1 0.65 0.28"), dict(half_width=0.55)),
+    "box narrower than the track": ([("1.1 0.65 0.28", "1.1 0.1 0.28")], dict(half_length=0.55, half_width=0.3)),
+    "box behind the caster": (
+        [("1.1 0.65 0.28", "0.8 0.65 0.28")],
+        dict(x=(0.83 - 0.125) / 2, half_length=(0.83 + 0.125) / 2),
+    ),
+    "two boxes": (
+        [(f"<collision>\n      {BOX}", f"{SHAPE}<collision>\n      {BOX}")],
+        dict(half_length=0.55, half_width=0.325),
+    ),
+    "mesh for a box": ([('<box size="1.1 0.65 0.28" />', '<mesh filename="package://a/b.stl" />')], dict()),
+    "shape on a fork": ([(FORK, FORK + SHAPE)], dict(half_length=0.55)),
+    "shape on a further link": (
+        [(END, link("bumper", SHAPE) + joint("b", "chassis", "bumper") + END)],
+        dict(half_length=0.55, mass=121.0),
+    ),
+    "lift": ([(END, link("fork_2") + joint("lift", "chassis", "fork_2", kind="prismatic") + END)], dict(mass=121.0)),
+    "frame in the middle": (
+        [(LEFT, LEFT.replace("0 0.3 0", "-0.35 0.3 0")), (RIGHT, RIGHT.replace("0 -0.3 0", "-0.35 -0.3 0"))],
+        dict(wheelbase=1.05, com_ahead=0.125167 + 0.315),
+    ),
+    "frame off the middle": ([(RIGHT, RIGHT.replace("-0.3", "-0.25"))], dict(track=0.55, y=-0.025)),
+    "caster to the side": ([(SWIVEL, SWIVEL.replace("0.74 0 ", "0.74 0.2 "))], dict(wheelbase=0.7)),
+    "drive wheel turned": (
+        [(RIGHT, RIGHT.replace('rpy="0 0 0"', 'rpy="0 0 3.14159265"'))],
+        dict(track=0.6, wheelbase=0.7),
+    ),
+    "mass to the side": ([(COM, COM.replace("0.12 0", "0.12 0.05"))], dict(com_left=0.05 * 104.5 / 120)),
+}
+
+
+@pytest.mark.parametrize(("edits", "expected"), ACCEPTED.values(), ids=ACCEPTED)
+def test_what_sticks_out_and_where_frames_lie_is_taken_into_account(
+    robot: Write, edits: Edits, expected: dict[str, float]
+) -> None:
+    """By hand: the rectangle around box, wheels and the swept caster; the drive axle is the origin."""
+    vehicle = load_vehicle(robot(edits))
+    for field, value in expected.items():
+        found = getattr(vehicle.footprint if hasattr(vehicle.footprint, field) else vehicle, field)
+        assert found == pytest.approx(value, abs=1e-4), field
+
+
 @contextmanager
 def contact_engine_of(name: EngineName, vehicle: VehicleSpec) -> Iterator[ContactEngine]:
     engine = contact_engine(name, "fast", vehicle, DriveOptions())
@@ -332,8 +341,8 @@ def test_another_writing_of_the_vehicle_is_driven_like_it(
     robot: Write, vehicle: VehicleSpec, empty_world: WorldSpec, edits: Edits, engine: EngineName
 ) -> None:
     other = load_vehicle(robot(edits))
-    assert Visuals({"urdf": urdf_text(other), "joints": vars(other.joints), "wheel_radius": 0.125}).shapes
-    for field in ("mass", "com_ahead", "com_height", "yaw_inertia", "track", "wheelbase", "caster_trail"):
+    assert Visuals({"urdf": urdf_text(other), "joints": other.joints, "wheel_radius": 0.125}).shapes
+    for field in ("mass", "com_ahead", "com_height", "yaw_inertia", "track", "wheelbase"):
         assert getattr(other, field) == pytest.approx(getattr(vehicle, field), abs=1e-6), field
     assert other.wheel_spin_inertia == pytest.approx(vehicle.wheel_spin_inertia, rel=1e-4)
     a, b = other.footprint, vehicle.footprint
@@ -482,7 +491,6 @@ def test_a_urdf_is_read_in_the_encoding_that_it_declares(robot: Write, coding: s
 @pytest.mark.parametrize(
     "text",
     [
-        pytest.param(URDF.replace("caster_wheel", "r\u00e4dchen").encode("latin-1"), id="not what it declares"),
         pytest.param(URDF.replace("1.0", '1.0" encoding="klingon', 1).encode(), id="unknown encoding"),
         pytest.param(URDF.replace("1.0", '1.0" encoding="shift_jis', 1).encode(), id="encoding that expat lacks"),
         pytest.param(b"<robot>" + b"<a>" * 100_000, id="deep"),
@@ -542,7 +550,7 @@ def test_no_mesh_is_opened_and_the_collision_shape_is_drawn_in_its_place(robot: 
     looks = looks.replace('<cylinder radius="0.125" length="0.05" />', mesh)
     vehicle = load_vehicle(robot(urdf=looks.replace('<box size="0.92 0.5 0.2" />', mesh)))
     assert name not in physics_text(vehicle)
-    shown = Visuals({"urdf": urdf_text(vehicle), "joints": vars(vehicle.joints), "wheel_radius": 0.125}).shapes
+    shown = Visuals({"urdf": urdf_text(vehicle), "joints": vehicle.joints, "wheel_radius": 0.125}).shapes
     (wheel,) = [shape for shape in shown if shape.link == "left_wheel"]
     assert (wheel.kind, wheel.half_sizes, wheel.colour) == ("sphere", (0.125,) * 3, (0.10, 0.10, 0.11))
     assert [shape.kind for shape in shown if shape.link == "chassis"] == ["box"] * 5 + ["cylinder"] * 2

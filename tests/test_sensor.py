@@ -198,7 +198,7 @@ class TestPolicies:
         for furthest in (5.0, 10.0, 20.0):
             seeing = replace(vehicle, sensor=replace(vehicle.sensor, range=furthest))
             maker = FrameMaker(24, 1, True, seeing, DriveOptions())
-            nothing = (np.full(8, furthest), 40.0, 0.3, 0.0, StateProperty.SAFE, np.full(72, furthest))
+            nothing = (np.full(8, furthest), 40.0, 0.3, 0.0, 2.0, StateProperty.SAFE, np.full(72, furthest))
             frames.append(maker.look(maker.nothing(1), observed(nothing)).stacked)
         assert np.array_equal(frames[0], frames[1])
         assert np.array_equal(frames[2], frames[1])
@@ -209,7 +209,7 @@ class TestPolicies:
             seeing = replace(vehicle, sensor=replace(vehicle.sensor, rays=rays))
             wall = ray_distances((0.0, 0.0), seeing.sensor.angles, as_rows((OrientedBox(5.0, 0.0, 0.5, 3.0),)), 10.0)
             agent = Vfh(VfhOptions(), seeing, DriveOptions())
-            seen = observed((np.full(8, 4.5), 40.0, 0.0, 0.0, StateProperty.SAFE, wall))
+            seen = observed((np.full(8, 4.5), 40.0, 0.0, 0.0, 2.0, StateProperty.SAFE, wall))
             blocked.append(agent.act(seen, agent.initial_state(1))[1].blocked)
         assert 10 < blocked[0].sum() < 40
         assert all(np.abs(one.astype(int) - blocked[0]).sum() <= 2 for one in blocked[1:])

@@ -274,7 +274,7 @@ def test_steps_of_an_episode_are_an_option():
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("front_distance", 10.1), ("front_side_distance", -0.1), ("other_distance", 11.0), ("max_steps", 0)],
+    [("front_distance", 100.1), ("front_side_distance", -0.1), ("other_distance", 101.0), ("max_steps", 0)],
 )
 def test_thresholds_beyond_the_sensors_and_empty_episodes_are_refused(key, value):
     with pytest.raises(UserError, match=f"task: '{key}': input should be"):

@@ -12,7 +12,7 @@ from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
 from nnql_bullet.fidelity.probe import Bench
-from nnql_bullet.fidelity.probes import PROBES, run_probes
+from nnql_bullet.fidelity.probes import probes_for, run_probes
 from nnql_bullet.fidelity.stopping import Stop, measure_stop, stopping_tasks
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -103,7 +103,7 @@ def check_fidelity(
 
 def _measured(bench: Bench, time_step: float, report_to: OnProgress) -> Fidelity:
     """Measures every probe at the time step and at half of it, and the five actions at each of `REFINEMENTS`."""
-    total, done = 2 * len(PROBES) + len(REFINEMENTS), count(1)
+    total, done = 2 * len(probes_for(bench.vehicle)) + len(REFINEMENTS), count(1)
     measured, halved, actions = [], [], []
     report_to(Progress("probing", 0, total))
     for probe, found in run_probes(bench):

@@ -12,6 +12,7 @@ from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import KeyFlags, Place
 from nnql_bullet.cli.worlds import tell_warnings
+from nnql_bullet.config import merged
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
 from nnql_bullet.render.video import check_encoder
@@ -32,6 +33,8 @@ def drive(
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
+    robot: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None,
     shield: bool = False,
     allow_impassable: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -70,6 +73,8 @@ def drive(
         seed: Seed of the world.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
+        robot: Shipped robot or TOML file (see `nnql-bullet robot`); default that of the training.
+        speed: Speed [m/s]; default that of the policy, or the robot's own if that is less.
         shield: Take the best action that leaves room to stop; else brake, and turn on the spot.
         allow_impassable: Drive even if the vehicle is too wide for every path to the target.
         out: Folder for trajectory.npz and .png; films of another drive in it are removed. Default
@@ -94,10 +99,11 @@ def drive(
         seed=seed,
         simulator=sim,
         physics=physics,
+        vehicle=robot,
         shield=in_shield,
         allow_impassable=allow_impassable,
         conditions=asked,
-        changes=keys,
+        changes=merged(keys, {"drive": {"speed": speed}}) if speed is not None else keys,
     )
     files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked))
     if video:

@@ -23,6 +23,7 @@ VERBS = (
     "ablate",
     "gap",
     "report",
+    "robot",
     "fidelity",
     "envelope",
     "doctor",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_engine
-from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.controller import DriveOptions, own_speed
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -70,12 +70,11 @@ class Bench:
 
         Args:
             vehicle: The vehicle in it, the bench's by default.
-            drive: See `DriveOptions`.
+            drive: See `DriveOptions`; the speed is at most the vehicle's own by default.
         """
         vehicle = vehicle or self.vehicle
-        with closing(
-            contact_engine(self.engine, self.physics, vehicle, DriveOptions(**drive), self.refinement)
-        ) as made:
+        options = DriveOptions(**{"speed": own_speed(vehicle), **drive})
+        with closing(contact_engine(self.engine, self.physics, vehicle, options, self.refinement)) as made:
             yield made
 
 
@@ -90,6 +89,8 @@ class Probe:
     source: str
     """Source of the formula."""
     measure: Callable[[Bench], list[Measurement]]
+    applies: Callable[[VehicleSpec], bool] = lambda vehicle: True
+    """Whether the formula holds for a vehicle; the probe is left out for others."""
 
 
 def open_ground(*boxes: OrientedBox, start: Pose = MIDDLE) -> WorldSpec:

@@ -9,12 +9,18 @@ from nnql_bullet.fidelity.probes_body import BODY
 from nnql_bullet.fidelity.probes_contact import CONTACT
 from nnql_bullet.fidelity.probes_rolling import ROLLING
 from nnql_bullet.fidelity.probes_senses import SENSES
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 PROBES: dict[str, Probe] = {probe.name: probe for probe in (*BODY, *ROLLING, *CONTACT, *SENSES)}
 
 
+def probes_for(vehicle: VehicleSpec) -> list[Probe]:
+    """Returns the probes whose formulas hold for a vehicle."""
+    return [probe for probe in PROBES.values() if probe.applies(vehicle)]
+
+
 def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
-    """Runs all probes one after the other.
+    """Runs all probes that apply one after the other.
 
     If a probe raises an error, for example because the vehicle fell over, its only measurement is NaN, which is never
     accepted; the name of the measurement is the reason.
@@ -25,7 +31,7 @@ def run_probes(bench: Bench) -> Iterator[tuple[Probe, list[Measurement]]]:
     Raises:
         UserError: If the engine is not installed or cannot start.
     """
-    for probe in PROBES.values():
+    for probe in probes_for(bench.vehicle):
         yield probe, _measured(probe, bench)
 
 

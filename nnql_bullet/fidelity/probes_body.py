@@ -6,13 +6,14 @@ import numpy as np
 
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
-from nnql_bullet.fidelity.probes_vehicles import on_ice, rolling_freely, top_heavy
+from nnql_bullet.fidelity.probes_vehicles import has_swivel_in_front, on_ice, rolling_freely, top_heavy
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.description import parse
 from nnql_bullet.vehicle.limits import tip_angle
 from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.stances import loads_at_rest
 
 ASKEW = Pose(MIDDLE.x, MIDDLE.y, 0.3)
 """A pose in which no axis of the vehicle is parallel to one of the world."""
@@ -46,8 +47,11 @@ def _read_back(bench: Bench) -> list[Measurement]:
             ]
     contact, links = vehicle.contact, vehicle.links
     drives = links["left_drive"], links["right_drive"]
-    for name in (*drives, links["caster_roll"]):
-        rows.append(close_to(f"friction of {name}", "", contact.wheel_friction, held[name].friction, relative=1e-6))
+    frictions = {name: contact.wheel_friction for name in drives}
+    for its in vehicle.casters:
+        frictions[its.link] = contact.wheel_friction if its.swivels else contact.ball_friction
+    for name, friction in frictions.items():
+        rows.append(close_to(f"friction of {name}", "", friction, held[name].friction, relative=1e-6))
     for name in drives:
         rolling, spinning = held[name].rolling_friction, held[name].spinning_friction
         rows += [
@@ -66,9 +70,15 @@ def _settle(bench: Bench) -> list[Measurement]:
         engine.run(2.0)
         heights, loads = engine.wheel_heights(), engine.wheel_loads()
     weight = vehicle.mass * GRAVITY
-    rear, front = weight * vehicle.rear_share / 2, weight * vehicle.com_ahead / vehicle.wheelbase
-    radii = vehicle.wheel_radius, vehicle.wheel_radius, vehicle.caster_radius
-    wheels = "left wheel", "right wheel", "caster"
+    if has_swivel_in_front(vehicle):
+        rear, front = weight * vehicle.rear_share / 2, weight * vehicle.com_ahead / vehicle.wheelbase
+        expectations = [rear, rear, front]
+    else:
+        expectations = (weight * loads_at_rest(vehicle)).tolist()
+    radii = vehicle.wheel_radius, vehicle.wheel_radius, *(its.radius for its in vehicle.casters)
+    casters = [f"caster {number}" for number in range(1, len(vehicle.casters) + 1)]
+    wheels = "left wheel", "right wheel", *(casters if len(casters) > 1 else ["caster"])
+    determined = len(vehicle.casters) == 1
     return [
         *(
             close_to(f"height of {wheel}", "mm", 1e3 * radius, 1e3 * height, absolute=0.05)
@@ -76,7 +86,8 @@ def _settle(bench: Bench) -> list[Measurement]:
         ),
         *(
             close_to(f"load on {wheel}", "N", expected, load, relative=5e-3)
-            for wheel, expected, load in zip(wheels, (rear, rear, front), loads, strict=True)
+            for wheel, expected, load in zip(wheels, expectations, loads, strict=True)
+            if determined
         ),
     ]
 
@@ -193,5 +204,6 @@ BODY = (
         closed_form="tan(slope) = (T/2) (1 - a/L) / h",
         source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 9 (quasi-static rollover), with one front wheel",
         measure=_tilt_table,
+        applies=has_swivel_in_front,
     ),
 )

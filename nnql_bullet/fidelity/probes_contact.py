@@ -7,21 +7,22 @@ import numpy as np
 
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground
-from nnql_bullet.fidelity.probes_vehicles import driven_by, skidding_friction
+from nnql_bullet.fidelity.probes_vehicles import driven_by, has_swivel_in_front, skidding_friction
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 def _rear_braking(vehicle: VehicleSpec) -> float:
-    """Computes the deceleration with locked drive wheels and a rolling caster [m/s2].
+    """Computes the deceleration with locked drive wheels and a rolling caster, the only one [m/s2].
 
     The caster takes the load N_front L = m g a + (m h + I_c/r_c) d; the rest brakes the mass and the caster's spin:
     mu (m g - N_front) = (m + I_c/r_c^2) d.
     """
-    mu, m, spin = vehicle.contact.wheel_friction, vehicle.mass, vehicle.caster_spin_inertia / vehicle.caster_radius
+    caster = vehicle.casters[0]
+    mu, m, spin = vehicle.contact.wheel_friction, vehicle.mass, caster.spin_inertia / caster.radius
     shifted = mu * (m * vehicle.com_height + spin) / vehicle.wheelbase
-    return mu * m * GRAVITY * vehicle.rear_share / (m + spin / vehicle.caster_radius + shifted)
+    return mu * m * GRAVITY * vehicle.rear_share / (m + spin / caster.radius + shifted)
 
 
 def _locked_braking(bench: Bench) -> list[Measurement]:
@@ -130,6 +131,7 @@ CONTACT = (
         closed_form="v^2/(2 d), d = mu g (1 - a/L) / (1 + mu h/L), and the caster's spin added to the mass",
         source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 3 (rear axle braking)",
         measure=_locked_braking,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="skids",
@@ -137,6 +139,7 @@ CONTACT = (
         closed_form="v^2 / (2 mu g)",
         source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 3 (constant deceleration)",
         measure=_skids,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="friction-cone",
@@ -144,6 +147,7 @@ CONTACT = (
         closed_form="sqrt(F_x^2 + F_y^2) = mu N",
         source="Lynch and Park, Modern Robotics, 12.2.1 (Coulomb friction and friction cones)",
         measure=_friction_cone,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="wall",

@@ -8,11 +8,18 @@ from scipy.integrate import solve_ivp
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.fidelity.probe import MIDDLE, Bench, Measurement, Probe, at_most, close_to, open_ground, step_factor
-from nnql_bullet.fidelity.probes_vehicles import driven_by, gentlest_torque, rolling_freely, turning_within_its_means
+from nnql_bullet.fidelity.probes_vehicles import (
+    driven_by,
+    gentlest_torque,
+    has_swivel_in_front,
+    rolling_freely,
+    swivels_all,
+    turning_within_its_means,
+)
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
-from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions
+from nnql_bullet.vehicle.controller import COMMAND_RATE, own_speed
 from nnql_bullet.vehicle.limits import grip_acceleration, quasi_steady, tip_acceleration
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
@@ -92,7 +99,7 @@ def _unicycle(start: Pose, speed: float, turn: float, limits: Limits, times: Arr
 
 
 def _actions(bench: Bench) -> list[Measurement]:
-    vehicle, share = turning_within_its_means(bench.vehicle, DriveOptions().speed)
+    vehicle, share = turning_within_its_means(bench.vehicle, own_speed(bench.vehicle))
     at_share = "" if share == 1 else f" at {share:.2f} of its yaw rate"
     longest = max(_quickest(turn, vehicle.limits)[1] for turn in paper.TURNS)
     rows, gaps, slips, rates = [], [], [], []
@@ -184,12 +191,13 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
 
 def _caster(bench: Bench) -> list[Measurement]:
     vehicle, begin, end = bench.vehicle, radians(30.0), radians(1.0)
-    slowly = vehicle.caster_trail / TRAILING_TIME
+    trail = vehicle.casters[0].trail
+    slowly = trail / TRAILING_TIME
     expected = TRAILING_TIME * log(tan(begin / 2) / tan(end / 2))
     with bench.open_engine() as engine:
         tolerance = 0.05 * step_factor(engine)
         trailing = _trailing_after(engine, slowly, begin, end, 3 * expected)
-        limit = 6 * vehicle.caster_trail / engine.drive.speed
+        limit = 6 * trail / engine.drive.speed
         at_speed = _trailing_after(engine, engine.drive.speed, begin, end, 3 * limit)
     return [
         close_to(f"from 30 to 1 deg at {slowly:.3g} m/s", "s", expected, trailing, relative=tolerance),
@@ -199,7 +207,8 @@ def _caster(bench: Bench) -> list[Measurement]:
 
 def _swivel(vehicle: VehicleSpec, speed: float, turn: float, begin: float, times: Array) -> Array:
     """Computes the angles (n,) [rad] at `times` (n,) [s] of a caster that rolls without slip through a turn."""
-    ahead, trail = vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail
+    trail = vehicle.casters[0].trail
+    ahead = vehicle.wheelbase + trail
     peak, end = _quickest(turn, vehicle.limits)
     slope = vehicle.limits.yaw_acceleration
 
@@ -212,13 +221,14 @@ def _swivel(vehicle: VehicleSpec, speed: float, turn: float, begin: float, times
 
 
 def _reversing(bench: Bench) -> list[Measurement]:
-    vehicle, _ = turning_within_its_means(bench.vehicle, DriveOptions().speed)
+    vehicle, _ = turning_within_its_means(bench.vehicle, own_speed(bench.vehicle))
     begin, largest, rows, gaps, swivels = radians(30.0), max(paper.TURNS), [], [], []
-    slowly = min(vehicle.caster_trail / TRAILING_TIME, DriveOptions().speed)
-    braking = (DriveOptions().speed + slowly) / vehicle.limits.acceleration
+    own, trail = own_speed(vehicle), vehicle.casters[0].trail
+    slowly = min(trail / TRAILING_TIME, own)
+    braking = (own + slowly) / vehicle.limits.acceleration
     longest = max(braking, _quickest(largest, vehicle.limits)[1] + 0.1)
     with bench.open_engine(vehicle, decision_period=ceil(2 * longest) / 2) as engine:
-        expected = vehicle.caster_trail / slowly * log(tan((pi - begin) / 2) / tan(begin / 2))
+        expected = trail / slowly * log(tan((pi - begin) / 2) / tan(begin / 2))
         tolerance = 0.05 * step_factor(engine)
         swung = _trailing_after(engine, -slowly, pi - begin, begin, 3 * expected)
         rows.append(close_to(f"from 30 to 150 deg at {-slowly:.3g} m/s", "s", expected, swung, relative=tolerance))
@@ -251,6 +261,7 @@ ROLLING = (
         closed_form="v = 2 tau t / (r m_eff), m_eff = m + 2 I_wheel/r^2 + I_caster/r_c^2",
         source="Gillespie, Fundamentals of Vehicle Dynamics, ch. 2 (effective mass)",
         measure=_acceleration,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="coast",
@@ -258,6 +269,7 @@ ROLLING = (
         closed_form="v(t) = v(0)",
         source="Goldstein, Poole and Safko, Classical Mechanics, 1.1 (conservation of momentum)",
         measure=_coast,
+        applies=swivels_all,
     ),
     Probe(
         name="rolling-resistance",
@@ -265,6 +277,7 @@ ROLLING = (
         closed_form="v = v(0) - b N_rear t / (r m_eff), b the lever arm of rolling friction",
         source="Beer and Johnston, Vector Mechanics for Engineers: Statics, ch. 8 (rolling resistance)",
         measure=_rolling_resistance,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="straight",
@@ -295,6 +308,7 @@ ROLLING = (
             "Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)"
         ),
         measure=_steady_turn,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="caster",
@@ -302,6 +316,7 @@ ROLLING = (
         closed_form="swivel' = -(v/trail) sin(swivel): t = (trail/v) ln(tan(15 deg) / tan(0.5 deg))",
         source="Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel)",
         measure=_caster,
+        applies=has_swivel_in_front,
     ),
     Probe(
         name="reversing",
@@ -315,5 +330,6 @@ ROLLING = (
             "Lynch and Park, Modern Robotics, 13.3.1 (unicycle)"
         ),
         measure=_reversing,
+        applies=has_swivel_in_front,
     ),
 )

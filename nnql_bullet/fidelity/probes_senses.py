@@ -80,12 +80,13 @@ def _heights(bench: Bench) -> list[Measurement]:
 def _own_body(bench: Bench) -> Measurement:
     """Counts rays that meet the vehicle or the ground, from origins close to both."""
     vehicle = bench.vehicle
+    front = vehicle.casters[0]
     behind, axle = vehicle.footprint.x - vehicle.footprint.half_length - 0.3, 0.0
     hits = 0
     for position in (
         vehicle.sensor.position,
         (0.0, vehicle.track / 6, axle),  # between the wheels
-        (vehicle.wheelbase - 2 * vehicle.caster_radius, 0.0, vehicle.caster_radius - vehicle.wheel_radius),
+        (front.x - 2 * front.radius, 0.0, front.radius - vehicle.wheel_radius),
         (behind, 0.0, axle),
         (behind, 0.0, 1e-3 - vehicle.wheel_radius),  # a millimetre above the ground
     ):

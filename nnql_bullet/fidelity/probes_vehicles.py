@@ -20,6 +20,17 @@ SLOWER = tuple(1 - 0.05 * n for n in range(1, 19))
 """Candidate shares of the vehicle's yaw rate for the slower turn."""
 
 
+def has_swivel_in_front(vehicle: VehicleSpec) -> bool:
+    """Whether the vehicle's only caster is one that swivels, in front, for which the closed forms hold."""
+    casters = vehicle.casters
+    return len(casters) == 1 and casters[0].swivels and casters[0].x > 0
+
+
+def swivels_all(vehicle: VehicleSpec) -> bool:
+    """Whether no caster of the vehicle slides."""
+    return all(its.swivels for its in vehicle.casters)
+
+
 def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
     """Returns the vehicle without rolling and spinning resistance."""
     return replace(vehicle, contact=replace(vehicle.contact, rolling_friction=0.0, spinning_friction=0.0))

@@ -13,7 +13,7 @@ from nnql_bullet.vehicle.controller import COMMAND_RATE, whole_steps
 from nnql_bullet.vehicle.limits import static_rear_load
 from nnql_bullet.vehicle.spec import VehicleSpec
 
-Forces = tuple[ContactForce, ContactForce, ContactForce]
+Forces = tuple[ContactForce, ...]
 
 LOADED = 0.05
 """Load of a drive wheel, over its load at rest, below which its used friction counts as zero."""
@@ -29,7 +29,7 @@ class Instant:
     roll: float
     """Roll angle of the drive axle, positive with the left wheel up [rad]."""
     forces: Forces
-    """Forces of the ground on the left, right and caster wheel during the step."""
+    """Forces of the ground on the left and right wheel and on each caster during the step."""
     slips: tuple[float, float]
     """Speeds of the left and right drive wheel's contact points over the ground during the step [m/s]."""
 
@@ -53,7 +53,7 @@ def follow_turn(engine: ContactEngine, heading_change: float) -> list[Instant]:
 
 @dataclass(frozen=True, slots=True)
 class WheelForces:
-    """Mean forces of the ground on the left, right and caster wheel over k intervals of wheel commands.
+    """Mean forces of the ground on left and right wheel and n - 2 casters over k intervals of wheel commands.
 
     An engine may apply the force of a whole wheel command in a single physics step, so means over commands count.
     """
@@ -61,9 +61,9 @@ class WheelForces:
     times: Array
     """Ends of the intervals (k,) [s]."""
     normal: Array
-    """Forces normal to the contact plane (k, 3) [N]."""
+    """Forces normal to the contact plane (k, n) [N]."""
     friction: Array
-    """Forces in the contact plane (k, 3) [N]."""
+    """Forces in the contact plane (k, n) [N]."""
 
     def used(self, vehicle: VehicleSpec) -> Array:
         """Computes used over available friction of each drive wheel (k, 2); 0 where it carries almost no load."""
@@ -116,7 +116,7 @@ def _observed(engine: ContactEngine, before: Pose, began: float) -> Instant:
     ahead, aside = (dx * cos(heading) + dy * sin(heading)) / dt, (dy * cos(heading) - dx * sin(heading)) / dt
     from_turning = turned / dt * vehicle.track / 2
     left, right = (vehicle.wheel_radius * speed for speed in engine.wheel_speeds())
-    left_height, right_height, _ = engine.wheel_heights()
+    left_height, right_height, *_ = engine.wheel_heights()
     return Instant(
         time=engine.time() - began,
         pose=pose,

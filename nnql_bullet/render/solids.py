@@ -80,8 +80,7 @@ class BulletRenderer:
             self._add_box(wall, WALL)
         self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
         self._vehicle, joints = self.scene.add_robot(urdf)
-        names = vehicle["joints"]
-        self._joints = [joints[names[key]] for key in ("left_drive", "right_drive", "swivel", "caster_roll")]
+        self._joints = [joints[name] for name in vehicle["joints"].values()]
         self._axle_height = vehicle["wheel_radius"]
 
     def show(self, moment: Moment) -> None:

@@ -16,8 +16,8 @@ class Moment:
     """Time since the start [s]."""
     pose: Pose
     """Pose of the vehicle."""
-    joint_angles: tuple[float, float, float, float]
-    """Left and right drive, swivel, caster roll [rad]."""
+    joint_angles: tuple[float, ...]
+    """Angles of the joints, as in the recording [rad]."""
     speed: float
     """Speed of the rear-axle centre [m/s]."""
     step: int
@@ -51,13 +51,13 @@ class Timeline:
         r = self.recording
         now = min(max(time, 0.0), self.duration)
         x, y, yaw = (float(np.interp(now, self._times, values)) for values in self._poses.T)
-        left, right, swivel, roll = (float(np.interp(now, self._times, values)) for values in self._joints.T)
+        angles = tuple(float(np.interp(now, self._times, values)) for values in self._joints.T)
         sample = int(np.searchsorted(self._times[1:-1], now, side="left"))
         step = int(np.searchsorted(r.state_time[1:-1], now, side="right"))
         return Moment(
             time=now,
             pose=Pose(x, y, wrap_angle(yaw)),
-            joint_angles=(left, right, swivel, roll),
+            joint_angles=angles,
             speed=float(self._speeds[sample]),
             step=step,
             over=time >= self.duration,

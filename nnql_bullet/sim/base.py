@@ -24,8 +24,8 @@ class Sample:
     time: float
     """Time since the reset [s]."""
     pose: Pose
-    joint_angles: tuple[float, float, float, float]
-    """Angles of left drive, right drive, swivel and caster roll [rad]."""
+    joint_angles: tuple[float, ...]
+    """Angles of left drive, right drive, and of each caster that swivels its swivel and its roll [rad]."""
     wheel_speeds: tuple[float, float]
     """Speeds of the left and right drive wheel [rad/s]."""
 

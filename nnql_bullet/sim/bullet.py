@@ -193,7 +193,8 @@ class BulletEngine(ContactEngine):
 
     def set_swivel(self, angle: float) -> None:
         """Turns the caster to an angle from trailing [rad], at rest."""
-        bullet.resetJointState(self.body, self._swivel, angle, 0.0, self.client)
+        for swivel in self._swivels:
+            bullet.resetJointState(self.body, swivel, angle, 0.0, self.client)
 
     def twist(self, torque: float) -> None:
         """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
@@ -207,25 +208,24 @@ class BulletEngine(ContactEngine):
         """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
         return self._contact_force(-1).normal
 
-    def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
-        """Forces of the ground on the left, right and caster wheel."""
-        left, right, front = (self._contact_force(joint) for joint in (self.left, self.right, self._caster))
-        return left, right, front
+    def wheel_forces(self) -> tuple[ContactForce, ...]:
+        """Forces of the ground on the left and right wheel and on each caster."""
+        return tuple(self._contact_force(link) for link in self._supports)
 
     def wheel_speeds(self) -> tuple[float, float]:
         """Speeds of the left and right drive wheel [rad/s]."""
         left, right = self._joint_states(self.left, self.right)
         return left.velocity, right.velocity
 
-    def wheel_heights(self) -> Vector:
-        """Heights of the left, right and caster wheel centre above the ground [m]."""
-        left, right, front = (self._link_height(joint) for joint in (self.left, self.right, self._caster))
-        return left, right, front
+    def wheel_heights(self) -> tuple[float, ...]:
+        """Heights of the centres of the left and right wheel and of each caster above the ground [m]."""
+        return tuple(self._link_height(link) for link in self._supports)
 
     def sample(self) -> Sample:
         """The vehicle at the present time."""
-        left, right, swivel, roll = self._joint_states(self.left, self.right, self._swivel, self._caster)
-        angles = left.position, right.position, swivel.position, roll.position
+        states = self._joint_states(*self._joints)
+        left, right, *_ = states
+        angles = tuple(state.position for state in states)
         return Sample(self.time(), self.pose(), angles, (left.velocity, right.velocity))
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
@@ -318,15 +318,17 @@ class BulletEngine(ContactEngine):
         joints = {joint.name: joint.number for joint in infos if joint.joint_type != bullet.JOINT_FIXED}
         for joint in joints.values():
             self._hold(joint, 0.0)  # initially every joint has a motor that holds it
-        self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
+        self._joints = tuple(joints[name] for name in vehicle.joints.values())
+        self.left, self.right, *_ = self._joints
         self._wheels, self._torques = (self.left, self.right), (vehicle.wheel_torque,) * 2
-        self._swivel, self._caster = joints[vehicle.joints.swivel], joints[vehicle.joints.caster_roll]
-        self._joints = tuple(joints.values())
+        self._swivels = [joints[its.swivel] for its in vehicle.casters if its.swivels]
+        numbers = {joint.link_name: joint.number for joint in infos}
+        self._supports = (self.left, self.right, *(numbers[its.link] for its in vehicle.casters))
         inertial = self._dynamics(-1)
         self._com = inertial.inertia_position
         x, y, z, w = inertial.inertia_orientation
         self._turned_back = None if inertial.inertia_orientation == STRAIGHT else (-x, -y, -z, w)
-        wheels = (self.left, self.right, self._caster)
+        wheels = self._supports
         for link in range(-1, len(infos)):
             # Damping, which applies to the whole body, needs a separate call; so does friction.
             bullet.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, physicsClientId=self.client)
@@ -335,8 +337,10 @@ class BulletEngine(ContactEngine):
         # By default the engine limits joints to 100 rad/s; a small caster would drag at high speed.
         bullet.changeDynamics(self.body, -1, maxJointVelocity=FASTEST_JOINT, physicsClientId=self.client)
         contact = vehicle.contact
-        for wheel in wheels:
-            bullet.changeDynamics(self.body, wheel, lateralFriction=contact.wheel_friction, physicsClientId=self.client)
+        balls = [not its.swivels for its in vehicle.casters]
+        for wheel, ball in zip(wheels, [False, False, *balls], strict=True):
+            friction = contact.ball_friction if ball else contact.wheel_friction
+            bullet.changeDynamics(self.body, wheel, lateralFriction=friction, physicsClientId=self.client)
         for wheel in (self.left, self.right):
             friction = contact.spinning_friction
             bullet.changeDynamics(self.body, wheel, spinningFriction=friction, physicsClientId=self.client)
@@ -344,7 +348,7 @@ class BulletEngine(ContactEngine):
         velocity = [speed * cos(pose.yaw), speed * sin(pose.yaw), 0.0]
         bullet.resetBaseVelocity(self.body, velocity, [0.0, 0.0, 0.0], self.client)
         rolling = {wheel: vehicle.wheel_radius for wheel in (self.left, self.right)}
-        rolling[self._caster] = vehicle.caster_radius
+        rolling |= {joints[its.roll]: its.radius for its in vehicle.casters if its.swivels}
         for wheel, radius in rolling.items():
             bullet.resetJointState(self.body, wheel, 0.0, speed / radius, self.client)
 

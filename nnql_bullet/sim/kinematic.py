@@ -146,8 +146,9 @@ class KinematicSimulator:
         )
         self._state = _empty_state(size)
         self._period = _empty_period(size, len(times) - 1, sensor.rays)
-        self._time, self._joint_angles = np.zeros(size), np.zeros((size, 4))
-        self._caster = np.array([vehicle.wheelbase + vehicle.caster_trail, vehicle.caster_trail, vehicle.caster_radius])
+        self._time, self._joint_angles = np.zeros(size), np.zeros((size, len(vehicle.joints)))
+        casters = [(its.x + its.trail, its.y, its.trail, its.radius) for its in vehicle.casters if its.swivels]
+        self._casters = np.array(casters).reshape(-1, 4)
         self._threads = threads or allowed_cores()
         self._pool = ThreadPoolExecutor(self._threads)
         _compile()
@@ -215,16 +216,16 @@ class KinematicSimulator:
         path, joints = self.path(vehicle), self._joint_angles[vehicle]
         speeds = self._period.speeds[vehicle, : len(path)]
         yaw_rates = (np.diff(path[:, 2]) * COMMAND_RATE).tolist()
+        casters, swivels = self._casters, range(2, len(joints), 2)
         mean_speeds = ((speeds[:-1] + speeds[1:]) / 2).tolist()
         for command, (speed, yaw_rate) in enumerate(zip(mean_speeds, yaw_rates, strict=True), 1):
             left, right = wheel_speeds(speed, yaw_rate, self.vehicle.track, self.vehicle.wheel_radius)
-            swivel, roll = _caster_rates(joints[2], speed, yaw_rate, *self._caster)
-            joints += np.array([left, right, swivel, roll]) / COMMAND_RATE
+            rates = [_caster_rates(joints[k], speed, yaw_rate, *its) for k, its in zip(swivels, casters, strict=True)]
+            joints += np.array([left, right, *(rate for pair in rates for rate in pair)]) / COMMAND_RATE
             if command % SAMPLE_EVERY == 0 or (over and command == len(yaw_rates)):
                 x, y, yaw = path[command].tolist()
-                a, b, c, d = joints.tolist()
                 time = float(self._time[vehicle]) + command / COMMAND_RATE
-                trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), (a, b, c, d), (left, right)))
+                trace.append(Sample(time, Pose(x, y, wrap_angle(yaw)), tuple(joints.tolist()), (left, right)))
 
     def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
         """Calls a kernel, which releases the interpreter's lock, for some of the vehicles in each thread."""
@@ -476,14 +477,15 @@ def _scan_one(i: int, constants: _Constants, state: _State, period: _Period) -> 
 
 @njit()
 def _caster_rates(
-    swivel: float, speed: float, yaw_rate: float, ahead: float, trail: float, radius: float
+    swivel: float, speed: float, yaw_rate: float, ahead: float, left: float, trail: float, radius: float
 ) -> tuple[float, float]:
     """Computes the rates [rad/s] of the swivel angle and the wheel of a trailing caster that rolls without slip.
 
-    The swivel axis is `ahead` of the axle and moves at (speed, yaw_rate * ahead). The wheel is `trail` behind it along
-    the fork and does not move sideways. Where the wheel points against the motion, which no caster keeps, it counts as
-    at least `UNEVENNESS` off, to the left if nothing says to which side.
+    The swivel axis is `ahead` of the axle and `left` of its centre, and moves at (speed - yaw_rate * left, yaw_rate *
+    ahead). The wheel is `trail` behind it along the fork and does not move sideways. Where the wheel points against the
+    motion, which no caster keeps, it counts as at least `UNEVENNESS` off, to the left if nothing says to which side.
     """
+    speed -= yaw_rate * left
     s = np.sin(swivel)
     if speed * np.cos(swivel) < 0.0 and abs(s) < UNEVENNESS:
         s = np.copysign(UNEVENNESS, s)

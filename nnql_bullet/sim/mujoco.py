@@ -122,8 +122,8 @@ class MujocoEngine(ContactEngine):
 
     def set_swivel(self, angle: float) -> None:
         """Turns the caster to an angle from trailing [rad], at rest."""
-        self._position[self._joint_angles[2]] = angle
-        self._velocity[self._joint_rates[2]] = 0.0
+        self._position[self._joint_angles[2::2]] = angle
+        self._velocity[self._joint_rates[2::2]] = 0.0
 
     def twist(self, torque: float) -> None:
         """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
@@ -138,26 +138,24 @@ class MujocoEngine(ContactEngine):
         """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
         return self._contact_force(self._chassis).normal
 
-    def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
-        """Forces of the ground on the left, right and caster wheel."""
-        left, right, front = (self._contact_force(wheel) for wheel in self._wheels)
-        return left, right, front
+    def wheel_forces(self) -> tuple[ContactForce, ...]:
+        """Forces of the ground on the left and right wheel and on each caster."""
+        return tuple(self._contact_force(wheel) for wheel in self._wheels)
 
     def wheel_speeds(self) -> tuple[float, float]:
         """Speeds of the left and right drive wheel [rad/s]."""
         left, right, *_ = self._velocity[self._joint_rates].tolist()
         return left, right
 
-    def wheel_heights(self) -> Vector:
-        """Heights of the left, right and caster wheel centre above the ground [m]."""
+    def wheel_heights(self) -> tuple[float, ...]:
+        """Heights of the centres of the left and right wheel and of each caster above the ground [m]."""
         mujoco.mj_kinematics(self._model, self._data)  # a step leaves the heights of its beginning
-        left, right, front = self._data.xpos[self._wheels, 2].tolist()
-        return left, right, front
+        return tuple(self._data.xpos[self._wheels, 2].tolist())
 
     def sample(self) -> Sample:
         """The vehicle at the present time."""
-        left, right, swivel, roll = self._position[self._joint_angles].tolist()
-        return Sample(self.time(), self.pose(), (left, right, swivel, roll), self.wheel_speeds())
+        angles = tuple(self._position[self._joint_angles].tolist())
+        return Sample(self.time(), self.pose(), angles, self.wheel_speeds())
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """Properties of every link in the engine, by the link's name."""
@@ -174,8 +172,9 @@ class MujocoEngine(ContactEngine):
         half, vehicle = pose.yaw / 2, self.vehicle
         self._position[:7] = pose.x, pose.y, vehicle.wheel_radius + height - SINK, cos(half), 0.0, 0.0, sin(half)
         self.set_velocity(speed * cos(pose.yaw), speed * sin(pose.yaw))
-        rolling, front = speed / vehicle.wheel_radius, speed / vehicle.caster_radius
-        self._velocity[self._joint_rates] = rolling, rolling, 0.0, front
+        rolling = speed / vehicle.wheel_radius
+        casters = [rate for its in vehicle.casters if its.swivels for rate in (0.0, speed / its.radius)]
+        self._velocity[self._joint_rates] = rolling, rolling, *casters
         mujoco.mj_kinematics(self._model, self._data)  # sets the positions of the geoms that rays meet
 
     def _load(self) -> None:
@@ -196,12 +195,13 @@ class MujocoEngine(ContactEngine):
         model = self._model = self._compiled(self._shapes_in(self._near))
         data = self._data = mujoco.MjData(model)
         self._position, self._velocity, self._shafts = data.qpos, data.qvel, data.qvel[-2:]
-        names, links = vehicle.joints, vehicle.links
-        joints = [model.joint(name) for name in (names.left_drive, names.right_drive, names.swivel, names.caster_roll)]
+        links = vehicle.links
+        joints = [model.joint(name) for name in vehicle.joints.values()]
         self._joint_angles = [int(joint.qposadr[0]) for joint in joints]
         self._joint_rates = [int(joint.dofadr[0]) for joint in joints]
         self._chassis = int(model.body_rootid[model.body(links["left_drive"]).id])
-        self._wheels = [model.body(links[field]).id for field in ("left_drive", "right_drive", "caster_roll")]
+        supports = links["left_drive"], links["right_drive"], *(its.link for its in vehicle.casters)
+        self._wheels = [model.body(name).id for name in supports]
         self._drive_geoms = np.flatnonzero(np.isin(model.geom_bodyid, self._wheels[:2]))
 
     def _compiled(self, shapes: tuple[Shape, ...]) -> Any:
@@ -359,17 +359,20 @@ def _set_contacts(spec: Any, vehicle: VehicleSpec) -> None:
         geom.contype = CHASSIS
         geom.solref = _hard(HIT_DAMPING, time_step)
         geom.friction = [SCRAPING, 0.0, 0.0]
-    for field in ("left_drive", "right_drive", "caster_roll"):
-        resistance = [contact.spinning_friction, contact.rolling_friction] if field != "caster_roll" else [0.0, 0.0]
-        for geom in spec.body(vehicle.links[field]).geoms:
+    resistance = [contact.spinning_friction, contact.rolling_friction]
+    frictions = {vehicle.links[field]: [contact.wheel_friction, *resistance] for field in ("left_drive", "right_drive")}
+    for its in vehicle.casters:
+        frictions[its.link] = [contact.wheel_friction if its.swivels else contact.ball_friction, 0.0, 0.0]
+    for link, friction in frictions.items():
+        for geom in spec.body(link).geoms:
             geom.contype = WHEEL
-            geom.friction = [contact.wheel_friction, *resistance]
+            geom.friction = friction
 
 
 def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
     """Adds a shaft for each drive wheel, as the last joints, and the friction between them; sets friction of joints."""
     friction = {"solref_friction": _hard(1.0, spec.option.timestep)}
-    for wheel in (vehicle.joints.left_drive, vehicle.joints.right_drive):
+    for wheel in (vehicle.joints["left_drive"], vehicle.joints["right_drive"]):
         shaft = f"shaft of {wheel}"
         body = spec.worldbody.add_body(name=shaft, mass=1.0, inertia=[SHAFT] * 3, explicitinertial=True)
         body.add_joint(name=shaft, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 1.0, 0.0])

@@ -137,7 +137,7 @@ class VehiclePhysics(ABC):
 
     @abstractmethod
     def set_swivel(self, angle: float) -> None:
-        """Turns the caster to an angle from trailing [rad], at rest."""
+        """Turns the casters that swivel to an angle from trailing [rad], at rest."""
 
     @abstractmethod
     def twist(self, torque: float) -> None:
@@ -152,25 +152,24 @@ class VehiclePhysics(ABC):
         """Normal force of obstacles and walls on the chassis, summed over all contacts [N]."""
 
     @abstractmethod
-    def wheel_forces(self) -> tuple[ContactForce, ContactForce, ContactForce]:
-        """Forces of the ground on the left, right and caster wheel."""
+    def wheel_forces(self) -> tuple[ContactForce, ...]:
+        """Forces of the ground on the left and right wheel and on each caster."""
 
     @abstractmethod
     def wheel_speeds(self) -> tuple[float, float]:
         """Speeds of the left and right drive wheel [rad/s]."""
 
     @abstractmethod
-    def wheel_heights(self) -> Vector:
-        """Heights of the left, right and caster wheel centre above the ground [m]."""
+    def wheel_heights(self) -> tuple[float, ...]:
+        """Heights of the centres of the left and right wheel and of each caster above the ground [m]."""
 
     @abstractmethod
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """Properties of every link in the engine, by the link's name."""
 
-    def wheel_loads(self) -> Vector:
-        """Normal force of the ground on the left, right and caster wheel [N]."""
-        left, right, front = (force.normal for force in self.wheel_forces())
-        return left, right, front
+    def wheel_loads(self) -> tuple[float, ...]:
+        """Normal force of the ground on the left and right wheel and on each caster [N]."""
+        return tuple(force.normal for force in self.wheel_forces())
 
     def time(self) -> float:
         """Time since the vehicle was placed [s]."""

@@ -5,6 +5,7 @@ the vehicle's limits, and commands the wheel speeds that follow them, with propo
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +18,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
 from nnql_bullet.types import Period, Speed
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
-from nnql_bullet.vehicle.spec import Limits
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 COMMAND_RATE = 120.0
 """Wheel-speed commands per second [Hz], in every simulator."""
@@ -35,6 +36,11 @@ class DriveOptions:
     """Speed of reversing and of driving slowly, as a share of `speed`."""
     heading_gain: Annotated[float, Field(ge=0, le=1000)] = 4.0
     """Yaw rate per heading error [1/s]."""
+
+
+def own_speed(vehicle: VehicleSpec) -> float:
+    """Returns the speed at which a vehicle drives unless told otherwise [m/s]."""
+    return min(vehicle.limits.speed or inf, DriveOptions().speed)
 
 
 @dataclass(frozen=True, slots=True)

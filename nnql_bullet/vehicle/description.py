@@ -5,9 +5,10 @@ they are folded into the link that carries them, because PyBullet would give eac
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
-from math import atan2, cos, sin
+from math import atan2, cos, pi, sin
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -19,15 +20,19 @@ from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
 from nnql_bullet.markup import parse_xml
 
-NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4}
+NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4, "scale": 3}
+NUMBERS |= dict.fromkeys(("lower", "upper", "velocity"), 1)
 NUMBERS |= dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1)
 """Attributes that hold numbers, and how many."""
+UNBOUNDED = ("effort", "value", "lower", "upper", "velocity")
+"""Those that may be infinite or are checked elsewhere."""
 LARGEST = 1e6
 """Largest number that a URDF may hold [m, kg, kg m2]."""
 DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}
 """Shapes that are drawn, and the attributes that they need."""
 MOST_BYTES, MOST_LINKS = 10_000_000, 500
 """Size of the largest URDF that is read [bytes, links]."""
+_ENCODING = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
 
 
@@ -50,16 +55,18 @@ def refuse(problems: Sequence[str]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A collision shape."""
+    """A shape that collides or is seen."""
 
     kind: str
     """The tag of its geometry: box, cylinder, sphere or mesh."""
     sizes: tuple[float, ...]
-    """Edges of a box, or the radius of a sphere [m]; empty for the others."""
+    """Edges of a box, radius of a sphere, radius and length of a cylinder [m], or scale of a mesh."""
     origin: Array
     """Transform from its own frame to its link's frame (4, 4)."""
     file: str = ""
-    """Name of the file of a mesh, which is not read."""
+    """Name of the file of a mesh, as the URDF has it."""
+    of: str = ""
+    """Name of the massless link that it was part of, if any."""
 
     @property
     def title(self) -> str:
@@ -79,6 +86,9 @@ class Link:
     inertia: Array | None
     """Moments of inertia in that frame (3, 3) [kg m2]."""
     solids: tuple[Solid, ...]
+    """Collision shapes."""
+    looks: tuple[Solid, ...] = ()
+    """Visible shapes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +105,10 @@ class Joint:
     """In the child's frame (3,)."""
     effort: float | None
     """Torque limit [N m]."""
+    velocity: float | None = None
+    """Limit on the speed [rad/s]."""
+    turns_freely: bool = False
+    """Whether it turns without end: a continuous joint, or a revolute one whose limits are a turn apart or more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +120,9 @@ class Description:
     links: dict[str, Link]
     joints: dict[str, Joint]
     frames: dict[str, Array]
-    """Transforms from each link's frame to the chassis frame (4, 4), by link."""
+    """Transforms from each link's frame to the chassis frame (4, 4), by link, those of massless links among them."""
+    frictions: dict[str, float]
+    """Friction coefficients of links that Gazebo is told (mu1), by link."""
 
     def moving_joints_above(self, link: str) -> list[str]:
         """Names of the joints that are not fixed, from a link up to the base."""
@@ -143,7 +159,7 @@ def parse(source: str | bytes) -> Element:
         Unfit: See `read`.
     """
     try:
-        robot = parse_xml(source)
+        robot = parse_xml(_decoded(source))
         if robot.tag != "robot":
             raise Unfit(f"its root is <{robot.tag}>, not <robot>")
         refuse(list(_check_numbers(robot)))
@@ -152,6 +168,18 @@ def parse(source: str | bytes) -> Element:
         raise Unfit(f"cannot be read as a URDF: {error}") from None
     _fold_frames(robot)
     return robot
+
+
+def _decoded(source: str | bytes) -> str | bytes:
+    """Returns text that declares no encoding or UTF-8 and is not UTF-8 as the Latin-1 that it then is."""
+    if isinstance(source, str) or ((encoding := _ENCODING.match(source)) and encoding[1].lower() != b"utf-8"):
+        return source
+    try:
+        source.decode()
+    except UnicodeDecodeError:
+        if not source.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16, which the parser knows by these
+            return _ENCODING.sub(b"", source).decode("latin-1")
+    return source
 
 
 def describe(robot: Element) -> Description:
@@ -164,7 +192,10 @@ def describe(robot: Element) -> Description:
         for joint in joints.values():
             if joint.parent in frames:
                 frames[joint.child] = frames[joint.parent] @ joint.origin
-    return Description(base, links, joints, frames)
+    for frame in robot.findall("frame"):
+        frames[frame.attrib["name"]] = frames[frame.attrib["link"]] @ _transform(frame)
+    frictions = {its.get("reference", ""): mu for its in robot.findall("gazebo") if (mu := _friction(its)) is not None}
+    return Description(base, links, joints, frames, frictions)
 
 
 def root_of(robot: Element) -> str:
@@ -201,6 +232,27 @@ def for_drawing(robot: Element) -> str:
     return text_of(bare)
 
 
+def looks_of(link: Element, find: Callable[[str], Path | None]) -> list[Element]:
+    """Makes the visuals of a link anew: its own, with meshes that are found; those of its collision shapes otherwise.
+
+    Args:
+        link: The link.
+        find: Finds the file of a mesh by the name that the URDF has for it.
+    """
+    own = []
+    for visual in link.findall("visual"):
+        mesh = visual.find("geometry/mesh")
+        file = None if mesh is None else find(mesh.get("filename", ""))
+        if file or _is_drawable(visual):
+            own.append(look := _look(visual, visual))
+            for its in look.findall("geometry/mesh"):
+                its.set("filename", str(file))
+    painted = link.find("visual")
+    if own or painted is None:
+        return own
+    return [_look(solid, painted) for solid in link.findall("collision") if _is_drawable(solid)]
+
+
 def text_of(robot: Element) -> str:
     """Writes a URDF as text."""
     return ElementTree.tostring(robot, encoding="unicode")
@@ -219,7 +271,7 @@ def _check_numbers(robot: Element) -> Iterator[str]:
                     yield f"{given} must be {count} number{'s' * (count > 1)}"
                     continue
                 numbers = [float(word) for word in words]
-                if key not in ("effort", "value") and not all(abs(number) <= LARGEST for number in numbers):
+                if key not in UNBOUNDED and not all(abs(number) <= LARGEST for number in numbers):
                     yield f"{given} must be finite, and at most {LARGEST:g} in size"
                 elif key in ("size", "length") and min(numbers) <= 0:
                     yield f"{given} must be positive"
@@ -271,12 +323,19 @@ def _fold(robot: Element, joint: Element, frame: Element, carrier: Element, tran
     """Moves all that a frame carries to another link, whose frame it lies in by a transform (4, 4)."""
     robot.remove(joint)
     robot.remove(frame)
+    name = frame.attrib["name"]
     for element in [*frame.findall("visual"), *frame.findall("collision")]:
         carrier.append(element)
-        _place(element, transform @ _transform(element))
+        element.attrib.setdefault("of", name)
+        _set_origin(element, transform @ _transform(element))
+    ElementTree.SubElement(robot, "frame", name=name, link=name)
+    for element in robot.findall("frame"):
+        if element.attrib["link"] == name:
+            element.set("link", carrier.attrib["name"])
+            _set_origin(element, transform @ _transform(element))
     for other in robot.findall("joint"):
         if _carries(other, frame):
-            _place(other, transform @ _transform(other))
+            _set_origin(other, transform @ _transform(other))
             for parent in other.findall("parent"):
                 parent.set("link", carrier.attrib["name"])
 
@@ -324,8 +383,8 @@ def _inertial(link: Element) -> list[Element]:
 def _shape(tag: str, element: Element) -> Element:
     """Makes a visual or collision of the shape of another element."""
     shape = Element(tag)
-    shape.extend(_firsts(element, "origin"))
-    ElementTree.SubElement(shape, "geometry").extend(_firsts(element, "geometry/*"))
+    shape.extend(map(deepcopy, _firsts(element, "origin")))
+    ElementTree.SubElement(shape, "geometry").extend(map(deepcopy, _firsts(element, "geometry/*")))
     return shape
 
 
@@ -340,7 +399,7 @@ def _paint(material: Element) -> Element:
     paint = Element("material", name=material.get("name", ""))
     colour = material.find("color")
     if colour is not None and "rgba" in colour.attrib:
-        rgba = _words(min(max(value, 0.0), 1.0) for value in _floats(colour.attrib["rgba"]))
+        rgba = words(min(max(value, 0.0), 1.0) for value in _floats(colour.attrib["rgba"]))
         ElementTree.SubElement(paint, "color", rgba=rgba)
     return paint
 
@@ -363,7 +422,13 @@ def _transform(element: Element) -> Array:
     return transform
 
 
-def _place(element: Element, transform: Array) -> None:
+def place(element: Element, transform: Array) -> None:
+    """Moves an element by a transform (4, 4)."""
+    if not np.array_equal(transform, np.eye(4)):
+        _set_origin(element, transform @ _transform(element))
+
+
+def _set_origin(element: Element, transform: Array) -> None:
     """Gives an element the <origin> of a transform (4, 4)."""
     origin = element.find("origin")
     if origin is None:
@@ -375,11 +440,12 @@ def _place(element: Element, transform: Array) -> None:
         roll, yaw = atan2(r[2, 1], r[2, 2]), atan2(r[1, 0], r[0, 0])
     else:  # it points up or down: roll and yaw turn about one axis
         roll, yaw = atan2(-r[1, 2], r[1, 1]), 0.0
-    origin.set("xyz", _words(transform[:3, 3].tolist()))
-    origin.set("rpy", _words((roll, pitch, yaw)))
+    origin.set("xyz", words(transform[:3, 3].tolist()))
+    origin.set("rpy", words((roll, pitch, yaw)))
 
 
-def _words(numbers: Iterable[float]) -> str:
+def words(numbers: Iterable[float]) -> str:
+    """Writes numbers as the text of an attribute, exactly."""
     return " ".join(map(repr, numbers))
 
 
@@ -391,6 +457,7 @@ def _link(link: Element) -> Link:
         centre=np.eye(4) if inertial is None else _transform(inertial),
         inertia=_inertia(link.find("inertial/inertia")),
         solids=tuple(map(_solid, link.findall("collision"))),
+        looks=tuple(map(_solid, link.findall("visual"))),
     )
 
 
@@ -401,12 +468,20 @@ def _inertia(moments: Element | None) -> Array | None:
     return np.array([[float(moments.get(key, "0")) for key in row] for row in rows])
 
 
-def _solid(collision: Element) -> Solid:
-    shape = collision.find("geometry/*")
+def _solid(element: Element) -> Solid:
+    shape = element.find("geometry/*")
     kind = "" if shape is None else shape.tag
     sizes = {} if shape is None else shape.attrib
-    key = {"box": "size", "sphere": "radius"}.get(kind, "")
-    return Solid(kind, tuple(_floats(sizes.get(key, ""))), _transform(collision), sizes.get("filename", ""))
+    keys = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("scale",)}.get(kind, ())
+    numbers = tuple(number for key in keys for number in _floats(sizes.get(key, "")))
+    return Solid(kind, numbers, _transform(element), sizes.get("filename", ""), element.get("of", ""))
+
+
+def _friction(gazebo: Element) -> float | None:
+    """Reads the friction that Gazebo is told, as text or as an attribute."""
+    mu = gazebo.find("mu1")
+    text = "" if mu is None else (mu.text or "").strip() or mu.get("value", "").strip()
+    return abs(float(text)) if _NUMBER.fullmatch(text) else None
 
 
 def _joint(joint: Element) -> Joint:
@@ -418,5 +493,16 @@ def _joint(joint: Element) -> Joint:
         child=_end(joint, "child"),
         origin=_transform(joint),
         axis=np.array(_floats("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))),
-        effort=None if limit is None or "effort" not in limit.attrib else float(limit.attrib["effort"]),
+        effort=_limit(limit, "effort"),
+        velocity=_limit(limit, "velocity"),
+        turns_freely=_turns_freely(joint.get("type", ""), limit),
     )
+
+
+def _limit(limit: Element | None, key: str) -> float | None:
+    return None if limit is None or key not in limit.attrib else float(limit.attrib[key])
+
+
+def _turns_freely(kind: str, limit: Element | None) -> bool:
+    turn = (_limit(limit, "upper") or 0.0) - (_limit(limit, "lower") or 0.0)
+    return kind == "continuous" or (kind == "revolute" and turn >= 2 * pi)

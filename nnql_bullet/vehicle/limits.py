@@ -36,7 +36,8 @@ class Demand:
     torques: Array
     """Torques of the left and right drive (n, 2) [N m]."""
     loads: Array
-    """Loads on the left, right and caster wheel (n, 3) [N]; a wheel lifts where its load is negative."""
+    """Loads on the left wheel, the right one and all casters together (n, 3) [N]; a wheel lifts where its load is
+    negative."""
 
     @property
     def friction(self) -> Array:
@@ -90,7 +91,8 @@ def quasi_steady(vehicle: VehicleSpec, speed: float, yaw_rate: Array, yaw_accele
 
     product = _product_of_inertia(vehicle)
     caster_ahead, caster_left = _caster_contact(vehicle, v, w)
-    front = (m * GRAVITY * a - m * ahead * h + product * w * w) / caster_ahead
+    moved = (m * GRAVITY * a - m * ahead * h + product * w * w) / caster_ahead
+    front = m * GRAVITY * (1 - vehicle.stance.axle_share) + moved
     wheel_spin = 2 * vehicle.wheel_spin_inertia * v / radius
     overturning = side * h + product * alpha + wheel_spin * w + front * caster_left
     rear, transfer = (m * GRAVITY - front) / 2, overturning / track
@@ -261,12 +263,17 @@ def _product_of_inertia(vehicle: VehicleSpec) -> float:
 
 
 def _caster_contact(vehicle: VehicleSpec, speed: float, yaw_rate: Array) -> tuple[Array, Array]:
-    """Computes the caster's contact point, ahead and to the left of the rear-axle centre (n,) [m].
+    """Computes the contact point of a single caster, ahead and to the left of the rear-axle centre (n,) [m].
+
+    Of several casters, and of a ball, it is where they touch the ground straight ahead.
 
     The contact point moves in the wheel's plane: w L' cos(delta) - v sin(delta) = t w, with the swivel axis L' = L + t
     ahead of the axle and the trail t.
     """
-    trail, swivel = vehicle.caster_trail, vehicle.wheelbase + vehicle.caster_trail
+    if len(vehicle.casters) != 1 or not vehicle.casters[0].swivels or vehicle.wheelbase < 0:
+        return np.full_like(yaw_rate, vehicle.wheelbase), np.zeros_like(yaw_rate)
+    trail = vehicle.casters[0].trail
+    swivel = vehicle.wheelbase + trail
     across = yaw_rate * swivel
     delta = np.arctan2(across, speed) - np.arcsin(trail * yaw_rate / np.hypot(speed, across))
     return swivel - trail * np.cos(delta), -trail * np.sin(delta)

@@ -4,9 +4,12 @@ from dataclasses import replace
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+import numpy as np
+
 from nnql_bullet.errors import UserError
-from nnql_bullet.vehicle.description import for_physics, read, root_of, text_of
+from nnql_bullet.vehicle.description import for_physics, parse, root_of, text_of
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
+from nnql_bullet.vehicle.stances import margin
 
 LINK = "payload"
 """Name of the load's link in the URDF, fixed to the base."""
@@ -33,41 +36,37 @@ def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:
     together = m + p
     apart = payload.ahead - vehicle.com_ahead
     com_ahead = (m * vehicle.com_ahead + p * payload.ahead) / together
-    if not 0 < com_ahead < vehicle.wheelbase:
+    com_left = m * vehicle.com_left / together
+    if margin(np.array(vehicle.contacts), com_ahead, com_left) <= 0:
+        stance = vehicle.stance
         raise UserError(
             f"vehicle '{vehicle.name}' would tip over under {p:g} kg at x = {payload.ahead:.4g} m: the centre of mass "
-            f"would be at x = {com_ahead:.4g} m, and the wheels stand at 0 and {vehicle.wheelbase:.4g} m"
+            f"would be at x = {com_ahead:.4g} m, and the wheels stand at {-stance.behind + 0.0:.4g} and "
+            f"{stance.ahead:.4g} m"
         )
     return replace(
         vehicle,
         payload=payload,
         mass=together,
         com_ahead=com_ahead,
+        com_left=com_left,
         com_height=(m * vehicle.com_height + p * payload.height) / together,
         yaw_inertia=vehicle.yaw_inertia + payload.inertia + m * p / together * apart * apart,
     )
 
 
 def urdf_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load.
-
-    Raises:
-        UserError: If the URDF cannot be read.
-    """
+    """Returns the text of the vehicle's URDF with its looks, and with an additional link for its load."""
     return text_of(_with_load(vehicle))
 
 
 def physics_text(vehicle: VehicleSpec) -> str:
-    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load.
-
-    Raises:
-        UserError: If the URDF cannot be read.
-    """
+    """Returns the text of the vehicle's URDF that engines load, with an additional link for its load."""
     return for_physics(_with_load(vehicle))
 
 
 def _with_load(vehicle: VehicleSpec) -> Element:
-    robot = read(vehicle.urdf)
+    robot = parse(vehicle.description)
     if vehicle.payload is None:
         return robot
     payload, inertia = vehicle.payload, repr(vehicle.payload.inertia)

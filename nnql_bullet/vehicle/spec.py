@@ -1,12 +1,16 @@
 """The vehicle: its dimensions, masses, limits and friction, as its URDF and TOML describe them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nnql_bullet.config import options
 from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.types import NonNegative, Positive
+
+if TYPE_CHECKING:
+    from nnql_bullet.vehicle.stances import Stance
 
 
 @options
@@ -15,9 +19,9 @@ class JointNames:
 
     left_drive: str
     right_drive: str
-    swivel: str
-    """The free vertical axis of the caster."""
-    caster_roll: str
+    swivel: str = ""
+    """The free vertical axis of the caster; casters are found by their shapes and joints, so it need not be named."""
+    caster_roll: str = ""
 
 
 @options
@@ -30,6 +34,10 @@ class Limits:
     """[rad/s2]"""
     acceleration: Positive
     """Acceleration and deceleration along the vehicle [m/s2]."""
+    speed: Positive | None = None
+    """Largest speed, at which it drives unless told otherwise [m/s]; by default it has none of its own."""
+    wheel_torque: Positive | None = None
+    """Torque limit of each drive, in place of the URDF's effort [N m]."""
 
 
 @options
@@ -41,6 +49,8 @@ class ContactCoefficients:
     """Lever arm of the drive wheels' rolling resistance [m]."""
     spinning_friction: NonNegative
     """Lever arm of the drive wheels' resistance to turning on the spot [m]."""
+    ball_friction: NonNegative = 0.1
+    """Friction of casters that do not swivel, which slide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,41 +73,68 @@ class Payload:
 
 
 @dataclass(frozen=True, slots=True)
+class Caster:
+    """A support besides the drive wheels: a wheel that trails its swivel, or a ball that slides."""
+
+    link: str
+    """Name of the link that touches the ground."""
+    x: float
+    """Distance of its contact point ahead of the drive axle, when it trails straight ahead [m]."""
+    y: float
+    """Distance of its contact point to the left [m]."""
+    radius: float
+    """[m]"""
+    trail: float = 0.0
+    """Distance of its contact point behind its swivel axis [m]; 0 for a ball."""
+    spin_inertia: float = 0.0
+    """Moment of inertia of the wheel about its axle [kg m2]."""
+    swivel: str = ""
+    """Name of the joint that swivels; empty for a ball."""
+    roll: str = ""
+    """Name of the joint of the wheel; empty for a ball."""
+
+    @property
+    def swivels(self) -> bool:
+        """Whether it is a wheel that swivels."""
+        return bool(self.swivel)
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """A vehicle, in SI units and the chassis frame: origin at the rear-axle centre, x ahead, y left, z up."""
+    """A vehicle, in SI units and the chassis frame: origin at the drive-axle centre, x ahead, y left, z up."""
 
     name: str
     urdf: Path
-    joints: JointNames
+    description: str = field(repr=False)
+    """Its URDF in the form that is loaded; see `canonical`."""
+    joints: dict[str, str]
+    """Names of the joints that move: `left_drive`, `right_drive`, and of each caster that swivels `swivel` and
+    `caster_roll`, from the second one on with its number."""
     links: dict[str, str]
-    """Names of the links that the joints move, by the fields of `joints`."""
+    """Names of the links that these joints move, by the same keys."""
     limits: Limits
     contact: ContactCoefficients
     sensor: Sensor
     footprint: OrientedBox
-    """The collision box of the chassis, seen from above."""
+    """The rectangle around all that sticks out, seen from above."""
     mass: float
     """Mass of all links and the payload [kg]."""
     com_ahead: float
-    """Distance of the centre of mass ahead of the rear axle [m]."""
+    """Distance of the centre of mass ahead of the drive axle [m]."""
+    com_left: float
+    """Its distance to the left of the centre line [m]."""
     com_height: float
     """Height of the centre of mass above the ground [m]."""
     yaw_inertia: float
     """Moment of inertia about the vertical axis through the centre of mass [kg m2]."""
     track: float
     """Distance between the drive wheels [m]."""
-    wheelbase: float
-    """Distance from the rear axle to the contact point of the trailing caster [m]."""
     wheel_radius: float
     """[m]"""
-    caster_radius: float
-    """[m]"""
-    caster_trail: float
-    """Distance of the caster's contact point behind its swivel axis [m]."""
+    casters: tuple[Caster, ...]
+    """What it stands on besides its drive wheels."""
     wheel_spin_inertia: float
     """Moment of inertia of one drive wheel about its axle [kg m2]."""
-    caster_spin_inertia: float
-    """Moment of inertia of the caster wheel about its axle [kg m2]."""
     wheel_torque: float
     """Torque limit of each drive [N m]."""
     payload: Payload | None = None
@@ -117,6 +154,13 @@ class VehicleSpec:
         """Reads a robot's TOML file and its URDF; see `urdf.load_vehicle`."""
         return VehicleSpec.load(path)
 
+    @staticmethod
+    def from_urdf(path: str | Path) -> "VehicleSpec":
+        """Reads a robot's URDF or xacro, with the limits that suit it; see `translation.read_robot`."""
+        from nnql_bullet.vehicle.translation import read_robot
+
+        return read_robot(path).vehicle
+
     @property
     def sensor_height(self) -> float:
         """Height of the rays above the ground [m]."""
@@ -125,13 +169,31 @@ class VehicleSpec:
     @property
     def rolling_mass(self) -> float:
         """Effective mass for acceleration straight ahead: the mass and the inertia of the spinning wheels [kg]."""
-        drive, caster = self.wheel_spin_inertia / self.wheel_radius**2, self.caster_spin_inertia / self.caster_radius**2
-        return self.mass + 2 * drive + caster
+        drive = self.wheel_spin_inertia / self.wheel_radius**2
+        return self.mass + 2 * drive + sum(its.spin_inertia / its.radius**2 for its in self.casters)
+
+    @property
+    def contacts(self) -> tuple[tuple[float, float], ...]:
+        """Where it stands, x ahead of the drive axle and y left: drive wheels, casters [m]."""
+        return ((0.0, self.track / 2), (0.0, -self.track / 2), *((its.x, its.y) for its in self.casters))
+
+    @property
+    def stance(self) -> "Stance":
+        """How the ground carries it; see `stances.stance`."""
+        from nnql_bullet.vehicle.stances import stance
+
+        return stance(self)
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance from the drive axle to the casters, negative behind it; see `Stance.wheelbase` for several [m]."""
+        return self.stance.wheelbase
 
     @property
     def rear_share(self) -> float:
         """Share of the weight on both drive wheels together at rest."""
-        return 1 - self.com_ahead / self.wheelbase
+        stance = self.stance
+        return stance.axle_share - self.com_ahead / stance.wheelbase
 
     def gripping(self, friction: float) -> "VehicleSpec":
         """Returns the vehicle with another friction of its wheels."""

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -11,18 +12,17 @@ from nnql_bullet import assets
 from nnql_bullet.config import options, parse, read_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
-from nnql_bullet.geometry import Array, OrientedBox
+from nnql_bullet.geometry import OrientedBox
 from nnql_bullet.sensing import Sensor
-from nnql_bullet.vehicle.description import LARGEST, Description, Joint, Link, Solid, Unfit, describe, read, refuse
-from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, VehicleSpec
+from nnql_bullet.vehicle.canonical import canonical, composite, placed_inertia
+from nnql_bullet.vehicle.description import LARGEST, Description, Link, Unfit, describe, read, refuse, text_of
+from nnql_bullet.vehicle.mechanism import Mechanism, find_mechanism, rounded
+from nnql_bullet.vehicle.shapes import Meshes
+from nnql_bullet.vehicle.spec import Caster, ContactCoefficients, JointNames, Limits, VehicleSpec
+from nnql_bullet.vehicle.stances import margin
 
-NEAR = 1e-3
-"""Tolerance of positions [m] and directions [rad]: URDFs round them, for example a quarter turn to 1.57."""
-CENTRED = 0.02
-"""Share of the track by which the centre of mass may be off the centre line, where `limits` takes it to be."""
-WHEELS = ("left_drive", "right_drive", "caster_roll")
-"""Fields of `JointNames` whose joints carry a wheel."""
-KIND = "a vehicle has two driven wheels and one caster in front that swivels"
+FALSE_INERTIA = 0.01
+"""Share of the mass of all links up to which the inertia of a link may be one that no body has; it then counts as 0."""
 
 
 @options
@@ -31,10 +31,11 @@ class RobotFile:
 
     urdf: str
     """Path of the URDF, in the folder of the TOML or below it."""
-    joints: JointNames
     limits: Limits
     contact: ContactCoefficients
     sensor: Sensor
+    joints: JointNames | None = None
+    """By default the drive wheels are found by their joints and shapes."""
 
 
 def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
@@ -49,6 +50,8 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     if isinstance(vehicle, VehicleSpec):
         return vehicle
     name = str(vehicle)
+    if Path(name).suffix.lower() in (".urdf", ".xacro"):
+        raise UserError(f"{name}: write a TOML for this robot first: nnql-bullet robot {name} --write robot.toml")
     path = assets.find("robots", name)
     robot = parse(RobotFile, read_toml(path), str(path))
     if Path(robot.urdf).is_absolute() or ".." in Path(robot.urdf).parts:
@@ -56,11 +59,13 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     urdf_path = path.parent / robot.urdf
     if not is_file(urdf_path):
         raise UserError(f"{urdf_path}: there is no such URDF; put it beside its TOML, or correct 'urdf' there")
-    urdf = describe(read(urdf_path))
+    meshes, source = Meshes(urdf_path), read(urdf_path)
     try:
-        return replace(_spec(path.stem, urdf_path, robot, urdf), source=name)
+        mechanism = mechanism_of(source, meshes, robot.joints, needs_effort=robot.limits.wheel_torque is None)
+        made = vehicle_of(path.stem, urdf_path, canonical(source, mechanism, meshes), mechanism, robot)
     except Unfit as error:
         raise UserError(f"{urdf_path}: {error}") from None
+    return replace(made, source=name)
 
 
 def robot_name(vehicle: str | Path | VehicleSpec) -> str:
@@ -76,248 +81,171 @@ def robot_name(vehicle: str | Path | VehicleSpec) -> str:
     return vehicle.source
 
 
-def _spec(name: str, path: Path, robot: RobotFile, urdf: Description) -> VehicleSpec:
-    names = {field: getattr(robot.joints, field) for field in JointNames.__annotations__}
-    links = {field: urdf.joints[joint].child for field, joint in names.items() if joint in urdf.joints}
-    wheels = {field: urdf.links[links[field]] for field in WHEELS if field in links}
-    driven = [urdf.joints[names[field]] for field in WHEELS[:2] if field in links]
-    problems = [
-        *_check_joints(urdf, names),
-        *(problem for wheel in wheels.values() for problem in _check_wheel(wheel)),
-        *(problem for joint in driven for problem in _check_effort(joint)),
-        *_check_box(urdf.links[urdf.base]),
-        *_check_other_links(urdf, {urdf.base, *(wheel.name for wheel in wheels.values())}),
-        *_check_masses(urdf),
-    ]
-    at = {field: urdf.frames[link][:3, 3] for field, link in links.items()}
-    radius = {field: spheres[0].sizes[0] for field, wheel in wheels.items() if (spheres := _spheres(wheel))}
-    if len(links) == len(names) and len(radius) == len(WHEELS):
-        problems += [*_check_axle(urdf.base, at, radius), *_check_caster(at, radius)]
+def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None, needs_effort: bool = False) -> Mechanism:
+    """Finds what drives a vehicle, and checks that it is what its TOML says.
+
+    Raises:
+        Unfit: If it cannot be driven.
+    """
+    urdf = describe(source)
+    drives = (joints.left_drive, joints.right_drive) if joints else None
+    problems = list(_check_masses(urdf))
+    try:
+        found = find_mechanism(urdf, meshes, drives)
+    except Unfit as error:
+        refuse([*problems, str(error)])
+        raise
+    if needs_effort:
+        problems += _check_efforts(found)
+    if joints:
+        if found.left.joint != joints.left_drive:
+            problems.append("the left drive wheel is not to the left of the right one; swap the joints in the TOML")
+        casters = {(caster.swivel, caster.wheel.joint) for caster in found.casters if caster.fork}
+        told = (joints.swivel, joints.caster_roll)
+        if told != ("", "") and told not in casters:
+            there = ", ".join(f"'{swivel}' with '{roll}'" for swivel, roll in sorted(casters)) or "none"
+            problems.append(
+                f"'{told[1]}' (joints.caster_roll) is no wheel that trails the swivel '{told[0]}' (joints.swivel); "
+                f"such casters are: {there}"
+            )
     refuse(problems)
-    mass, com, inertia = _composite(urdf)
-    wheel, box = radius["left_drive"], urdf.links[urdf.base].solids[0]
+    return found
+
+
+def vehicle_of(name: str, path: Path, written: Element, mechanism: Mechanism, robot: RobotFile) -> VehicleSpec:
+    """Makes the record of a vehicle.
+
+    Args:
+        name: Its name.
+        path: Its URDF.
+        written: The URDF in the form that is loaded.
+        mechanism: What drives it.
+        robot: What its TOML says.
+
+    Raises:
+        Unfit: If it would not stand.
+    """
+    urdf = describe(written)
+    bodies = [placed_inertia(link, urdf.frames[link.name]) for link in urdf.links.values()]
+    mass, com, inertia = composite(bodies)
+    left, right = mechanism.left, mechanism.right
+    wheel = left.radius
+    middle, half = mechanism.box
+    at = np.asarray(robot.sensor.position)
+    sensor = mechanism.frame[:3, :3] @ at + mechanism.frame[:3, 3]
+    efforts = [mechanism.urdf.joints[its.joint].effort for its in (left, right)]
+    torque = robot.limits.wheel_torque or min(effort or 0.0 for effort in efforts)
+    casters = tuple(_caster(urdf, mechanism, number) for number in range(len(mechanism.casters)))
+    swivelling = [its for its in mechanism.casters if its.fork]
+    joints, links = {"left_drive": left.joint, "right_drive": right.joint}, {}
+    for number, caster in enumerate(swivelling, 1):
+        end = f"_{number}" if number > 1 else ""
+        joints |= {f"swivel{end}": caster.swivel, f"caster_roll{end}": caster.wheel.joint}
+    links = {key: urdf.joints[joint].child for key, joint in joints.items()}
     vehicle = VehicleSpec(
         name=name,
         urdf=path,
-        joints=robot.joints,
+        description=text_of(written),
+        joints=joints,
         links=links,
         limits=robot.limits,
         contact=robot.contact,
-        sensor=robot.sensor,
-        footprint=_footprint(box),
+        sensor=replace(robot.sensor, position=(float(sensor[0]), float(sensor[1]), float(sensor[2]))),
+        footprint=OrientedBox(float(middle[0]), float(middle[1]), float(half[0]), float(half[1])),
         mass=mass,
         com_ahead=float(com[0]),
+        com_left=float(com[1]),
         com_height=float(com[2]) + wheel,
         yaw_inertia=float(inertia[2, 2]),
-        track=float(at["left_drive"][1] - at["right_drive"][1]),
-        wheelbase=float(at["caster_roll"][0]),
+        track=float(left.part.origin[1] - right.part.origin[1]),
         wheel_radius=wheel,
-        caster_radius=radius["caster_roll"],
-        caster_trail=float(at["swivel"][0] - at["caster_roll"][0]),
-        wheel_spin_inertia=_spin_inertia(urdf, names["left_drive"]),
-        caster_spin_inertia=_spin_inertia(urdf, names["caster_roll"]),
-        wheel_torque=min(joint.effort or inf for joint in driven),
+        casters=casters,
+        wheel_spin_inertia=_spin_inertia(urdf, left.part.name),
+        wheel_torque=torque,
     )
-    coverage = _check_coverage(vehicle, at["swivel"][0])
-    refuse([*_check_balance(vehicle, float(com[1])), *coverage, *_check_heights(vehicle, box)])
+    refuse([*_check_balance(vehicle), *_check_heights(vehicle, mechanism)])
     return vehicle
 
 
-def _check_joints(urdf: Description, names: dict[str, str]) -> Iterator[str]:
-    """Checks that the joints with a role, and no others, move, and move as their role needs it."""
-    if missing := {field: joint for field, joint in names.items() if joint not in urdf.joints}:
-        there = ", ".join(urdf.joints)
-        for field, joint in missing.items():
-            yield f"has no joint '{joint}' (joints.{field}); its joints are: {there}"
+def _caster(urdf: Description, mechanism: Mechanism, number: int) -> Caster:
+    caster = mechanism.casters[number]
+    wheel = caster.wheel
+    x, y, _ = wheel.part.origin.tolist()
+    if not caster.fork:
+        return Caster(wheel.part.name, x, y, wheel.radius)
+    spin = _spin_inertia(urdf, wheel.part.name)
+    return Caster(wheel.part.name, x, y, wheel.radius, caster.trail, spin, caster.swivel, wheel.joint)
+
+
+def _spin_inertia(urdf: Description, link: str) -> float:
+    """Computes the moment of inertia of a wheel about the axis y of its frame [kg m2]."""
+    wheel = urdf.links[link]
+    axis = wheel.centre[:3, :3].T @ np.array([0.0, 1.0, 0.0])
+    return float(axis @ np.asarray(wheel.inertia) @ axis)
+
+
+def _check_efforts(mechanism: Mechanism) -> Iterator[str]:
+    """Checks that the drives have a torque limit."""
+    efforts = [mechanism.urdf.joints[its.joint].effort or 0.0 for its in (mechanism.left, mechanism.right)]
+    if not all(0 < effort < inf for effort in efforts):
+        names = f"'{mechanism.left.joint}' and '{mechanism.right.joint}'"
+        yield f"the drive joints {names} have no <limit effort>; give it in N m, or limits.wheel_torque in the TOML"
+
+
+def _check_balance(vehicle: VehicleSpec) -> Iterator[str]:
+    """Checks that the vehicle stands on its wheels."""
+    if not vehicle.casters:
+        yield "it has no caster: nothing but its two drive wheels touches the ground, and it would fall over"
         return
-    for field, joint in names.items():
-        if (kind := urdf.joints[joint].kind) != "continuous":
-            yield f"joint '{joint}' is {kind}; make it continuous (joints.{field}: {KIND})"
-    if len(set(names.values())) < len(names):
-        yield f"[joints] in the TOML names one joint twice: {', '.join(names.values())}"
-    for each in urdf.joints.values():
-        if each.kind != "fixed" and each.name not in names.values():
-            yield (f"joint '{each.name}' is {each.kind}, and [joints] names no role for it; make it fixed ({KIND})")
-    for field, joint in names.items():
-        if urdf.joints[joint].kind != "continuous":
-            continue
-        child = urdf.joints[joint].child
-        expected = [joint, names["swivel"]] if field == "caster_roll" else [joint]
-        if urdf.moving_joints_above(child) != expected:
-            carrier = f"its swivel '{names['swivel']}'" if field == "caster_roll" else f"the base link '{urdf.base}'"
-            yield (f"joint '{joint}' (joints.{field}) must hang on {carrier}, with nothing that moves between them")
-        axis = (0.0, 0.0, 1.0) if field == "swivel" else (0.0, 1.0, 0.0)
-        turned = urdf.frames[child][:3, :3] @ urdf.joints[joint].axis
-        if not np.allclose(turned, axis, rtol=0, atol=NEAR):
-            yield (
-                f"joint '{joint}' must have the axis {axis}, so that a positive speed rolls ahead; "
-                f"its origin's rpy included, it has {_rounded(turned)}"
-            )
-
-
-def _check_axle(base: str, at: dict[str, Array], radius: dict[str, float]) -> Iterator[str]:
-    """Checks that the frame of the base link lies in the middle of the drive axle."""
-    left, right = at["left_drive"], at["right_drive"]
-    if abs(radius["left_drive"] - radius["right_drive"]) > 1e-9:
-        yield "the drive wheels differ in radius"
-    if left[1] <= right[1]:
-        yield "the left drive wheel is not to the left of the right one; swap the joints in the TOML"
-    if np.any(np.abs(left - right)[[0, 2]] > NEAR):
-        yield f"the drive wheels are not on one axle, but at {_rounded(left)} and {_rounded(right)}"
-    middle = (left + right) / 2
-    if np.any(np.abs(middle) > NEAR):
+    inside = margin(np.array(vehicle.contacts), vehicle.com_ahead, vehicle.com_left)
+    if inside <= 0:
+        ends = vehicle.stance
         yield (
-            f"the frame of the base link '{base}' must lie in the middle of the drive axle, which is at "
-            f"{_rounded(middle)} in it; move all origins in the base link by {_rounded(-middle)}, and the sensor too"
+            f"the vehicle would tip over: its centre of mass is at x = {vehicle.com_ahead:.4g}, y = "
+            f"{vehicle.com_left:.4g} m of the drive axle, and it stands on x = {-ends.behind:.4g} to "
+            f"{ends.ahead:.4g} m: {', '.join(str(rounded(np.array(at))) for at in vehicle.contacts)}"
         )
+    elif not 0 < (share := vehicle.rear_share) <= 1 + 1e-9:
+        yield f"its drive wheels would carry {100 * share:.0f} % of the weight, which is not between 0 and 100 %"
 
 
-def _check_caster(at: dict[str, Array], radius: dict[str, float]) -> Iterator[str]:
-    """Checks that the caster is in front, on the centre line, trails its swivel, and stands on the ground."""
-    swivel, wheel = at["swivel"], at["caster_roll"]
-    if wheel[0] <= NEAR:
-        yield f"the caster wheel is not ahead of the drive axle, but at x = {wheel[0]:.4g} m; {KIND}"
-    if wheel[0] >= swivel[0] - NEAR:
-        yield "the caster wheel does not trail its swivel; put its centre behind the swivel axis"
-    if max(abs(swivel[1]), abs(wheel[1])) > NEAR:
-        yield (
-            f"the caster is off the centre line: its swivel is at y = {swivel[1]:.4g} m, its wheel at {wheel[1]:.4g} m"
-        )
-    above = wheel[2] - radius["caster_roll"] + radius["left_drive"]
-    if abs(above) > NEAR:
-        way = "above" if above > 0 else "below"
-        yield f"the caster wheel ends {abs(above):.4g} m {way} the ground that the drive wheels stand on"
-
-
-def _check_other_links(urdf: Description, known: set[str]) -> Iterator[str]:
-    """Checks that links without a role have no collision shapes."""
-    for link in urdf.links.values():
-        if link.solids and link.name not in known:
-            yield (
-                f"link '{link.name}' has a collision shape that would touch nothing: only wheels and the base link "
-                f"'{urdf.base}' do; remove it, and let the box of the base link cover it"
-            )
-
-
-def _check_balance(vehicle: VehicleSpec, com_left: float) -> Iterator[str]:
-    """Checks that the vehicle stands on its three wheels."""
-    if abs(com_left) > CENTRED * vehicle.track:
-        yield (f"the centre of mass is off the centre line, at y = {com_left:.4g} m; balance the masses about y = 0")
-    if not 0 < vehicle.com_ahead < vehicle.wheelbase:
-        yield (
-            f"the vehicle would tip over: its centre of mass is at x = {vehicle.com_ahead:.4g} m, and its wheels stand "
-            f"at 0 and {vehicle.wheelbase:.4g} m"
-        )
-
-
-def _check_coverage(vehicle: VehicleSpec, swivel_ahead: float) -> Iterator[str]:
-    """Checks that the footprint covers the wheels, the caster at each angle: only the footprint meets obstacles."""
-    box, sweep = vehicle.footprint, vehicle.caster_trail + vehicle.caster_radius
-    rear, front = min(-vehicle.wheel_radius, swivel_ahead - sweep), max(vehicle.wheel_radius, swivel_ahead + sweep)
-    side = max(vehicle.track / 2, sweep)
-    low_x, high_x = box.x - box.half_length, box.x + box.half_length
-    low_y, high_y = box.y - box.half_width, box.y + box.half_width
-    if low_x > rear + NEAR or high_x < front - NEAR or low_y > NEAR - side or high_y < side - NEAR:
-        yield (
-            f"the box of the base link must cover the wheels, the caster at each angle: from x = {rear:.4g} to "
-            f"{front:.4g} m and y = {-side:.4g} to {side:.4g} m; "
-            f"it is from x = {low_x:.4g} to {high_x:.4g} m and y = {low_y:.4g} to {high_y:.4g} m"
-        )
-
-
-def _check_heights(vehicle: VehicleSpec, box: Solid) -> Iterator[str]:
+def _check_heights(vehicle: VehicleSpec, mechanism: Mechanism) -> Iterator[str]:
     """Checks that nothing is under the ground, and that an obstacle which reaches up to the sensor meets the box."""
-    middle, half = box.origin[2, 3] + vehicle.wheel_radius, float(_reach(box)[2])
+    middle, half = mechanism.box
+    low, high = (float(middle[2] + side * half[2]) + vehicle.wheel_radius for side in (-1, 1))
     if vehicle.com_height <= 0:
         yield f"the centre of mass is under the ground, at a height of {vehicle.com_height:.4g} m"
     if vehicle.sensor_height <= 0:
         yield f"sensor.position in the TOML is under the ground, at a height of {vehicle.sensor_height:.4g} m"
-    if middle + half <= 0 or middle - half >= vehicle.sensor_height:
+    if high <= 0 or low >= vehicle.sensor_height:
         yield (
-            f"the box of the base link is between the heights {middle - half:.4g} and {middle + half:.4g} m, so that "
-            f"obstacles that the sensor sees at {vehicle.sensor_height:.4g} m may not touch it"
+            f"the body is between the heights {low:.4g} and {high:.4g} m, so that obstacles that the sensor sees at "
+            f"{vehicle.sensor_height:.4g} m may not touch it"
         )
 
 
 def _check_masses(urdf: Description) -> Iterator[str]:
     """Checks that links have masses and inertias that bodies can have."""
-    for link in urdf.links.values():
-        if link.mass is None or link.inertia is None:
-            yield f"link '{link.name}' has no mass and inertia; give it an <inertial>"
-            continue
-        least, middle, largest = np.linalg.eigvalsh(link.inertia)
-        if not 0 < link.mass <= LARGEST or least <= 0:
-            yield f"link '{link.name}' has a mass or inertia that is not positive (mass {link.mass:g} kg)"
-        elif largest > (least + middle) * (1 + 1e-12):  # PyBullet sets such an inertia to zero
-            yield (
-                f"link '{link.name}' has an inertia that no body has: its largest moment, {largest:.4g} kg m2, is more "
-                f"than both others together, {least:.4g} and {middle:.4g}"
-            )
-
-
-def _composite(urdf: Description) -> tuple[float, Array, Array]:
-    """Computes mass, centre of mass and inertia about it of all links together (parallel-axis theorem)."""
-    parts = []
-    for link in urdf.links.values():
-        frame = urdf.frames[link.name] @ link.centre
-        rotation = frame[:3, :3]
-        parts.append((link.mass or 0.0, frame[:3, 3], rotation @ np.asarray(link.inertia) @ rotation.T))
-    mass = sum(m for m, _, _ in parts)
-    com = sum((m * c for m, c, _ in parts), np.zeros(3)) / mass
-    offsets = [(m, c - com, i) for m, c, i in parts]
-    inertia = sum((i + m * (d @ d * np.eye(3) - np.outer(d, d)) for m, d, i in offsets), np.zeros((3, 3)))
-    return mass, com, inertia
-
-
-def _spin_inertia(urdf: Description, joint: str) -> float:
-    """Computes the moment of inertia of a wheel about the axis of its joint [kg m2]."""
-    link = urdf.links[urdf.joints[joint].child]
-    axis = link.centre[:3, :3].T @ urdf.joints[joint].axis
-    return float(axis @ np.asarray(link.inertia) @ axis)
-
-
-def _check_wheel(wheel: Link) -> Iterator[str]:
-    """Checks that a wheel has one collision shape, a sphere on its axle."""
-    spheres = _spheres(wheel)
-    if not spheres:
-        yield f"wheel '{wheel.name}' has no <sphere> collision shape; contact with the ground is true only for spheres"
-    elif len(wheel.solids) > 1:
-        yield f"wheel '{wheel.name}' has {len(wheel.solids)} collision shapes; leave it one <sphere>"
-    elif np.any(np.abs(offset := spheres[0].origin[:3, 3]) > NEAR):
-        yield f"the sphere of wheel '{wheel.name}' is at {_rounded(offset)} from its axle; put it at 0 0 0"
-
-
-def _spheres(wheel: Link) -> list[Solid]:
-    return [solid for solid in wheel.solids if solid.kind == "sphere" and solid.sizes and solid.sizes[0] > NEAR]
-
-
-def _check_effort(joint: Joint) -> Iterator[str]:
-    """Checks that a driven joint has a torque limit."""
-    if joint.effort is None or not 0 < joint.effort < inf:
-        yield f"joint '{joint.name}' has no <limit effort>; give its torque limit in N m"
-
-
-def _check_box(base: Link) -> Iterator[str]:
-    """Checks that the base link has one collision shape, a box that is parallel to the axes of its frame."""
-    if [solid.kind for solid in base.solids] != ["box"] or len(base.solids[0].sizes) != 3:
-        there = ", ".join(solid.title for solid in base.solids) or "none"
-        yield f"base link '{base.name}' must have exactly one collision shape, a <box> over the footprint, not: {there}"
+    total = sum(link.mass or 0.0 for link in urdf.links.values())
+    if total <= 0:
+        yield "no link has a mass; give each an <inertial>"
         return
-    turned = np.abs(base.solids[0].origin[:3, :3])
-    if np.any((turned > NEAR) & (turned < 1 - NEAR)):
-        yield f"the box of base link '{base.name}' is askew; turn it by quarters only, or draw a box around it"
+    for link in urdf.links.values():
+        if link.mass is not None and not 0 <= link.mass <= LARGEST:
+            yield f"link '{link.name}' has a mass of {link.mass:g} kg; give it one above 0"
+        elif link.mass and link.mass > FALSE_INERTIA * total:
+            yield from _check_inertia(link)
 
 
-def _reach(box: Solid) -> Array:
-    """Computes half the edges of the upright box around a turned box (3,) [m]."""
-    return np.asarray(np.abs(box.origin[:3, :3]) @ (np.array(box.sizes) / 2))
-
-
-def _footprint(box: Solid) -> OrientedBox:
-    """Computes the rectangle that a box covers, seen from above."""
-    length, width, _ = _reach(box).tolist()
-    return OrientedBox(float(box.origin[0, 3]), float(box.origin[1, 3]), length, width)
-
-
-def _rounded(vector: Array) -> tuple[float, ...]:
-    return tuple(round(value, 4) + 0.0 for value in vector.tolist())
+def _check_inertia(link: Link) -> Iterator[str]:
+    if link.inertia is None:
+        yield f"link '{link.name}' has a mass of {link.mass:g} kg and no inertia; give it one"
+        return
+    least, middle, largest = np.linalg.eigvalsh(link.inertia)
+    if least <= 0:
+        yield f"link '{link.name}' has an inertia that is not positive: its least moment is {least:.4g} kg m2"
+    elif largest > (least + middle) * (1 + 1e-12):  # PyBullet sets such an inertia to zero
+        yield (
+            f"link '{link.name}' has an inertia that no body has: its largest moment, {largest:.4g} kg m2, is more "
+            f"than both others together, {least:.4g} and {middle:.4g}"
+        )

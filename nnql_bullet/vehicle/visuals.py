@@ -54,14 +54,14 @@ class Visuals:
         paints = {material.name: material.color for material in self._urdf.robot.materials}
         links = self._urdf.link_map.values()
         self.shapes = [_shape(link.name, visual, paints) for link in links for visual in link.visuals]
-        self._joints = [vehicle["joints"][key] for key in ("left_drive", "right_drive", "swivel", "caster_roll")]
+        self._joints = list(vehicle["joints"].values())
         self._axle_height = vehicle["wheel_radius"]
 
     def link_frames(self, joint_angles: Sequence[float]) -> dict[str, Array]:
         """Computes the transforms from each link's frame to the chassis frame (4, 4), by link.
 
         Args:
-            joint_angles: Angles of left drive, right drive, swivel and caster roll [rad].
+            joint_angles: Angles of the joints of the recording's vehicle, in its order [rad].
         """
         self._urdf.update_cfg(dict(zip(self._joints, joint_angles, strict=True)))
         return {link: self._urdf.get_transform(link) for link in self._urdf.link_map}

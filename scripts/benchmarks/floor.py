@@ -182,14 +182,14 @@ class Floor:
             pybullet.getJointInfo(self.body, joint, client)[1].decode(): joint
             for joint in range(pybullet.getNumJoints(self.body, client))
         }
-        self.left, self.right = joints[vehicle.joints.left_drive], joints[vehicle.joints.right_drive]
-        caster = joints[vehicle.joints.caster_roll]
-        for joint in (joints[vehicle.joints.swivel], caster):
+        self.left, self.right = joints[vehicle.joints["left_drive"]], joints[vehicle.joints["right_drive"]]
+        caster = joints[vehicle.joints["caster_roll"]]
+        for joint in (joints[vehicle.joints["swivel"]], caster):
             mode = pybullet.VELOCITY_CONTROL
             pybullet.setJointMotorControl2(self.body, joint, mode, force=0.0, physicsClientId=client)
         velocity = [self.speed * cos(start.yaw), self.speed * sin(start.yaw), 0.0]
         pybullet.resetBaseVelocity(self.body, velocity, physicsClientId=client)
-        radii = {self.left: vehicle.wheel_radius, self.right: vehicle.wheel_radius, caster: vehicle.caster_radius}
+        radii = {self.left: vehicle.wheel_radius, self.right: vehicle.wheel_radius, caster: vehicle.casters[0].radius}
         for wheel, radius in radii.items():
             friction = vehicle.contact.wheel_friction
             pybullet.changeDynamics(self.body, wheel, lateralFriction=friction, physicsClientId=client)
