@@ -126,7 +126,7 @@ class RunConfig:
     start: Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)] | None = None
     """x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map; by default the world's own."""
     target: Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)] | None = None
-    """x, y [m] of the target in that frame; by default the world's own."""
+    """x, y [m] of the target in that frame; by default its own."""
     allow_impassable: bool = False
     """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
     robot: str = "tricycle"

@@ -164,7 +164,7 @@ class TestCommand:
             (("--only", "colour"), "only: there is no factor 'colour'; factors: period, front, "),
             (("--only", ""), "only: there is no factor ''"),
             (("sb3_dqn",), "there is no ablation of 'sb3_dqn'; presets: paper, "),
-            (("--seeds", 0), "seeds must be at least 1, not 0"),
+            (("--seeds", 0), "seeds must be from 1 to 1000, not 0"),
             (("--worlds", 0), "the number of worlds must be from 1 to 1000"),
             (("--episodes", 0), "'episodes': input should be greater than or equal to 1"),
             (("--vehicles", 0), "'vehicles': input should be greater than or equal to 1"),

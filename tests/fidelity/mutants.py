@@ -8,7 +8,8 @@ from math import radians, sin
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
-from xml.etree.ElementTree import Element, ElementTree, parse
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pybullet
@@ -40,16 +41,14 @@ class FaultyBench(Bench):
     """A bench that expects what is true of its vehicle, and whose simulators are at fault."""
 
     fault: Fault = Fault(())
-    folder: Path = Path()
 
     @contextmanager
     def open_engine(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[BulletEngine]:
         wrong = self.fault.vehicle(vehicle or self.vehicle)
         if self.fault.urdf:
-            tree: ElementTree = parse(wrong.urdf)
-            self.fault.urdf(tree.getroot())
-            tree.write(self.folder / "wrong.urdf")
-            wrong = replace(wrong, urdf=self.folder / "wrong.urdf")
+            robot = ElementTree.fromstring(wrong.description)
+            self.fault.urdf(robot)
+            wrong = replace(wrong, description=ElementTree.tostring(robot, encoding="unicode"))
         settings = self.fault.settings(PHYSICS[self.physics])
         with closing(self.fault.made_by(wrong, DriveOptions(**drive), settings)) as made:
             yield made

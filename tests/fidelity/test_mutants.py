@@ -14,14 +14,14 @@ def reds(bench: FaultyBench, probe: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_is_seen(vehicle: VehicleSpec, tmp_path: Path, name: str) -> None:
+def test_a_fault_is_seen(vehicle: VehicleSpec, name: str) -> None:
     fault = FAULTS[name]
-    blind = [probe for probe in fault.seen_by if not reds(FaultyBench(vehicle, fault=fault, folder=tmp_path), probe)]
+    blind = [probe for probe in fault.seen_by if not reds(FaultyBench(vehicle, fault=fault), probe)]
     assert not blind
 
 
 def test_without_a_fault_the_same_bench_is_green(vehicle: VehicleSpec, tmp_path: Path) -> None:
-    bench = FaultyBench(vehicle, fault=Fault((), urdf=lambda robot: None), folder=tmp_path)
+    bench = FaultyBench(vehicle, fault=Fault((), urdf=lambda robot: None))
     assert not {probe: found for probe in PROBES if (found := reds(bench, probe))}
 
 
