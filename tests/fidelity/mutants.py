@@ -5,7 +5,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from math import radians, sin
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 from xml.etree import ElementTree

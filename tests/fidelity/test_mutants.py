@@ -1,7 +1,5 @@
 """A suite is worth the faults that it finds: each of these has to turn the probes red that are there for it."""
 
-from pathlib import Path
-
 import pytest
 from mutants import FAULTS, Fault, FaultyBench
 
@@ -20,7 +18,7 @@ def test_a_fault_is_seen(vehicle: VehicleSpec, name: str) -> None:
     assert not blind
 
 
-def test_without_a_fault_the_same_bench_is_green(vehicle: VehicleSpec, tmp_path: Path) -> None:
+def test_without_a_fault_the_same_bench_is_green(vehicle: VehicleSpec) -> None:
     bench = FaultyBench(vehicle, fault=Fault((), urdf=lambda robot: None))
     assert not {probe: found for probe in PROBES if (found := reds(bench, probe))}
 
