@@ -19,7 +19,9 @@ from nnql_bullet.sim.base import WorkerDied
 
 Cli = Callable[..., tuple[int, str, str]]
 
-NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report"), ("what",)) | {"worlds": ("list",)}
+NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot"), ("what",)) | {
+    "worlds": ("list",)
+}
 """Arguments without which a verb is not called."""
 RAISED = {
     "bad input": (UserError("no such thing"), 2),

@@ -323,7 +323,7 @@ ROLLING = (
         title="It backs up as a unicycle does, and its caster swings round",
         closed_form=(
             "swivel' = (w (L + trail) cos(swivel) - v sin(swivel)) / trail - w; straight back "
-            "t = (trail/|v|) ln(tan(75 deg) / tan(15 deg))"
+            "t = -(trail/v) ln(tan(75 deg) / tan(15 deg))"
         ),
         source=(
             "Siegwart and Nourbakhsh, Introduction to Autonomous Mobile Robots, 3.2.3 (castor wheel); "

@@ -146,6 +146,15 @@ def read_robot(path: Path | str) -> Translation:
 
     Raises:
         UserError: If it cannot be read, or cannot be driven; the message names all problems.
+
+    Example:
+        >>> import nnql_bullet as nb
+        >>> found = nb.read_robot(nb.Vehicle.load("tricycle").urdf)  # or the path of your own
+        >>> found.vehicle.track
+        0.6
+        >>> toml, urdf = found.save("mine.toml")
+        >>> nb.drive("straight", world="empty", simulator="kinematic", changes={"robot": str(toml)}).summary.ending
+        'goal'
     """
     path = Path(path)
     meshes, source = Meshes(path), expanded(path)
