@@ -463,19 +463,11 @@ BAD_URDFS: dict[str, tuple[Callable[[str], str], list[str]]] = {
         lambda u: edited(u, r'(<link name="fork">\s*)<inertial>.*?</inertial>', r"\1"),
         ["fork", "<inertial>"],
     ),
-    "no mass": (lambda u: edited(u, r'<mass value="104.5" />', '<mass value="0" />'), ["chassis", "not positive"]),
+    "no mass": (lambda u: edited(u, r'<mass value="104.5" />', '<mass value="0" />'), ["chassis", "no mass"]),
     "negative mass": (lambda u: edited(u, r'<mass value="6" />', '<mass value="-6" />'), ["left_wheel", "-6"]),
     "negative inertia": (lambda u: edited(u, r'izz="10.8854"', 'izz="-1"'), ["chassis", "not positive"]),
-    "hull wheel": (
-        lambda u: edited(u, r'<sphere radius="0.125" />', '<cylinder radius="0.125" length="0.05" />'),
-        ["left_wheel", "<sphere>"],
-    ),
     "unequal wheels": (lambda u: edited(u, r'<sphere radius="0.125" />', '<sphere radius="0.12" />'), ["radius"]),
     "no effort": (lambda u: edited(u, r'<limit effort="40" velocity="100" />', ""), ["left_drive", "effort"]),
-    "no footprint": (
-        lambda u: edited(u, r"<collision>\s*<origin[^>]*/>\s*<geometry>\s*<box.*?</collision>", ""),
-        ["chassis", "<box>"],
-    ),
     "words for numbers": (lambda u: edited(u, r'<mass value="104.5" />', '<mass value="heavy" />'), []),
 }
 
@@ -499,7 +491,7 @@ class TestBadRobot:
             ("wheel_friction", "wheel_grip", ["unknown key 'contact.wheel_grip'", "wheel_friction"]),
             ("yaw_rate = 1.5708", "yaw_rate = 0.0", ["limits.yaw_rate", "greater than 0"]),
             ('swivel = "swivel"', "", ["joints.swivel", "trails"]),
-            ('swivel = "swivel"', 'swivel = "elbow"', ["elbow", "left_drive"]),
+            ('swivel = "swivel"', 'swivel = "elbow"', ["elbow", "caster_roll"]),
             ("[0.35, 0.0, 0.475]", "[0.35, 0.0]", ["sensor.position"]),
         ],
     )

@@ -135,7 +135,7 @@ def test_a_caster_in_a_steady_turn_settles_at_the_angle_of_the_circle():
     speed, yaw_rate, ahead, trail = 2.0, 0.8, 0.74, 0.04
     swivel = 0.0
     for _ in range(2000):
-        swivel += _caster_rates(swivel, speed, yaw_rate, ahead, trail, 0.05)[0] / 1000
+        swivel += _caster_rates(swivel, speed, yaw_rate, ahead, 0.0, trail, 0.05)[0] / 1000
     # The wheel rolls along its own circle: its axle points at the centre of the turn, speed / yaw_rate to the left.
     x, y = ahead - trail * np.cos(swivel), -trail * np.sin(swivel)
     to_centre = np.array([-x, speed / yaw_rate - y])

@@ -144,3 +144,11 @@ def test_what_cannot_be_driven_rightly_is_refused_by_its_reason(tmp_path: Path, 
 def test_latin_1_is_read(tmp_path: Path) -> None:
     parts = [*WHEELS, *(part.replace("ball", "b\u00e4ll") for part in BALL)]
     assert read_robot(written(tmp_path, parts, encoding="latin-1")).vehicle.casters[0].link == "b\u00e4ll"
+
+
+def test_a_body_that_does_not_collide_covers_what_is_seen_of_it(tmp_path: Path) -> None:
+    path = written(tmp_path, WHEELS + BALL)
+    path.write_text(path.read_text().replace(BASE, BASE.replace("collision>", "visual>")))
+    found = read_robot(path)
+    assert 2 * found.vehicle.footprint.half_length == pytest.approx(0.6)
+    assert any("covers what is seen of it" in note for note in found.notes)

@@ -618,6 +618,12 @@ class _Assembly:
                 lost += [] if boxes else [name]
             found = found or bool(boxes)
             yield from boxes
+        for name in [] if found or lost else body.links:
+            seen = [box for solid in urdf.links[name].looks if (box := self._box(solid, body.placed[name]))]
+            if seen:
+                search.notes.append(f"nothing of the body collides: '{name}' covers what is seen of it")
+            yield from seen
+            lost += [] if seen or name != urdf.base else [name]
         for name in [] if found else lost:
             centre, half = body.placed[name] @ urdf.links[name].centre, _inertia_box(urdf.links[name])
             if half is not None:
