@@ -41,13 +41,16 @@ def larger(box: OrientedBox, k: float) -> OrientedBox:
 def larger_vehicle(vehicle: VehicleSpec, k: float) -> VehicleSpec:
     """As the kinematic model has it: it knows no masses."""
     ahead, left, up = vehicle.sensor.position
-    lengths = ("track", "wheelbase", "wheel_radius", "caster_radius", "caster_trail")
+    lengths = ("x", "y", "radius", "trail")
+    casters = [replace(one, **{name: k * getattr(one, name) for name in lengths}) for one in vehicle.casters]
     return replace(
         vehicle,
         footprint=larger(vehicle.footprint, k),
         sensor=replace(vehicle.sensor, position=(k * ahead, k * left, k * up), range=k * vehicle.sensor.range),
         limits=replace(vehicle.limits, acceleration=k * vehicle.limits.acceleration),
-        **{name: k * getattr(vehicle, name) for name in lengths},
+        track=k * vehicle.track,
+        wheel_radius=k * vehicle.wheel_radius,
+        casters=tuple(casters),
     )
 
 
@@ -72,8 +75,9 @@ def driven(policy: str, k: float) -> tuple[NDArray[np.float64], NDArray[np.int64
     loaded = load_policy(policy).experiment
     worlds = [World.load(kind).draw(seed) for kind in ("cover_20", "traps") for seed in (0, 1)]
     n = len(worlds)
-    experiment = Experiment(changed(loaded.config, simulator="kinematic", vehicles=n, drive={"speed": 2.0 * k}))
+    experiment = Experiment(changed(loaded.config, simulator="kinematic", vehicles=n))
     experiment.vehicle = larger_vehicle(loaded.vehicle, k)
+    experiment.config = changed(experiment.config, drive={"speed": 2.0 * k})
     if isinstance(experiment.agent, Trainable):
         experiment.agent.load_state_dict(loaded.trainable.state_dict())
     with closing(experiment.new_simulator(workers=1)) as simulator:

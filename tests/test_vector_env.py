@@ -181,14 +181,14 @@ class TestActions:
         options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "manoeuvres": True}
         with closing(gymnasium.make(NAME, **options)) as env, closing(gymnasium.make_vec(NAME, 2, **options)) as envs:
             assert env.action_space == envs.single_action_space == gymnasium.spaces.Discrete(24)
-            assert envs.action_space == gymnasium.spaces.MultiDiscrete([18, 18])
+            assert envs.action_space == gymnasium.spaces.MultiDiscrete([24, 24])
             env.reset(seed=0), envs.reset(seed=0)
             for _ in range(6):
                 one, several = env.step(12 + 5), envs.step(np.array([12 + 5, 6 + 5]))
             assert several[0][0].tolist() == one[0].tolist()
             assert one[0][8] > several[0][1, 8]  # it backed away from the target, the other one stood
             with pytest.raises(UserError, match="give 2 whole numbers from 0 to 23 as actions"):
-                envs.step(np.array([0, 18]))
+                envs.step(np.array([0, 24]))
 
     def test_one_that_stands_is_truncated_as_stuck(self) -> None:
         task = {"stuck_after": 3.0}
