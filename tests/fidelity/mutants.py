@@ -17,7 +17,7 @@ from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array, Pose, Shape
 from nnql_bullet.sim.bullet import GROUND, PHYSICS, WHEEL, BulletEngine, Physics
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.spec import JointNames, VehicleSpec
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 CHASSIS = "link[@name='chassis']/inertial"
@@ -132,13 +132,7 @@ def torque_times(factor: float) -> Callable[[VehicleSpec], VehicleSpec]:
 
 def swapped(vehicle: VehicleSpec) -> VehicleSpec:
     names = vehicle.joints
-    crossed = JointNames(
-        left_drive=names.right_drive,
-        right_drive=names.left_drive,
-        swivel=names.swivel,
-        caster_roll=names.caster_roll,
-    )
-    return replace(vehicle, joints=crossed)
+    return replace(vehicle, joints=names | {"left_drive": names["right_drive"], "right_drive": names["left_drive"]})
 
 
 def sensor_moved(x: float, y: float, z: float) -> Callable[[VehicleSpec], VehicleSpec]:
@@ -171,7 +165,7 @@ def changed(*links: str, **dynamics: float) -> type[BulletEngine]:
         def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
             super()._add_vehicle(pose, speed, height)
             for name in links:
-                link = {"base": -1, "left": self.left, "right": self.right, "caster": self._caster}[name]
+                link = {"base": -1, "left": self.left, "right": self.right, "caster": self._supports[2]}[name]
                 pybullet.changeDynamics(self.body, link, **dynamics, physicsClientId=self.client)
 
     return Changed
@@ -224,7 +218,7 @@ class SelfSeeing(BulletEngine):
 
     def _add_vehicle(self, pose: Pose, speed: float, height: float) -> None:
         super()._add_vehicle(pose, speed, height)
-        for wheel in (self.left, self.right, self._caster):
+        for wheel in self._supports:
             pybullet.setCollisionFilterGroupMask(self.body, wheel, WHEEL, GROUND | 1, self.client)
 
     def _cast(self, begins: Array, ends: Array) -> Array:
