@@ -93,7 +93,8 @@ class Predictor:
         """Clearances that vehicles have to keep (n,) [m]: the margin or, where they have less already, about that."""
         least, approach = self.lengths.times(LEAST_CLEARANCE), self.lengths.times(APPROACH)
         here: Array = scan_clearances(np.zeros((len(points), 1, 1, 3)), points, self._footprint)[:, 0, 0]
-        less = np.where(here < least, here - approach / 6, np.maximum(here - approach, least))
+        nearer = np.maximum(here - approach / 6, here / 2)  # a margin of 0 would let it touch
+        less = np.where(here < least, nearer, np.maximum(here - approach, least))
         return np.minimum(less, self.lengths.margin)
 
     def stays_clear(self, situation: Situation, margins: Array, turns_round: bool = True) -> NDArray[np.bool_]:

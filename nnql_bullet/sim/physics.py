@@ -102,12 +102,12 @@ class VehiclePhysics(ABC):
     def run(self, seconds: float) -> None:
         """Runs physics steps for a time [s], rounded to whole steps."""
         for _ in range(round(seconds / self.time_step)):
-            self._keep_near(self.pose())
-            self._step_and_move()
+            self.step()
 
     def step(self) -> None:
         """Runs one physics step, then moves the patrols."""
-        self._keep_near(self.pose())
+        if self._room < inf:
+            self._keep_near(self.pose())
         self._step_and_move()
 
     def command_wheels(self, left: float, right: float) -> None:
