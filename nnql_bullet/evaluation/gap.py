@@ -273,7 +273,7 @@ def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
 
 
 def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
-    """How many drives ended how, (4, 4) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    """How many drives ended how, (5, 5) in the order of `task.ENDINGS`: rows the first side, columns the second."""
     matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
     for pair in pairs:
         matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1
