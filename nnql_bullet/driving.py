@@ -10,6 +10,7 @@ from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation, Reward
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
@@ -17,6 +18,7 @@ from nnql_bullet.runs import PolicyLike, drives_folder, load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import robot_name
+from nnql_bullet.work import OnProgress
 from nnql_bullet.worlds.source import World
 
 RECORDING = "trajectory.npz"
@@ -39,6 +41,8 @@ def drive(
     conditions: Conditions | None = None,
     reward: Reward | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
+    check: bool = True,
+    on_progress: OnProgress | None = None,
 ) -> Recording:
     """Drives a policy through a world and records it.
 
@@ -65,6 +69,8 @@ def drive(
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
         changes: Nested values laid over the rest of the policy's configuration (see `config.merged`).
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
+        on_progress: Receives the progress of this check.
 
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
@@ -77,6 +83,8 @@ def drive(
     asked["robot"] = None if vehicle is None else robot_name(vehicle)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
+    if check:
+        check_at_first_use(config.robot, config.simulator, config.physics, on_progress)
     recorder = Recorder(experiment.vehicle)
     navigation = Navigation(experiment.simulator, experiment.task, reward)
     summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)

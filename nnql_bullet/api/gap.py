@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import RECORDINGS
@@ -80,6 +82,7 @@ def gap(
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> GapResults:
     """Measures the sim-to-sim gap: the same policies, worlds and seeds in two simulators, drive by drive.
@@ -107,6 +110,7 @@ def gap(
         executor: See `evaluate`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -124,8 +128,9 @@ def gap(
     first, second = Side(against, physics), Side(simulator, physics)
     opened = open_policies(policies)
     where = executor_for(opened, executor, workers)
-    for policy in opened:
-        measure.check(PairTask(policy, world, draws.seeds, first, second, conditions))
+    robots = [measure.check(PairTask(policy, world, draws.seeds, first, second, conditions)) for policy in opened]
+    for robot, side in product(dict.fromkeys(robots if check else ()), (against, simulator)):
+        check_at_first_use(robot, side, physics, on_progress)
     changes = {"world": world, "conditions": conditions}
     experiment = load_policy(opened[0].source, changes).experiment
     chances = [has_chance(policy, changes) for policy in opened]

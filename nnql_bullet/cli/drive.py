@@ -41,6 +41,7 @@ def drive(
     video: bool = False,
     gui: bool = False,
     json: bool = False,
+    check: bool = True,
     conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
     keys: Annotated[
         Mapping[str, Any], KeyFlags(RunConfig, ("drive", "task", "agent", "shield"), shown=lambda name: False)
@@ -82,6 +83,7 @@ def drive(
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
         gui: Show the drive in PyBullet's window, in real time. It needs a display.
         json: Print one JSON object instead of text.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         conditions: Conditions in place of the policy's own.
         keys: Other keys of the configuration.
     """
@@ -91,20 +93,23 @@ def drive(
     if gui:
         check_window()
     tell_warnings([world], start, target)
-    recording = driving.drive(
-        policy,
-        world=world,
-        start=start,
-        target=target,
-        seed=seed,
-        simulator=sim,
-        physics=physics,
-        vehicle=robot,
-        shield=in_shield,
-        allow_impassable=allow_impassable,
-        conditions=asked,
-        changes=merged(keys, {"drive": {"speed": speed}}) if speed is not None else keys,
-    )
+    with progress() as show:
+        recording = driving.drive(
+            policy,
+            world=world,
+            start=start,
+            target=target,
+            seed=seed,
+            simulator=sim,
+            physics=physics,
+            vehicle=robot,
+            shield=in_shield,
+            allow_impassable=allow_impassable,
+            conditions=asked,
+            changes=merged(keys, {"drive": {"speed": speed}}) if speed is not None else keys,
+            check=check,
+            on_progress=show,
+        )
     files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked))
     if video:
         files["video"] = files["recording"].with_suffix(".mp4")

@@ -223,8 +223,11 @@ class Gap:
         return flags({"conditions": self.conditions})
 
 
-def check(task: PairTask) -> None:
+def check(task: PairTask) -> str:
     """Makes each simulator and a world once, so that what is wrong with them shows before anything is driven.
+
+    Returns:
+        The robot that will drive.
 
     Raises:
         UserError: If a simulator or the world cannot be made, or a condition is impossible.
@@ -233,6 +236,7 @@ def check(task: PairTask) -> None:
         experiment = _experiment.__wrapped__(task.policy, task.world, side, task.conditions)
         experiment.simulator.close()
         experiment.world(task.seeds[0])
+    return experiment.config.robot
 
 
 WORLDS_AT_A_TIME = 5

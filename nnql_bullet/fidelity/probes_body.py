@@ -81,7 +81,7 @@ def _settle(bench: Bench) -> list[Measurement]:
     determined = len(vehicle.casters) == 1
     return [
         *(
-            close_to(f"height of {wheel}", "mm", 1e3 * radius, 1e3 * height, absolute=0.05)
+            close_to(f"height of {wheel}", "mm", 1e3 * radius, 1e3 * height, absolute=0.05 * bench.size)
             for wheel, radius, height in zip(wheels, radii, heights, strict=True)
         ),
         *(
@@ -98,7 +98,7 @@ def _creep(bench: Bench) -> list[Measurement]:
         engine.command_wheels(0.0, 0.0)
         engine.run(10.0)
         pose = engine.pose()
-    return [at_most("way in 10 s", "mm", 0.5, 1e3 * hypot(pose.x - ASKEW.x, pose.y - ASKEW.y))]
+    return [at_most("way in 10 s", "mm", 0.5 * bench.size, 1e3 * hypot(pose.x - ASKEW.x, pose.y - ASKEW.y))]
 
 
 def _free_fall(bench: Bench) -> list[Measurement]:
