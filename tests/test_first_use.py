@@ -65,9 +65,8 @@ def test_a_sound_robot_is_checked_without_a_word_and_not_again(cache: Path, mine
 
 
 def test_what_is_off_is_named_in_one_line(cache: Path, slippery: Path) -> None:
-    with pytest.warns(
-        nb.RobotWarning, match=r"^robot 'mine' does not move in bullet .*acceleration: speed after.*$"
-    ) as told:
+    named = r"^robot 'mine' does not move in bullet as mechanics says: .*acceleration: speed after 1 s.*$"
+    with pytest.warns(nb.RobotWarning, match=named) as told:
         check_at_first_use(slippery, "bullet", "fast")
     assert len(told) == 1 and "\n" not in str(told[0].message)
     assert f"--robot {slippery} --sim bullet --physics fast" in str(told[0].message)
