@@ -199,7 +199,8 @@ Keys = tuple[tuple[str, Any], ...]
 def frozen_keys(values: Mapping[str, Any]) -> Keys:
     """Returns nested values as a record can hold them; `config.nested` is the inverse."""
     plain = {name: tuple(its) if isinstance(its, list) else its for name, its in dotted(merged({}, values)).items()}
-    return tuple(sorted((name, its) for name, its in plain.items() if its is not None))
+    given = [(name, its) for name, its in plain.items() if its is not None]
+    return tuple(sorted(given, key=lambda pair: (DRIVING.index(pair[0].partition(".")[0]), pair[0])))
 
 
 def asked_title(conditions: Conditions | None, keys: Keys) -> str:

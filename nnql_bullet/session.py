@@ -1,7 +1,6 @@
 """Runs a training from beginning to end: episodes, checkpoints, selection of the policy."""
 
 import logging
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -146,24 +145,6 @@ def check(config: RunConfig) -> None:
     refuse_beyond(learning + actions, "this training", remedy)
 
 
-def unreachable(experiment: Experiment) -> str:
-    """Says why no vehicle can reach its target in an episode, however it drives; empty if one may.
-
-    It compares the straight way to the edge of the target with the way that the steps of an episode allow.
-    """
-    c = experiment.config
-    way = c.task.max_steps * c.drive.decision_period * c.drive.speed
-    for world in experiment.training_sources:
-        straight = math.dist(world.start, world.target) - world.target_radius
-        if way < straight:
-            return (
-                f"world '{world.name}': {c.task.max_steps} steps of {c.drive.decision_period:g} s at "
-                f"{c.drive.speed:g} m/s are {way:g} m, and the target is {straight:.0f} m away: no episode can reach "
-                "it; raise 'task.max_steps' or 'drive.speed'"
-            )
-    return ""
-
-
 @dataclass(frozen=True)
 class _Session:
     """A training that runs until it is finished or stopped."""
@@ -192,7 +173,7 @@ class _Session:
                     trainer.load_state_dict(run.state.under_way)
                 prepare(run)
                 _log.info("training %s", _title(config))
-                hopeless = unreachable(experiment)
+                hopeless = next(filter(None, map(experiment.out_of_reach, experiment.training_sources)), "")
                 if hopeless:
                     _log.warning("%s", hopeless)
                 if len(run.episodes) < config.episodes:
