@@ -114,16 +114,7 @@ DriveKeys = Annotated[
 
 
 OF_DRIVES = ("--world", "--seed", "--seeds", "--start", "--target", "--sim", "--shield", "--robot", "--speed", "--rays")
-    "--world",
-    "--seed",
-    "--seeds",
-    "--start",
-    "--target",
-    "--sim",
-    "--shield",
-    "--robot",
-    *SHORT_FLAGS.values(),
-)
+"""Flags of drives that people may look for where nothing is driven."""
 
 
 def asked_for(given: Mapping[str, Any]) -> dict[str, Any]:
