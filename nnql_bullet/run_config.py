@@ -9,7 +9,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import merged, options, parse, to_values
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions

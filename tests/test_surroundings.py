@@ -24,9 +24,9 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.video import write_video
 from nnql_bullet.reports.drawing import picture
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet
-from nnql_bullet.sim.bullet_scene import works
 from nnql_bullet.sim.c_library import silenced
 from nnql_bullet.sim.contact import VehicleMotion
+from nnql_bullet.sim.scene_trial import works
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
