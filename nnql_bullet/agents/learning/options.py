@@ -3,6 +3,8 @@
 The other agents' options stand in the agents' own modules.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +17,7 @@ from nnql_bullet.agents.learning.frames import frame_width
 from nnql_bullet.agents.learning.q_learning import QLearningOptions
 from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.types import BatchSize, BufferSize, Count, Few, Frames, Layers, Number, Positive, UnitInterval, Units
@@ -29,6 +32,15 @@ if TYPE_CHECKING:
 
 SB3_INPUTS = paper.SECTORS + 3
 """Inputs of `sb3_dqn`'s network: the numbers of `env.as_numbers`."""
+
+
+@contextmanager
+def _torch() -> Iterator[None]:
+    """Raises a UserError in place of an ImportError of torch."""
+    try:
+        yield
+    except ImportError as error:
+        raise UserError(f"PyTorch is not installed, or does not load ({error}): pip install torch") from None
 
 
 @options
@@ -59,7 +71,8 @@ class NnqlOptions(QLearningOptions):
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Nnql":
         """Builds the untrained agent."""
-        from nnql_bullet.agents.learning.nnql import Nnql
+        with _torch():
+            from nnql_bullet.agents.learning.nnql import Nnql
 
         return Nnql(self, seed, length_scale(vehicle.footprint))
 
@@ -141,7 +154,8 @@ class DoubleDqnOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "DoubleDqn":
         """Builds the untrained agent."""
-        from nnql_bullet.agents.learning.double_dqn import DoubleDqn
+        with _torch():
+            from nnql_bullet.agents.learning.double_dqn import DoubleDqn
 
         return DoubleDqn(self, seed, vehicle, drive)
 
@@ -186,6 +200,7 @@ class Sb3DqnOptions:
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Sb3Dqn":
         """Builds the agent."""
-        from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
+        with _torch():
+            from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
 
         return Sb3Dqn(self, seed, length_scale(vehicle.footprint))
