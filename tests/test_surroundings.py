@@ -341,3 +341,24 @@ def test_a_daemonic_process_which_may_have_no_children_does_all_itself(tmp_path:
     assert not egl
     first, second = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("daemon", "here"))
     assert first == second
+
+
+WITHOUT = """
+import sys
+for name in ("torch", "pybullet"):
+    sys.modules[name] = None  # importing it raises an ImportError
+import nnql_bullet as nb
+assert nb.drive("straight", world="empty", simulator="kinematic").summary.ending == "goal"
+for policy, simulator, named in (("paper", "kinematic", "PyTorch"), ("straight", "bullet", "PyBullet")):
+    try:
+        nb.drive(policy, world="empty", simulator=simulator)
+    except nb.UserError as error:
+        assert named in str(error), error
+    else:
+        raise SystemExit(f"{policy} drove in {simulator}")
+"""
+
+
+def test_a_rule_in_the_kinematic_model_needs_neither_torch_nor_pybullet() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
