@@ -14,7 +14,6 @@ from shlex import quote
 from nnql_bullet import __version__, assets
 from nnql_bullet.errors import RobotWarning
 from nnql_bullet.fidelity.probe import Bench, Measurement
-from nnql_bullet.fidelity.probes import probes_for, run_probes
 from nnql_bullet.files import write_text
 from nnql_bullet.machine import cache_folder
 from nnql_bullet.sim.engines import EngineName, PhysicsName
@@ -79,6 +78,8 @@ def digest_of(bench: Bench) -> str:
 
 def _off(bench: Bench, report_to: OnProgress) -> list[str]:
     """States the quantities that are out of their tolerances."""
+    from nnql_bullet.fidelity.probes import probes_for, run_probes  # not at the top: most drives need none
+
     what, total = f"checking robot '{bench.vehicle.name}', once", len(probes_for(bench.vehicle))
     report_to(Progress(what, 0, total))
     off: list[str] = []

@@ -474,9 +474,8 @@ def _solid(element: Element) -> Solid:
     shape = element.find("geometry/*")
     kind = "" if shape is None else shape.tag
     sizes = {} if shape is None else shape.attrib
-    keys = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}.get(kind, ())
-    if kind in ("cylinder", "capsule"):
-        keys = "radius", "length"
+    round_ones = dict.fromkeys(("cylinder", "capsule"), ("radius", "length"))
+    keys = (round_ones | {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}).get(kind, ())
     numbers = tuple(number for key in keys for number in _floats(sizes.get(key, "")))
     return Solid(kind, numbers, _transform(element), sizes.get("filename", ""), element.get("of", ""))
 
