@@ -348,7 +348,7 @@ def _unlike_wheels(search: _Search, free: list[_Candidate]) -> Iterator[str]:
             tilt = degrees(asin(min(abs(float(its.axis[2])), 1.0)))
             yield f"'{its.joint.name}', whose axis is {tilt:.0f} degrees off the level"
     for joint in search.urdf.joints.values():
-        if NAMED_WHEEL.search(joint.name) and not joint.turns_freely:
+        if NAMED_WHEEL.search(f"{joint.name} {joint.child}") and not joint.turns_freely:
             yield f"'{joint.name}', which is {joint.kind}" + " within limits" * (joint.kind == "revolute")
 
 
@@ -538,7 +538,8 @@ class _Assembly:
         shapes: dict[str, list[Hull]] = {}
         for link in links:
             known = any(hull_of(solid, search.meshes) for solid in link.solids)
-            for number, solid in enumerate(link.solids if known else link.looks):
+            looks = link.looks if NAMED_SUPPORT.search(link.name) else ()
+            for number, solid in enumerate(link.solids if known else looks):
                 hull = hull_of(solid, search.meshes)
                 if hull is None:
                     continue
