@@ -10,7 +10,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import dotted, merged, options, parse, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange

@@ -1,6 +1,7 @@
 """Runs a training from beginning to end: episodes, checkpoints, selection of the policy."""
 
 import logging
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -10,12 +11,10 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
 from nnql_bullet.agents import Trainable
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
-from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.experiment import Experiment
@@ -284,26 +283,28 @@ def _title(config: RunConfig) -> str:
 
 
 class _OneThread:
-    """Limits torch to one thread while anything trains; the networks are so small that several would only wait.
+    """Limits torch, if it is loaded, to one thread while anything trains: the networks are so small that several wait.
 
     The limit is that of the process, so the last of several trainings in threads puts back what the first one found.
     """
 
     def __init__(self) -> None:
-        self._lock, self._trainings, self._before = Lock(), 0, 1
+        self._lock, self._trainings, self._before = Lock(), 0, 0
 
     def __enter__(self) -> None:
+        torch = sys.modules.get("torch")  # agents that need it have been built, and have loaded it
         with self._lock:
-            if not self._trainings:
-                self._before = torch.get_num_threads()
             self._trainings += 1
-            torch.set_num_threads(1)
+            if torch:
+                self._before = self._before or torch.get_num_threads()
+                torch.set_num_threads(1)
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._trainings -= 1
-            if not self._trainings:
-                torch.set_num_threads(self._before)
+            if self._before and not self._trainings:
+                sys.modules["torch"].set_num_threads(self._before)
+                self._before = 0
 
 
 _one_thread = _OneThread()

@@ -289,7 +289,8 @@ def _given(value: object) -> object:
 
 def _is(value: object, cls: str) -> bool:
     """Whether a value is of a dataclass that this module made."""
-    return type(value).__module__ == "types" and type(value).__name__ == cls
+    its = type(value)
+    return its.__name__ == cls and its.__module__ in ("types", __name__)  # the second from CPython 3.12 on
 
 
 def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], arguments: Sequence[str]) -> str:
