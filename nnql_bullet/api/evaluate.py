@@ -40,6 +40,7 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.sources import SOURCES, keep_files
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
@@ -51,7 +52,7 @@ CLIP = 12.0
 """Length of a clip of a failure [s]."""
 CLIP_SIZE = (960, 540)
 """Size of a clip [pixels]."""
-_OLD = ("cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
+_OLD = (SOURCES, "cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
 """Files of an older report that a new one may be without."""
 
 
@@ -122,6 +123,8 @@ class EvaluationResults:
             for task in tasks[:clips]:
                 (out / "clips").mkdir(exist_ok=True)
                 render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+            files = [world.file for tier in e.tiers for world in tier.worlds if not tier.given]
+            keep_files(files, e.setting.robot, out)
             write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 

@@ -67,8 +67,8 @@ class Tier:
     worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
-    given: World | None = None
-    """The world, if it was made in code."""
+    given: tuple[tuple[str, World], ...] = ()
+    """Worlds in place of what files say, by the names of the files: made in code, or kept by an earlier evaluation."""
 
     @property
     def title(self) -> str:
@@ -82,7 +82,7 @@ class Tier:
 
     def kind(self, world: Drawn) -> str | World:
         """Returns the value of a configuration's key `world` for a world of the tier."""
-        return self.given or world.file
+        return dict(self.given).get(world.file, world.file)
 
     def block(self, first: int) -> tuple[Drawn, ...]:
         """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
@@ -248,8 +248,8 @@ def draw_tiers(
                 one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
             )
         )
-        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
-        shown = one.name if isinstance(one, World) else one
+        cover, shown = None if of_folder else _cover_of(kind), one.name if isinstance(one, World) else one
+        code = ((shown, one),) if isinstance(one, World) else ()
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:

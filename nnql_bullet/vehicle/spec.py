@@ -164,9 +164,11 @@ class VehicleSpec:
 
     @property
     def digest(self) -> str:
-        """Hash of all that its files say, wherever they are and whatever its name is."""
+        """Hash of all that it drives by, wherever its files are, whatever its name is and however it looks."""
+        from nnql_bullet.vehicle.description import without_looks
+
         said = replace(self, name="", urdf=Path(), source="")
-        return sha256(f"{said!r} {self.description}".encode()).hexdigest()[:16]
+        return sha256(f"{said!r} {without_looks(self.description)}".encode()).hexdigest()[:16]
 
     @property
     def sensor_height(self) -> float:
