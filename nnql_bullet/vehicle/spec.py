@@ -208,6 +208,10 @@ class VehicleSpec:
         """Returns the vehicle with another friction of its wheels."""
         return replace(self, contact=replace(self.contact, wheel_friction=friction))
 
+    def driving_at(self, speed: float | None) -> "VehicleSpec":
+        """Returns the vehicle with another speed of its own [m/s]; None keeps it."""
+        return self if speed is None else replace(self, limits=replace(self.limits, speed=speed))
+
     @property
     def length(self) -> float:
         """Length of the footprint [m]."""
