@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -121,11 +121,10 @@ class Setting:
             **policy.changes(self.keys),
         }
 
-    @property
-    def title(self) -> str:
-        """Title for people."""
+    def title(self, robots: Iterable[str] = ()) -> str:
+        """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys))))
+        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys, robots))))
 
     @property
     def robot(self) -> str | None:
