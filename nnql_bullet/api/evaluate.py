@@ -28,6 +28,7 @@ from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import Recording
@@ -152,6 +153,7 @@ def evaluate(
     address: str | None = None,
     out: Path | str | None = None,
     clips: int = 0,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
@@ -191,6 +193,7 @@ def evaluate(
         out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
         clips: Most videos of failures in `out`.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -211,12 +214,13 @@ def evaluate(
         raise UserError(f"{out}: is a file; give a folder")
     if not worlds:
         raise UserError("give a world")
-    for policy in opened:
-        check_setting(policy, setting)
+    robots = [check_setting(policy, setting) for policy in opened]
     tiers, refused = draw_tiers(worlds, draws, setting, opened)
     asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
     folder = None if out is None else Path(out)
     with locked(folder):
+        for its in dict.fromkeys(robots if check else ()):
+            check_at_first_use(its, simulator, physics, on_progress)
         parts = Parts(folder / "parts" if folder else None)
         difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
         random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes(its)))

@@ -142,13 +142,15 @@ class Setting:
         return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
-def check_setting(policy: Policy, setting: Setting) -> None:
-    """Checks an evaluation's setting before the drives, by making a simulator.
+def check_setting(policy: Policy, setting: Setting) -> str:
+    """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes(policy)).experiment.simulator.close()
+    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment.simulator.close()
+    return experiment.config.robot
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:

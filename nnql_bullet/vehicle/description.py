@@ -37,7 +37,12 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re
 
 
 class Unfit(Exception):
-    """The URDF does not describe a vehicle that this package can drive; the text names the change needed."""
+    """The URDF does not describe a vehicle that this package can drive; the text names the changes needed."""
+
+    def __init__(self, *problems: str) -> None:
+        self.problems = problems
+        listed = "; ".join(f"({number}) {problem}" for number, problem in enumerate(problems, 1))
+        super().__init__(f"{len(problems)} things are wrong: {listed}" if len(problems) > 1 else problems[0])
 
 
 def refuse(problems: Sequence[str]) -> None:
@@ -46,11 +51,8 @@ def refuse(problems: Sequence[str]) -> None:
     Raises:
         Unfit: If there are any.
     """
-    if len(problems) == 1:
-        raise Unfit(problems[0])
     if problems:
-        listed = "; ".join(f"({number}) {problem}" for number, problem in enumerate(problems, 1))
-        raise Unfit(f"{len(problems)} things are wrong: {listed}")
+        raise Unfit(*problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -483,7 +485,8 @@ def _solid(element: Element) -> Solid:
     shape = element.find("geometry/*")
     kind = "" if shape is None else shape.tag
     sizes = {} if shape is None else shape.attrib
-    keys = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("scale",)}.get(kind, ())
+    round_ones = dict.fromkeys(("cylinder", "capsule"), ("radius", "length"))
+    keys = (round_ones | {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}).get(kind, ())
     numbers = tuple(number for key in keys for number in _floats(sizes.get(key, "")))
     return Solid(kind, numbers, _transform(element), sizes.get("filename", ""), element.get("of", ""))
 

@@ -100,8 +100,7 @@ def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None, nee
     try:
         found = find_mechanism(urdf, meshes, drives)
     except Unfit as error:
-        refuse([*problems, str(error)])
-        raise
+        raise Unfit(*problems, *error.problems) from None
     if needs_effort:
         problems += _check_efforts(found)
     if joints:
@@ -201,9 +200,6 @@ def _check_efforts(mechanism: Mechanism) -> Iterator[str]:
 
 def _check_balance(vehicle: VehicleSpec) -> Iterator[str]:
     """Checks that the vehicle stands on its wheels."""
-    if not vehicle.casters:
-        yield "it has no caster: nothing but its two drive wheels touches the ground, and it would fall over"
-        return
     inside = margin(np.array(vehicle.contacts), vehicle.com_ahead, vehicle.com_left)
     if inside <= 0:
         ends = vehicle.stance
