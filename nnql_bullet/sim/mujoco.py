@@ -58,6 +58,9 @@ AGREEMENT = 1e-5
 """Tolerance of a sliding contact's acceleration [m/s2]; the error that `IMPEDANCE` leaves is much larger."""
 LARGEST_SLOPE = -0.1
 """Upper bound on the slope in the secant method; it limits the steps of the method."""
+TOLERANCE, HEAVY = 1e-8, 120.0
+"""The solver stops when a pass gains less than this in a vehicle of this mass [kg]; in a lighter one, in proportion. The
+engine itself states the gain relative to the inertia of all bodies, of which the shafts have by far the most."""
 PASSES = 30
 """Largest number of solutions of one step; the next step corrects the remaining error."""
 
@@ -214,7 +217,7 @@ class MujocoEngine(ContactEngine):
             spec = mujoco.MjSpec.from_string(self._urdf)
             spec.compiler.fusestatic = False
             spec.worldbody.first_body().add_freejoint()
-            _set_solver(spec, self.time_step)
+            _set_solver(spec, self.time_step, self.vehicle.mass)
             _set_contacts(spec, self.vehicle)
             _add_clutches(spec, self.vehicle)
             if self._ground:
@@ -339,8 +342,9 @@ def _hard(damping: float, time_step: float) -> list[float]:
     return [CONSTRAINT_STEPS * time_step, damping]
 
 
-def _set_solver(spec: Any, time_step: float) -> None:
+def _set_solver(spec: Any, time_step: float, mass: float) -> None:
     spec.option.timestep = time_step
+    spec.option.tolerance = TOLERANCE * min(mass / HEAVY, 1.0)
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # friction is the same in all directions
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND  # `_let_slide` works without; there is only one
