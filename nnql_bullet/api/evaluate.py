@@ -1,7 +1,7 @@
 """`evaluate`: policies through the same worlds, with intervals."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from nnql_bullet.evaluation.drives import (
     FilmTask,
     Setting,
     Tier,
+    WorldFiles,
     check_setting,
     draw_tiers,
     drive,
@@ -25,7 +26,7 @@ from nnql_bullet.evaluation.drives import (
 from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
-from nnql_bullet.evaluation.splits import SplitName, choose_draws
+from nnql_bullet.evaluation.splits import Draws, SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -194,24 +195,58 @@ def evaluate(
     setting = Setting(simulator, physics, conditions, allow_impassable, first, last)
     opened = open_policies(policies, shield)
     where = executor_for(opened, executor, workers, address)
-    if out is not None and Path(out).exists() and not Path(out).is_dir():
-        raise UserError(f"{out}: is a file; give a folder")
     if not worlds:
         raise UserError("give a world")
-    for policy in opened:
-        check_setting(policy, setting)
-    tiers, refused = draw_tiers(worlds, draws, setting, opened)
     asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
+
+    def save(evaluation: Evaluation, folder: Path) -> None:
+        EvaluationResults(evaluation).save(folder, clips, where, on_progress)
+
+    return EvaluationResults(run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress))
+
+
+def run_evaluation(
+    policies: Sequence[Policy],
+    worlds: Sequence[str | Path | World | WorldFiles],
+    asked: Sequence[str],
+    draws: Draws,
+    setting: Setting,
+    executor: Executor,
+    out: Path | str | None,
+    save: Callable[[Evaluation, Path], object],
+    on_progress: OnProgress | None,
+) -> Evaluation:
+    """Drives policies through worlds, and saves what comes of it into a folder that no other process writes to.
+
+    Args:
+        policies: The policies.
+        worlds: The worlds.
+        asked: What the worlds are called on a command line.
+        draws: Which worlds of each kind.
+        setting: The setting.
+        executor: Where pieces run.
+        out: The folder, where finished pieces are kept too; without it nothing is kept or saved.
+        save: Writes the report into the folder.
+        on_progress: Receives the progress.
+
+    Raises:
+        UserError: See `evaluate`.
+        WorkFailed: If a piece of work fails.
+    """
+    if out is not None and Path(out).exists() and not Path(out).is_dir():
+        raise UserError(f"{out}: is a file; give a folder")
+    for policy in policies:
+        check_setting(policy, setting)
+    tiers, refused = draw_tiers(worlds, draws, setting, policies)
     folder = None if out is None else Path(out)
     with locked(folder):
         parts = Parts(folder / "parts" if folder else None)
-        difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
-        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes))
-        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
-        results = EvaluationResults(evaluation)
+        difficulties, drives = _driven(executor, policies, tiers, setting, parts, on_progress)
+        random = frozenset(its.name for its in policies if its.custom is None and has_chance(its, setting.changes))
+        evaluation = Evaluation(asked, draws, setting, policies, tiers, difficulties, drives, refused, random)
         if folder:
-            results.save(folder, clips, where, on_progress)
-    return results
+            save(evaluation, folder)
+    return evaluation
 
 
 def _driven(

@@ -52,6 +52,14 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
+class WorldFiles:
+    """World files that are counted together."""
+
+    name: str
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Tier:
     """Worlds that are counted together: of one file, or of the files of a folder."""
 
@@ -184,12 +192,12 @@ def _cover_of(world: World) -> float | None:
 
 
 def draw_tiers(
-    given: Sequence[str | Path | World], draws: Draws, setting: Setting, policies: Sequence[Policy]
+    given: Sequence[str | Path | World | WorldFiles], draws: Draws, setting: Setting, policies: Sequence[Policy]
 ) -> tuple[list[Tier], list[Refused]]:
     """Draws and checks worlds of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, files, folders of files, or worlds made in code.
+        given: Shipped worlds, files, folders of files, files that are counted together, or worlds made in code.
         draws: Which worlds of each kind.
         setting: The setting.
         policies: The policies; the vehicle of the first gives the width of the free path.
@@ -204,7 +212,7 @@ def draw_tiers(
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
-    for one in [one if isinstance(one, World) else str(one) for one in given]:
+    for one in [str(one) if isinstance(one, str | Path) else one for one in given]:
         files = _files(one)
         worlds: list[Drawn] = []
         experiment: Experiment | None = None
@@ -222,7 +230,9 @@ def draw_tiers(
         if experiment is None or not worlds:
             continue
         of_folder = files != [one]
-        name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
+        name = kind.name
+        if of_folder:
+            name = one.name if isinstance(one, WorldFiles) else Path(str(one)).resolve().name
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
@@ -234,7 +244,7 @@ def draw_tiers(
             )
         )
         cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
-        shown = one.name if isinstance(one, World) else one
+        shown = one if isinstance(one, str) else one.name
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:
@@ -243,14 +253,16 @@ def draw_tiers(
     return tiers, refused
 
 
-def _files(given: str | World) -> Sequence[str | World]:
-    """The world files of a folder in the order of their names; any other world as it is.
+def _files(given: str | World | WorldFiles) -> Sequence[str | World]:
+    """The world files of a folder in the order of their names, files that are given; any other world as it is.
 
     Raises:
         UserError: If there is no such world, or a folder has none.
     """
     if isinstance(given, World):
         return [given]
+    if isinstance(given, WorldFiles):
+        return given.files
     if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
         assets.find("worlds", given)
         return [given]

@@ -59,8 +59,8 @@ AGREEMENT = 1e-5
 LARGEST_SLOPE = -0.1
 """Upper bound on the slope in the secant method; it limits the steps of the method."""
 TOLERANCE, HEAVY = 1e-8, 120.0
-"""The solver stops when a pass gains less than this in a vehicle of this mass [kg]; in a lighter one, in proportion. The
-engine itself states the gain relative to the inertia of all bodies, of which the shafts have by far the most."""
+"""The solver stops when a pass gains less than this in a vehicle of this mass [kg]; in a lighter one, in proportion.
+The engine states the gain relative to the inertia of all bodies, of which the shafts have by far the most."""
 PASSES = 30
 """Largest number of solutions of one step; the next step corrects the remaining error."""
 
