@@ -10,9 +10,9 @@ from typing import Any
 
 from nnql_bullet.api.evaluate import run_evaluation
 from nnql_bullet.arguments import checked
-from nnql_bullet.config import merged
+from nnql_bullet.config import merged, nested
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.barn import TIME, Barn, BarnRow, Reference, most_steps
+from nnql_bullet.evaluation.barn import STEPS, TIME, Barn, BarnRow, Reference, most_steps
 from nnql_bullet.evaluation.drives import FilmTask, Setting, WorldFiles, film
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
@@ -145,13 +145,13 @@ def barn(
         WorkFailed: If a piece of work fails.
     """
     if "max_steps" in changes.get("task", {}):
-        raise UserError(f"task.max_steps: the challenge gives each drive {TIME:g} s; leave it out")
+        raise UserError(f"{STEPS}: the challenge gives each drive {TIME:g} s; leave it out")
     files = _spread(world_files(Path(folder)), n_worlds, folder)
     lengths = {str(file): reference_length(path) for file in files if (path := path_file(file)) is not None}
     asked = merged({"robot": ROBOT}, driving_with(changes, robot, speed))
     opened = open_policies(policies, shield or "shield" in changes, asked["robot"])
     setting = Setting(simulator, physics, conditions, allow_impassable=True, keys=frozen_keys(asked))
-    limit = {"task": {"max_steps": _most_steps(opened, setting)}}
+    limit = nested({STEPS: _most_steps(opened, setting)})
     setting = replace(setting, keys=frozen_keys(merged(asked, limit)))
     where = executor_for(opened, executor, workers, address)
     given = WorldFiles("BARN", tuple(map(str, files)))

@@ -6,13 +6,13 @@ Editions of the challenge differ in the bounds a and b, see `CLIPPINGS`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from statistics import fmean
 
 import numpy as np
 
-from nnql_bullet.evaluation.drives import Drawn, Tier
+from nnql_bullet.evaluation.drives import Drawn, Setting, Tier
 from nnql_bullet.evaluation.metrics import Evaluation, quarters
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate, mean_interval, proportion
@@ -23,6 +23,8 @@ from nnql_bullet.text import shell_line
 
 SPEED, TIME = 2.0, 100.0
 """Speed of the optimal time [m/s], and the time that a drive may take [s]."""
+STEPS = "task.max_steps"
+"""The key of a policy's configuration that sets that time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,11 @@ class Barn:
     """Reference paths by the files of the worlds."""
 
     @property
+    def title(self) -> str:
+        """Simulator, robot and conditions, for people."""
+        return self._asked.title
+
+    @property
     def tier(self) -> Tier:
         """The worlds."""
         (tier,) = self.evaluation.tiers
@@ -124,7 +131,14 @@ class Barn:
         policies = [policy.path for policy in e.policies if not policy.shielded]
         number = [] if self.asked is None else ["--worlds", str(self.asked)]
         shield = ["--shield"] if e.shielded else []
-        return shell_line("nnql-bullet", "barn", self.folder, *policies, *number, *shield, *e.setting.flags)
+        return shell_line("nnql-bullet", "barn", self.folder, *policies, *number, *shield, *self._asked.flags)
+
+    @property
+    def _asked(self) -> Setting:
+        """The setting without what the protocol sets."""
+        setting = self.evaluation.setting
+        keys = tuple(key for key in setting.keys if key[0] != STEPS)
+        return replace(setting, allow_impassable=False, keys=keys)
 
     def drives(self, policy: Policy) -> list[tuple[Drawn, Reference, EpisodeSummary]]:
         """Returns the drives of a policy that count, each with its world."""

@@ -64,7 +64,7 @@ def protocol(barn: Barn) -> str:
         "the vehicle, which is shorter than the data set's."
     )
     return (
-        f"{len(barn.tier.worlds)} worlds of the BARN challenge ({PAPER}), {barn.evaluation.setting.title}. "
+        f"{len(barn.tier.worlds)} worlds of the BARN challenge ({PAPER}), {barn.title}. "
         f"From the challenge's start, a drive has {TIME:g} s to come within 1 m of the target with the middle of its "
         "drive axle; a collision ends it, and so does standing about one place (`stuck`). It begins at its speed, not "
         f"at rest. OT is the time {lengths} at {SPEED:g} m/s.{missing if own else ''}"
@@ -196,7 +196,7 @@ def draw_bottlenecks(barn: Barn, path: Path) -> None:
             axes.plot(x, value, color=colour, lw=1.8, marker=mark, ms=5.5, mew=0, label=method)
             axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
         axes.set(xlabel="bottleneck, middle of a quarter of the worlds [m]", ylabel="success [%]", ylim=(-2, 102))
-        finish_axes(axes, f"BARN, {barn.evaluation.setting.title}; lines: 95 % intervals", hidden=OPEN)
+        finish_axes(axes, f"BARN, {barn.title}; lines: 95 % intervals", hidden=OPEN)
         figure.legend(loc="outside right center", frameon=False, fontsize=9)
 
 
@@ -217,4 +217,4 @@ def draw_failures(barn: Barn, films: Sequence[tuple[FilmTask, Recording]], path:
             title = f"{task.policy.name}\nworld {number}: {recording.about['ending']}"
             draw_drive(axes, recording, 1.6, 0.3, title, 7.5)
         legend_below(figure, 3, legend_entries(safe="safe", non_safe="non-safe", collision="collision"))
-        figure.suptitle(f"Failed drives, {barn.evaluation.setting.title}", fontsize=10, color=INK)
+        figure.suptitle(f"Failed drives, {barn.title}", fontsize=10, color=INK)
