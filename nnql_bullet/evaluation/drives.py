@@ -1,6 +1,7 @@
 """Drives policies through worlds, in pieces of work."""
 
 import os
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -31,6 +32,9 @@ from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
 
+MOST_KEPT = 400
+"""Number of drawn worlds that a process keeps: reading the files of others takes longer than to drive through them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
@@ -41,6 +45,10 @@ class Drawn:
     seed: int
     digest: str
     """Its hash."""
+
+
+_kept: OrderedDict[Drawn, WorldSpec] = OrderedDict()
+"""Worlds that this process has drawn, the last used at the end; their hashes say that they are the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,10 +342,18 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
 
 
 def _drawn(experiment: Experiment, task: _BlockTask) -> list[WorldSpec]:
-    """Draws the worlds of a piece."""
+    """Draws the worlds of a piece, or takes them as this process has drawn them before."""
     block = task.tier.block(task.first)
-    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in block}
-    return [experiment.draw(kinds[world.file], world.seed) for world in block]
+    new = [world for world in block if world not in _kept]
+    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in new}
+    drawn = {world: _kept[world] for world in block if world in _kept}
+    drawn |= {world: experiment.draw(kinds[world.file], world.seed) for world in new}
+    for world in block:
+        _kept[world] = drawn[world]
+        _kept.move_to_end(world)
+    while len(_kept) > MOST_KEPT:
+        _kept.popitem(last=False)
+    return [drawn[world] for world in block]
 
 
 class SurveyTask(_BlockTask):
