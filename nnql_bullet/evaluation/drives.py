@@ -1,5 +1,6 @@
 """Drives policies through worlds, in pieces of work."""
 
+import logging
 import os
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -31,6 +32,8 @@ from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+_log = logging.getLogger(__name__)
 
 MOST_KEPT = 400
 """Number of drawn worlds that a process keeps: reading the files of others takes longer than to drive through them."""
@@ -246,6 +249,9 @@ def draw_tiers(
                 worlds += [Drawn(shown, seed, digest) for seed, digest in digests.items()]
         if experiment is None or not worlds:
             continue
+        hopeless = experiment.out_of_reach(kind)
+        if hopeless:
+            _log.warning("%s: %s", policies[0].name, hopeless)
         of_folder = files != [one]
         name = kind.name
         if of_folder:
