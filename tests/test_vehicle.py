@@ -144,7 +144,7 @@ def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
     """Trimesh adds up the parts as one body, an oracle that shares no formula with the package."""
     places = link_places()
     scene = trimesh.Scene()
-    for link in script.vehicle()[0]:
+    for link in script.tricycle()[0]:
         mesh = link.solid.mesh()
         mesh.density = link.mass / mesh.volume
         scene.add_geometry(mesh, transform=trimesh.transformations.translation_matrix(places[link.name]))
@@ -152,7 +152,7 @@ def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
 
 
 def test_inertia_is_that_of_the_links_solid(script):
-    for part in script.vehicle()[0]:
+    for part in script.tricycle()[0]:
         if part.solid.shape == "box":
             exact = trimesh.primitives.Box(extents=part.solid.size)
         else:
@@ -183,8 +183,8 @@ def test_inertia_of_a_wheel_is_that_of_the_tyre_that_is_seen_and_it_touches_the_
 
 def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script):
     """What lies between `low` and `high` spreads about `c` by at most (high - c)(c - low): Bhatia and Davis, 2000."""
-    assert {part.name for part in script.vehicle()[0]} == set(LINKS)
-    for part in script.vehicle()[0]:
+    assert {part.name for part in script.tricycle()[0]} == set(LINKS)
+    for part in script.tricycle()[0]:
         low, high = trimesh.util.concatenate([solid.mesh() for solid in part.visuals]).bounds
         principal = np.linalg.eigvalsh(inertia_of(part.name))
         assert principal[0] > 0
@@ -198,7 +198,7 @@ def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script):
 def test_footprint_covers_everything_that_is_seen_within_a_centimetre(script, vehicle):
     places = link_places()
     meshes = []
-    for link in script.vehicle()[0]:
+    for link in script.tricycle()[0]:
         for solid in link.visuals:
             meshes.append(solid.mesh().apply_translation(places[link.name]))
     low, high = trimesh.util.concatenate(meshes).bounds
