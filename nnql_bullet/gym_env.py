@@ -14,9 +14,9 @@ Action, `Discrete(6)`: 0 straight on, 1 left 30 degrees, 2 left 60, 3 right 30, 
 drive slowly.
 
 Reward: the paper's (II.C), the sum of six named terms of which at most one is not zero, or one of your own. An episode
-terminates at the target or at a collision; it is truncated after 500 steps, or as `stuck` once the vehicle has stayed
-about one place for long. `info` holds `world_seed`, and after a step also `ending`, `state_property`, `heading_error`
-and a `reward/NAME` for each term.
+terminates at the target, at a collision, or as `overturned`; it is truncated after 500 steps, or as `stuck` once the
+vehicle has stayed about one place for long. `info` holds `world_seed`, and after a step also `ending`,
+`state_property`, `heading_error` and a `reward/NAME` for each term.
 """
 
 from collections.abc import Sequence

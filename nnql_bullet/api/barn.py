@@ -26,6 +26,7 @@ from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike, load_policy
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.sources import SOURCES, keep_files
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.importers.barn import START, TARGET, number_of, path_file, reference_length, world_files
@@ -34,7 +35,7 @@ ROBOT = "jackal_tricycle"
 """The shipped robot that drives by default: of the size of the one that the worlds are made for."""
 TRACKS = 12
 """Most failed drives in the picture."""
-_OLD = ("bottleneck.png", "failures.png", *(f"failures/{pattern}" for pattern in RECORDINGS))
+_OLD = (SOURCES, "bottleneck.png", "failures.png", *(f"failures/{pattern}" for pattern in RECORDINGS))
 """Files of an older report that a new one may be without."""
 
 
@@ -88,6 +89,7 @@ class BarnResults:
             report.draw_failures(self.barn, films, out / "failures.png")
             write_text(out / "drives.csv", report.drives_csv(self.barn))
             write_text(out / "barn.md", report.barn_markdown(self.barn, tasks))
+            keep_files([], self.barn.evaluation.setting.robot, out)
             write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 
@@ -109,6 +111,7 @@ def barn(
     workers: int | None = 1,
     address: str | None = None,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> BarnResults:
     """Drives policies through the worlds of the BARN challenge by its protocol, and scores them as it does.
@@ -138,6 +141,7 @@ def barn(
         address: HOST:PORT of a running Ray cluster.
         out: Folder for the report (see `BarnResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
+        check: See `evaluate`.
         on_progress: Receives the progress.
 
     Raises:
@@ -163,7 +167,8 @@ def barn(
         results(evaluation).save(folder, where, on_progress)
 
     draws = Draws(range(1), None)
-    return results(run_evaluation(opened, [given], [str(folder)], draws, setting, where, out, save, on_progress))
+    asked_for = [str(folder)]
+    return results(run_evaluation(opened, [given], asked_for, draws, setting, where, out, save, on_progress, check))
 
 
 def _spread(files: Mapping[int, Path], number: int | None, folder: str | Path) -> list[Path]:

@@ -5,8 +5,10 @@ from typing import Any
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.gym_env import TricycleEnv, TricycleVectorEnv
-from nnql_bullet.run_config import RunConfig
+from nnql_bullet.presets import load_config
+from nnql_bullet.run_config import RunConfig, changed
 
 
 @checked
@@ -17,6 +19,7 @@ def make_env(
     reward: Reward | None = None,
     manoeuvres: bool = False,
     workers: int | None = 1,
+    check: bool = True,
     **changes: Any,
 ) -> TricycleEnv | TricycleVectorEnv:
     """Makes a Gymnasium environment of one vehicle, or a vector environment of several.
@@ -40,12 +43,15 @@ def make_env(
             of 6.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
             environment; None takes one a core.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         **changes: Keys of the configuration: world, robot, simulator, physics, conditions, task and so on.
 
     Raises:
         UserError: If a key or value is wrong.
     """
-    base = config if isinstance(config, RunConfig) else str(config)
+    resolved = changed(config if isinstance(config, RunConfig) else load_config(str(config), {}), **changes)
+    if check:
+        check_at_first_use(resolved.robot, resolved.simulator, resolved.physics)
     if n_envs is None:
-        return TricycleEnv(base, reward, manoeuvres, **changes)
-    return TricycleVectorEnv(n_envs, base, workers, reward, manoeuvres, **changes)
+        return TricycleEnv(resolved, reward, manoeuvres)
+    return TricycleVectorEnv(n_envs, resolved, workers, reward, manoeuvres)

@@ -29,6 +29,7 @@ from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import Draws, SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import Recording
@@ -41,6 +42,7 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.sources import SOURCES, keep_files
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
@@ -52,7 +54,7 @@ CLIP = 12.0
 """Length of a clip of a failure [s]."""
 CLIP_SIZE = (960, 540)
 """Size of a clip [pixels]."""
-_OLD = ("cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
+_OLD = (SOURCES, "cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
 """Files of an older report that a new one may be without."""
 
 
@@ -123,6 +125,8 @@ class EvaluationResults:
             for task in tasks[:clips]:
                 (out / "clips").mkdir(exist_ok=True)
                 render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+            files = [world.file for tier in e.tiers for world in tier.worlds if not tier.given]
+            keep_files(files, e.setting.robot, out)
             write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 
@@ -150,6 +154,7 @@ def evaluate(
     address: str | None = None,
     out: Path | str | None = None,
     clips: int = 0,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
@@ -189,6 +194,7 @@ def evaluate(
         out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
         clips: Most videos of failures in `out`.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -212,7 +218,8 @@ def evaluate(
     def save(evaluation: Evaluation, folder: Path) -> None:
         EvaluationResults(evaluation).save(folder, clips, where, on_progress)
 
-    return EvaluationResults(run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress))
+    evaluation = run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress, check)
+    return EvaluationResults(evaluation)
 
 
 def run_evaluation(
@@ -225,6 +232,7 @@ def run_evaluation(
     out: Path | str | None,
     save: Callable[[Evaluation, Path], object],
     on_progress: OnProgress | None,
+    check: bool,
 ) -> Evaluation:
     """Drives policies through worlds, and saves what comes of it into a folder that no other process writes to.
 
@@ -238,6 +246,7 @@ def run_evaluation(
         out: The folder, where finished pieces are kept too; without it nothing is kept or saved.
         save: Writes the report into the folder.
         on_progress: Receives the progress.
+        check: Whether a robot that is not shipped is checked when it is first driven in contact physics.
 
     Raises:
         UserError: See `evaluate`.
@@ -245,11 +254,12 @@ def run_evaluation(
     """
     if out is not None and Path(out).exists() and not Path(out).is_dir():
         raise UserError(f"{out}: is a file; give a folder")
-    for policy in policies:
-        check_setting(policy, setting)
+    robots = [check_setting(policy, setting) for policy in policies]
     tiers, refused = draw_tiers(worlds, draws, setting, policies)
     folder = None if out is None else Path(out)
     with locked(folder):
+        for its in dict.fromkeys(robots if check else ()):
+            check_at_first_use(its, setting.simulator, setting.physics, on_progress)
         parts = Parts(folder / "parts" if folder else None)
         difficulties, drives = _driven(executor, policies, tiers, setting, parts, on_progress)
         random = frozenset(p.name for p in policies if p.custom is None and has_chance(p, setting.changes(p)))

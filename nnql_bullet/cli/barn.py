@@ -28,6 +28,7 @@ def barn(
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/barn"),
     json: bool = False,
+    check: bool = True,
     keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive policies through the worlds of the BARN challenge by its protocol, and score them as it does.
@@ -56,6 +57,7 @@ def barn(
         address: A running Ray cluster; without it Ray is started on this machine.
         out: Folder of the report.
         json: Print results.json instead of the table.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of each policy's own.
     """
     try:
@@ -72,6 +74,7 @@ def barn(
                 workers=workers,
                 address=address,
                 out=out,
+                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

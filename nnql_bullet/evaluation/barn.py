@@ -116,7 +116,7 @@ class Barn:
     @property
     def title(self) -> str:
         """Simulator, robot and conditions, for people."""
-        return self._asked.title
+        return self._asked.title(policy.robot for policy in self.evaluation.policies)
 
     @property
     def tier(self) -> Tier:

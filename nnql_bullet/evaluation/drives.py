@@ -3,7 +3,7 @@
 import logging
 import os
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -83,8 +83,8 @@ class Tier:
     worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
-    given: World | None = None
-    """The world, if it was made in code."""
+    given: tuple[tuple[str, World], ...] = ()
+    """Worlds in place of what files say, by the names of the files: made in code, or kept by an earlier evaluation."""
 
     @property
     def title(self) -> str:
@@ -98,7 +98,7 @@ class Tier:
 
     def kind(self, world: Drawn) -> str | World:
         """Returns the value of a configuration's key `world` for a world of the tier."""
-        return self.given or world.file
+        return dict(self.given).get(world.file, world.file)
 
     def block(self, first: int) -> tuple[Drawn, ...]:
         """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
@@ -137,11 +137,10 @@ class Setting:
             **policy.changes(self.keys),
         }
 
-    @property
-    def title(self) -> str:
-        """Title for people."""
+    def title(self, robots: Iterable[str] = ()) -> str:
+        """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys))))
+        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys, robots))))
 
     @property
     def robot(self) -> str | None:
@@ -159,13 +158,15 @@ class Setting:
         return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
-def check_setting(policy: Policy, setting: Setting) -> None:
-    """Checks an evaluation's setting before the drives, by making a simulator.
+def check_setting(policy: Policy, setting: Setting) -> str:
+    """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes(policy)).experiment.simulator.close()
+    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment.simulator.close()
+    return experiment.config.robot
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -266,8 +267,9 @@ def draw_tiers(
                 one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
             )
         )
-        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
+        cover = None if of_folder else _cover_of(kind)
         shown = one if isinstance(one, str) else one.name
+        code = ((shown, one),) if isinstance(one, World) else ()
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:
