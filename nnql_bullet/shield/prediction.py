@@ -183,22 +183,29 @@ class Predictor:
         return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
 
     def first_safe(
-        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_], margin: float
+        self,
+        situation: Situation,
+        scans: RecentScans,
+        ranks: Array,
+        clear: NDArray[np.bool_],
+        slowly: NDArray[np.bool_],
+        margin: float,
     ) -> int:
-        """The best of one vehicle's clear actions after which it can stop; -1 if there is none.
+        """The best of one vehicle's admitted actions after which it can stop; -1 if there is none.
 
         It carries an action out slowly where it can stop after that and not after full speed.
 
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
-            ranks: How good each action is held to be (6,).
-            clear: Whether each action stays clear (6,).
+            ranks: How good each action is held to be (6,); minus infinity for one that is not to be taken.
+            clear: Whether each action is admitted at full speed (6,).
+            slowly: Whether it is admitted slowly (6,).
             margin: Clearance that it keeps up to the stop [m].
         """
         for action in np.argsort(-ranks, kind="stable").tolist():
-            for manoeuvre in (action, action + SLOW):
-                if clear[action] and self.can_stop(situation, scans, manoeuvre, margin):
+            for manoeuvre, admitted in ((action, clear[action]), (action + SLOW, slowly[action])):
+                if admitted and ranks[action] > -np.inf and self.can_stop(situation, scans, manoeuvre, margin):
                     return int(manoeuvre)
         return -1
 
