@@ -24,8 +24,9 @@ CELLS_ACROSS = 4
 """Number of cells across the vehicle."""
 BESIDE = 3.0
 """Cost factor of a way that touches obstacles, beyond that of one with room to turn round, which is 1."""
-BARRED = 60.0
-"""Cost factor where the vehicle does not fit. It is finite: a way leads through obstacles where there is no other."""
+TIGHT, BARRED = 12.0, 60.0
+"""Cost factors where the vehicle hardly fits, and where it does not. They are finite: a way leads through obstacles
+where there is no other."""
 _DIAGONAL = 2**0.5
 
 
@@ -67,17 +68,18 @@ def with_scan(before: Surroundings, rays: Array, vehicle: VehicleSpec) -> Surrou
     return before._replace(cells=cells, corner=corner)
 
 
-def way_ahead(surroundings: Surroundings, vehicle: VehicleSpec, reach: float) -> float:
+def way_ahead(surroundings: Surroundings, vehicle: VehicleSpec, margin: float, reach: float) -> float:
     """Bearing of the farthest place on the shortest way to the target that lies in a straight line [rad].
 
     Args:
         surroundings: Of the vehicle.
         vehicle: The vehicle, which has to fit.
+        margin: Clearance that it keeps where it can [m].
         reach: Largest distance of that place [m].
     """
     cell, its = _cell(vehicle), surroundings.pose
     half_width, radius = vehicle.footprint.half_width, turning_radius(vehicle.footprint)
-    x, y = _carrot(*surroundings, half_width / cell, radius / cell, reach / cell, cell)
+    x, y = _carrot(*surroundings, half_width / cell, (half_width + margin) / cell, radius / cell, reach / cell, cell)
     return wrap_angle(float(np.arctan2(y * cell - its[1], x * cell - its[0])) - float(its[2]))
 
 
@@ -126,33 +128,47 @@ def _add_scan(
 
 @njit()
 def _clearances(cells: Cells, most: float) -> Array:
-    """Distances between cells and the nearest occupied one (SIDE, SIDE) [cells], by two sweeps; `most` where larger."""
-    away = np.where(cells > 0, 0.0, most)
-    for turn in (1, -1):
-        for i in range(SIDE):
-            a = i if turn > 0 else SIDE - 1 - i
-            for j in range(SIDE):
-                b = j if turn > 0 else SIDE - 1 - j
-                least = away[a, b]
-                if least == 0.0:
-                    continue
-                if 0 <= b - turn < SIDE:
-                    least = min(least, away[a, b - turn] + 1.0)
-                if 0 <= a - turn < SIDE:
-                    least = min(least, away[a - turn, b] + 1.0)
-                    for beside in (-1, 1):
-                        if 0 <= b + beside < SIDE:
-                            least = min(least, away[a - turn, b + beside] + _DIAGONAL)
-                away[a, b] = least
-    return away
+    """Distances between cells and the nearest occupied one (SIDE, SIDE) [cells]; `most` where they are larger."""
+    reach = int(most)
+    squares = np.full((SIDE, SIDE), most * most)
+    for a in range(SIDE):
+        for b in range(SIDE):
+            if cells[a, b] > 0:
+                for to_a in range(max(a - reach, 0), min(a + reach + 1, SIDE)):
+                    for to_b in range(max(b - reach, 0), min(b + reach + 1, SIDE)):
+                        squares[to_a, to_b] = min(squares[to_a, to_b], (to_a - a) ** 2 + (to_b - b) ** 2)
+    return np.sqrt(squares)
 
 
 @njit()
 def _carrot(
-    cells: Cells, corner: NDArray[np.int64], pose: Array, half_width: float, radius: float, reach: float, cell: float
+    cells: Cells,
+    corner: NDArray[np.int64],
+    pose: Array,
+    half_width: float,
+    fits: float,
+    radius: float,
+    reach: float,
+    cell: float,
 ) -> tuple[float, float]:
-    """The place that `way_ahead` looks at, counted in cells from the target; lengths are in cells."""
+    """The place that `way_ahead` looks at, counted in cells from the target.
+
+    Args:
+        cells: See `Surroundings`.
+        corner: Likewise.
+        pose: Likewise.
+        half_width: Of the vehicle [cells].
+        fits: Distance from obstacles at which it fits well [cells].
+        radius: Distance from obstacles at which it can turn round [cells].
+        reach: Largest distance of the place [cells].
+        cell: Side of a cell [m].
+    """
     room = _clearances(cells, radius + 1.0)
+    factors = np.empty((SIDE, SIDE))
+    for a in range(SIDE):
+        for b in range(SIDE):
+            near = BESIDE * max(radius - room[a, b], 0.0) / (radius - half_width)
+            factors[a, b] = BARRED if room[a, b] <= half_width else TIGHT if room[a, b] <= fits else 1.0 + near
     goal_a, goal_b = -corner[0] - 0.5, -corner[1] - 0.5
     first = (int(np.floor(pose[0] / cell)) - corner[0], int(np.floor(pose[1] / cell)) - corner[1])
     cost, came = np.full((SIDE, SIDE), np.inf), np.full((SIDE, SIDE), -1, np.int64)
@@ -175,8 +191,7 @@ def _carrot(
                 if done[to_a, to_b]:
                     continue
                 step = _DIAGONAL if da and db else 1.0
-                there = so_far + step * (_factor(room[a, b], half_width, radius) / 2)
-                there += step * (_factor(room[to_a, to_b], half_width, radius) / 2)
+                there = so_far + step * (factors[a, b] + factors[to_a, to_b]) / 2
                 if there < cost[to_a, to_b]:
                     cost[to_a, to_b], came[to_a, to_b] = there, a * SIDE + b
                     left = np.hypot(to_a - goal_a, to_b - goal_b)
@@ -186,7 +201,6 @@ def _carrot(
         before = came[way[-1]]
         way.append((before // SIDE, before % SIDE))
     carrot = way[-1]
-    fits = room[first]
     for k in range(len(way) - 2, -1, -1):
         a, b = way[k]
         away = np.hypot(a - first[0], b - first[1])
@@ -194,21 +208,13 @@ def _carrot(
             break
         pieces = int(2 * away) + 1
         least = np.inf
-        for piece in range(pieces + 1):
+        for piece in range(1, pieces + 1):
             share = piece / pieces
-            between = room[int(np.rint(first[0] + share * (a - first[0]))), int(np.rint(first[1] + share * (b - first[1])))]
-            least = min(least, between)
-        if least <= half_width and least < fits and carrot != first:
+            on_a, on_b = first[0] + share * (a - first[0]), first[1] + share * (b - first[1])
+            least = min(least, room[int(np.rint(on_a)), int(np.rint(on_b))])
+        if least <= min(fits, room[first]) and carrot != first:
             break
         carrot = way[k]
     if carrot == first:
         return 0.0, 0.0
     return carrot[0] + corner[0] + 0.5, carrot[1] + corner[1] + 0.5
-
-
-@njit()
-def _factor(room: float, half_width: float, radius: float) -> float:
-    """Cost factor of a cell at a distance from the nearest occupied one; lengths are in cells."""
-    if room <= half_width:
-        return BARRED
-    return 1.0 + BESIDE * max(radius - room, 0.0) / (radius - half_width)

@@ -165,7 +165,8 @@ class Shield:
                 around = recovery.surroundings
                 around = moved_on(around, seen.moved[i], distance, bearing) if around else None
                 around = with_scan(around or first_surroundings(distance, bearing), rays, self._vehicle)
-                led[i], headings[i] = True, way_ahead(around, self._vehicle, self._lengths.turning_radius)
+                tight, reach = self._lengths.tight_margin, self._lengths.turning_radius
+                led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach)
             after.append(replace(memory, recovery=replace(recovery, surroundings=around)))
         return tuple(after), led, headings
 
