@@ -635,15 +635,25 @@ class TestEscape:
             assert recovery.recoveries == count
             distance = recovery.led_until - 1.0
 
-    @pytest.mark.parametrize("width", [1.0, 1.3, 2.0])
+    @pytest.mark.parametrize(("width", "place"), [(1.0, 0.0), (1.0, -2.0), (1.3, -4.05), (2.0, -3.7)])
     def test_it_finds_the_only_way_out_of_a_room(
-        self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf, width: float
+        self,
+        kinematic: KinematicSimulator,
+        around: Callable[..., Shield],
+        world_of: WorldOf,
+        width: float,
+        place: float,
     ) -> None:
-        """A door behind the vehicle, beside the corner, as narrow as its width, its margins and a little more."""
+        """A door behind the vehicle, in the middle or in a corner, hardly wider than its width and margins."""
         front = OrientedBox(MIDDLE.x + 5.0, MIDDLE.y, 0.3, 5.3)
         sides = [OrientedBox(MIDDLE.x, MIDDLE.y + side * 5.0, 5.0, 0.3) for side in (1, -1)]
-        back = OrientedBox(MIDDLE.x - 5.0, MIDDLE.y + width / 2, 0.3, 4.7 - width / 2)
-        world = world_of(front, back, *sides, target=(125.0, 100.0))
+        back = [(-4.7, place - width / 2), (place + width / 2, 4.7)]
+        behind = [
+            OrientedBox(MIDDLE.x - 5.0, MIDDLE.y + (low + high) / 2, 0.3, (high - low) / 2)
+            for low, high in back
+            if high > low + 1e-6
+        ]
+        world = world_of(front, *behind, *sides, target=(125.0, 100.0))
         summary, _, _ = drive(kinematic, world, around(always(TOWARD_TARGET)), steps=300)
         assert summary.ending == "goal"
         assert summary.clearance > 0.03
