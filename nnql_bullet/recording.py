@@ -327,6 +327,11 @@ class Recorder:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
 
+    @property
+    def time(self) -> float:
+        """Time since the start of the episode [s]."""
+        return float(self._columns["state_time"][-1])
+
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""
         self._world, self._ending, self._term_names = world, NO_ENDING, REWARD_TERMS

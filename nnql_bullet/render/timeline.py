@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, OrientedBox, Pose, wrap_angle
+from nnql_bullet.geometry import Array, OrientedBox, Pose, wrap_angle, wrap_angles
 from nnql_bullet.recording import Recording
 
 
@@ -38,8 +38,8 @@ class Timeline:
         self._poses = np.concatenate([[start], recording.sample_pose])
         self._poses[:, 2] = np.unwrap(self._poses[:, 2])
         self._joints = np.unwrap(np.concatenate([[first], recording.joint_angles]), axis=0)
-        distances = np.hypot(*np.diff(self._poses[:, :2], axis=0).T)
-        self._speeds = distances / np.diff(self._times)
+        distances, times = np.hypot(*np.diff(self._poses[:, :2], axis=0).T), np.diff(self._times)
+        self._speeds = np.divide(distances, times, out=np.zeros(len(times)), where=times > 0)  # 0 before the first step
 
     @property
     def duration(self) -> float:
@@ -60,9 +60,13 @@ class Timeline:
             joint_angles=angles,
             speed=float(self._speeds[sample]),
             step=step,
-            over=time >= self.duration,
+            over=time >= self.duration and r.about["ending"] is not None,
             movers=tuple(patrol.at(now) for patrol in r.patrols),
         )
+
+    def yaws(self, times: Array) -> Array:
+        """Returns the yaws at times (k,) [s], without jumps (k,) [rad]."""
+        return np.unwrap(wrap_angles(np.interp(times, self._times, self._poses[:, 2])))
 
     def path(self, time: float) -> Array:
         """Returns the path up to a time [s]: positions (k, 2) [m] at the start and at each sample."""

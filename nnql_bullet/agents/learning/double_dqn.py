@@ -21,7 +21,7 @@ from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
+from nnql_bullet.env import ACTIONS, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
@@ -296,11 +296,20 @@ class DoubleDqn:
 
 def reward(t: Transition, o: DoubleDqnOptions, scale: float = 1.0) -> Array:
     """Rewards of steps (n,) of vehicles of a scale, except for the progress, which is known at the next decision."""
+    return np.asarray(sum(reward_terms(t, o, scale).values()))
+
+
+def reward_terms(t: Transition, o: DoubleDqnOptions, scale: float = 1.0) -> dict[str, Array]:
+    """The parts of `reward` (n,), by name."""
     nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / (FRONT_DISTANCE * scale), 0.0)
-    turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
     won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
-    before_end = o.reward_step + o.reward_turn * turns + o.reward_near * nearness
-    return np.asarray(before_end + (o.reward_winning * won + o.reward_failure * failed))
+    return {
+        "step": np.full(len(won), o.reward_step),
+        "turn": o.reward_turn * np.abs(t.heading_command),
+        "near": o.reward_near * nearness,
+        "winning": o.reward_winning * won,
+        "failure": o.reward_failure * failed,
+    }
 
 
 def partly_mirrored(batch: Batch, frames: FrameMaker, generator: np.random.Generator) -> Batch:
