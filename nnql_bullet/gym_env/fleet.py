@@ -16,7 +16,7 @@ from nnql_bullet.gym_env.observations import OBSERVATIONS, ObservationName, Situ
 from nnql_bullet.gym_env.rewards import RewardName, goal_reward, reward_kind
 from nnql_bullet.render.live import Live
 from nnql_bullet.sim.base import Simulator
-from nnql_bullet.task import ENDINGS, TRUNCATIONS, StateProperty
+from nnql_bullet.task import ENDINGS, GOAL, TRUNCATIONS, StateProperty
 from nnql_bullet.types import Bytes
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -130,6 +130,7 @@ class Fleet:
                 live.on_step(t, i)
         infos = {
             "ending": _ENDINGS[t.ending],
+            "is_success": t.ending == GOAL,
             "state_property": _LABELS[t.s_t.state_property],
             "heading_error": t.motion.heading_error,
             "pose": self._pose.copy(),

@@ -50,11 +50,11 @@ class ObservationKind:
 
 
 def clipped(told: Told, space: Space) -> Told:
-    """The observations as float32, within the bounds of the space of one."""
+    """The observations as numbers of the kind and within the bounds of the space of one."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: clipped(told[name], part) for name, part in space.items()}
     low, high = space.low, space.high  # type: ignore[attr-defined]
-    return np.minimum(np.maximum(np.asarray(told, np.float32), low), high)
+    return np.minimum(np.maximum(np.asarray(told, space.dtype), low), high)
 
 
 def rows_of(told: Told, size: int) -> list[Told]:
@@ -76,8 +76,8 @@ def frame_maker(experiment: Experiment) -> FrameMaker:
     return FrameMaker(o.rays, o.frames, o.grid_map, experiment.vehicle, experiment.config.drive)
 
 
-def _box(low: list[float], high: list[float]) -> Space:
-    return gymnasium.spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+def _box(low: list[float], high: list[float], kind: type[np.floating[Any]] = np.float32) -> Space:
+    return gymnasium.spaces.Box(np.array(low, kind), np.array(high, kind), dtype=kind)
 
 
 def _diagonal(experiment: Experiment) -> float:
@@ -114,7 +114,7 @@ def _rays(s: Situation) -> Array:
 
 def _goal_space(experiment: Experiment) -> Space:
     world, speed = experiment.worlds, _most_speed(experiment)
-    goal = _box([0.0, 0.0, 0.0], [world.width, world.depth, 1.0])
+    goal = _box([0.0, 0.0, 0.0], [world.width, world.depth, 1.0], np.float64)  # so that they decide as the task does
     low = [0.0] * paper.SECTORS + [-1.0, -1.0, -MOST_YAW_RATE, -speed]
     high = [experiment.vehicle.sensor.range] * paper.SECTORS + [1.0, 1.0, MOST_YAW_RATE, speed]
     return gymnasium.spaces.Dict({"observation": _box(low, high), "achieved_goal": goal, "desired_goal": goal})

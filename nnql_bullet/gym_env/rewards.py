@@ -18,9 +18,6 @@ from nnql_bullet.vehicle.scale import length_scale
 
 RewardName = Literal["paper", "progress", "sparse"]
 
-ROUNDING = 1e-4
-"""Allowance for goals in float32 [m]."""
-
 
 @dataclass(frozen=True, slots=True)
 class RewardKind:
@@ -65,4 +62,4 @@ def goal_reward(achieved: ArrayLike, desired: ArrayLike, radius: float) -> Array
     """
     is_at, should_be = np.asarray(achieved, np.float64), np.asarray(desired, np.float64)
     away = np.hypot(*np.moveaxis(is_at - should_be, -1, 0)[:2])
-    return np.where(is_at[..., 2] > 0.5, -1.0, np.where(away <= radius + ROUNDING, 1.0, 0.0))
+    return np.where(is_at[..., 2] > 0.5, -1.0, np.where(away <= radius, 1.0, 0.0))

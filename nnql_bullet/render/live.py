@@ -28,6 +28,8 @@ RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
 
 SIZE = (640, 360)
 """Default size of pictures [pixels]; TinyRenderer, which works everywhere, draws them as fast as any."""
+INSTANT = 1e-6
+"""Time after the start of an episode that stands for its first step before there is one [s]."""
 LIST_FPS = 10.0
 """Pictures in a second of the episode where the mode is a list [Hz]."""
 
@@ -68,7 +70,7 @@ class Live:
         """
         self._mode, self._vehicle, self._camera, self._size, self._about = mode, vehicle, camera, size, about
         self._recorder = Recorder(vehicle)
-        self._clearance, self._shown = 0.0, -1
+        self._clearance, self._speed, self._shown = 0.0, 0.0, -1
         self._studio: Studio | None = None
         self._window: Window | None = None
         self._was_closed = False
@@ -81,7 +83,7 @@ class Live:
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int, clearance: float) -> None:
         """Is told of the start of an episode of a vehicle, and of its clearance there [m]."""
         self._recorder.on_reset(world, observation, vehicle)
-        self._clearance, self._shown = clearance, -1
+        self._clearance, self._speed, self._shown = clearance, float(observation.speed[vehicle]), -1
         self.close()
         self._show()
 
@@ -135,12 +137,12 @@ class Live:
             if self._window is None:
                 self._window = Window(recording)
             self._window.follow(recording)
-            for moment in np.arange(begin, self._now + 0.5 / RATE, 1 / RATE).tolist():
-                if not self._window.is_open:
-                    self._was_closed = True
-                    return
-                self._window.show(moment)
+            began, now = time.monotonic(), begin
+            while now < self._now and self._window.is_open:
+                now = min(begin + time.monotonic() - began, self._now)
+                self._window.show(now)
                 time.sleep(1 / RATE)
+            self._was_closed = not self._window.is_open
 
     def _recording(self) -> Recording:
         """The episode so far. If it goes on, its last step is one that takes no time yet, from the present state."""
@@ -153,6 +155,8 @@ class Live:
         if begun:
             again |= {name: _repeated(getattr(recording, name)) for name in ("action", "clearance", "overridden")}
             return replace(recording, **again, q_values=np.full((len(again["action"]), len(paper.TURNS)), np.nan))
+        (start,) = recording.state_pose
+        ahead = self._speed * INSTANT * np.array([np.cos(start[2]), np.sin(start[2]), 0.0])
         return replace(
             recording,
             **again,
@@ -160,8 +164,8 @@ class Live:
             clearance=np.array([self._clearance]),
             overridden=np.zeros(1, np.bool_),
             q_values=np.full((1, len(paper.TURNS)), np.nan),
-            sample_time=np.zeros(1),
-            sample_pose=recording.state_pose,
+            sample_time=np.array([INSTANT]),
+            sample_pose=(start + ahead)[None],
             joint_angles=np.zeros((1, len(self._vehicle.joints))),
         )
 

@@ -38,8 +38,8 @@ class Timeline:
         self._poses = np.concatenate([[start], recording.sample_pose])
         self._poses[:, 2] = np.unwrap(self._poses[:, 2])
         self._joints = np.unwrap(np.concatenate([[first], recording.joint_angles]), axis=0)
-        distances, times = np.hypot(*np.diff(self._poses[:, :2], axis=0).T), np.diff(self._times)
-        self._speeds = np.divide(distances, times, out=np.zeros(len(times)), where=times > 0)  # 0 before the first step
+        distances = np.hypot(*np.diff(self._poses[:, :2], axis=0).T)
+        self._speeds = distances / np.diff(self._times)
 
     @property
     def duration(self) -> float:
