@@ -331,9 +331,9 @@ class Recorder:
         self._vehicle = vehicle
 
     @property
-    def time(self) -> float:
-        """Time since the start of the episode [s]."""
-        return float(self._columns["state_time"][-1])
+    def times(self) -> list[float]:
+        """Times of the states since the start of the episode [s]."""
+        return [float(time) for time in self._columns["state_time"]]
 
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""

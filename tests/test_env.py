@@ -322,7 +322,7 @@ class TestGymnasium:
         def readings(world: int, **reset: Any) -> list[list[float]]:
             observation, info = env.reset(options={"world_seed": world}, **reset)
             assert info["world_seed"] == world
-            return [observation.tolist(), *(env.step(5)[0].tolist() for _ in range(20))]
+            return [observation.tolist(), *(env.step(1)[0].tolist() for _ in range(20))]
 
         first = readings(123)
         assert readings(123, seed=5) == first != readings(124, seed=5)

@@ -15,7 +15,7 @@ from nnql_bullet.gym_env.actions import ActionsName
 from nnql_bullet.gym_env.fleet import Fleet
 from nnql_bullet.gym_env.observations import ObservationName
 from nnql_bullet.gym_env.rewards import RewardName
-from nnql_bullet.gym_env.single import TricycleEnv
+from nnql_bullet.gym_env.single import TricycleEnv, TricycleGoalEnv
 from nnql_bullet.gym_env.vector import TricycleVectorEnv
 from nnql_bullet.presets import load_config
 from nnql_bullet.render.camera import CameraName
@@ -90,7 +90,7 @@ def make_env(
         task: States, the paper's rewards and endings; see `task.TaskOptions`.
         max_episode_steps: Decisions after which an episode is truncated, if that is less than `task.max_steps`.
         allow_impassable: Whether to take worlds whose paths are all too narrow for the vehicle.
-        render_mode: `rgb_array`, `rgb_array_list` (10 pictures a second of the episode) or `human` (a window).
+        render_mode: `rgb_array`, `rgb_array_list` (one of each state since the last call) or `human` (a window).
         camera: Behind the vehicle (chase), above the arena (top), round the vehicle (orbit), or chase and top (split).
         size: Width and height of the pictures, even numbers [pixels].
         autoreset_mode: What becomes of a vehicle of a vector environment whose episode is over.
@@ -129,7 +129,7 @@ def make_env(
     copyable = CopyableSimulator(partial(experiment.new_simulator, 1 if n_envs is None else workers))
     fleet = Fleet(experiment, copyable, observation, actions, reward, lives)
     if n_envs is None:
-        return TricycleEnv(fleet, render_mode)
+        return (TricycleGoalEnv if observation == "goal" else TricycleEnv)(fleet, render_mode)
     return TricycleVectorEnv(fleet, render_mode, AutoresetMode(autoreset_mode))
 
 

@@ -146,13 +146,7 @@ class Fleet:
         return clipped(self._told.tell(situation), self.observation_space)
 
     def goal_reward(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
-        """The rewards (...) of goals (..., 3).
-
-        Raises:
-            UserError: If the environment has no goals.
-        """
-        if not self._goals:
-            raise UserError("this environment has no goals; make it with observation='goal'")
+        """The rewards (...) of goals (..., 3), of the observation `goal`."""
         return goal_reward(achieved, desired, self.experiment.worlds.target_radius)
 
     def render(self) -> list[Bytes | list[Bytes]]:

@@ -134,14 +134,14 @@ def _goal(s: Situation) -> dict[str, Array]:
 
 def _frames_space(experiment: Experiment) -> Space:
     maker = frame_maker(experiment)
-    return gymnasium.spaces.Box(-1.0, 1.0, (maker.frames, maker.width), np.float32)
+    return gymnasium.spaces.Box(-1.0, 1.0, (maker.frames * maker.width,), np.float32)
 
 
 def _frames(s: Situation) -> Array:
-    """The last frames, the newest first (n, frames, width): the numbers that the network of `double_dqn` is given."""
+    """The last frames, the newest first (n, frames * width): the numbers that the network of `double_dqn` is given."""
     if s.look is None:
         raise ValueError("frames need a look")
-    return np.asarray(s.look.memory.frames / np.float32(127.5) - np.float32(1.0))
+    return np.asarray(s.look.stacked / np.float32(127.5) - np.float32(1.0))
 
 
 OBSERVATIONS: dict[ObservationName, ObservationKind] = {

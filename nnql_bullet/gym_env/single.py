@@ -11,7 +11,7 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.gym_env.fleet import Fleet
 from nnql_bullet.gym_env.observations import Told, rows_of
 from nnql_bullet.gym_env.starts import checked_options, starting_world
-from nnql_bullet.render.live import LIST_FPS, RenderMode, modes_here
+from nnql_bullet.render.live import RenderMode, modes_here
 from nnql_bullet.seeding import as_seed
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.copying import CopyableSimulator
@@ -19,19 +19,15 @@ from nnql_bullet.types import Bytes
 from nnql_bullet.worlds.spec import WorldSpec
 
 
-def rendering(mode: RenderMode | None, decision_period: float) -> dict[str, Any]:
-    """What `metadata` says of rendering: the modes, and how many pictures a second show an episode in real time.
-
-    There is one picture a decision, but for lists, which hold more.
-    """
-    fps = LIST_FPS if mode == "rgb_array_list" else 1 / decision_period
-    return {"render_modes": modes_here(), "render_fps": fps}
+def rendering(decision_period: float) -> dict[str, Any]:
+    """What `metadata` says of rendering: the modes, and the rate [Hz] at which a picture a decision is real time."""
+    return {"render_modes": modes_here(), "render_fps": 1 / decision_period}
 
 
 class TricycleEnv(gymnasium.Env[Told, Any]):
     """One vehicle, in a new world each episode; `api.environment.make_env` makes it."""
 
-    metadata = {"render_modes": list(get_args(RenderMode)), "render_fps": LIST_FPS}  # noqa: RUF012 (Gymnasium's own convention)
+    metadata = {"render_modes": list(get_args(RenderMode)), "render_fps": 2.0}  # noqa: RUF012 (Gymnasium's own convention)
 
     def __init__(self, fleet: Fleet, render_mode: RenderMode | None = None) -> None:
         """Takes a fleet of one vehicle.
@@ -42,7 +38,7 @@ class TricycleEnv(gymnasium.Env[Told, Any]):
         """
         self._fleet, self.render_mode = fleet, render_mode
         self.observation_space, self.action_space = fleet.observation_space, fleet.action_space
-        self.metadata = {**self.metadata, **rendering(render_mode, self.simulator.drive.decision_period)}
+        self.metadata = {**self.metadata, **rendering(self.simulator.drive.decision_period)}
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Told, dict[str, Any]]:
         """Starts an episode in the world that the options name, or in one drawn from the environment's generator.
@@ -81,15 +77,6 @@ class TricycleEnv(gymnasium.Env[Told, Any]):
             return None
         return self._fleet.render()[0]
 
-    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Array | float:
-        """The rewards (...) of goals (..., 3) of the observation `goal`; `info` is of no account.
-
-        Raises:
-            UserError: If the environment has no goals.
-        """
-        rewards = self._fleet.goal_reward(achieved_goal, desired_goal)
-        return rewards if rewards.ndim else rewards.item()
-
     @property
     def simulator(self) -> Simulator:
         """The simulator of the vehicle."""
@@ -107,6 +94,15 @@ class TricycleEnv(gymnasium.Env[Told, Any]):
     def _told(self) -> Told:
         (told,) = rows_of(self._fleet.told(), 1)
         return told
+
+
+class TricycleGoalEnv(TricycleEnv):
+    """One vehicle that is told of goals, for learning in hindsight."""
+
+    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Array | float:
+        """The rewards (...) of goals (..., 3); `info` is of no account."""
+        rewards = self._fleet.goal_reward(achieved_goal, desired_goal)
+        return rewards if rewards.ndim else rewards.item()
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:

@@ -14,10 +14,8 @@ from nnql_bullet.gym_env.fleet import Fleet
 from nnql_bullet.gym_env.observations import Told, rows_of
 from nnql_bullet.gym_env.single import rendering
 from nnql_bullet.gym_env.starts import checked_options, options_of_each, starting_world
-from nnql_bullet.render.live import LIST_FPS, RenderMode
+from nnql_bullet.render.live import RenderMode
 from nnql_bullet.seeding import as_seed
-
-_BLANK: dict[str, Any] = {"O": None, "f": 0.0}  # in `info`, of a vehicle that stands by, by kind of value
 
 Infos = dict[str, Any]
 
@@ -33,7 +31,7 @@ class TricycleVectorEnv(VectorEnv[Told, Any, NDArray[Any]]):
 
     metadata = {  # noqa: RUF012 (Gymnasium's own convention)
         "render_modes": list(get_args(RenderMode)),
-        "render_fps": LIST_FPS,
+        "render_fps": 2.0,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -54,7 +52,7 @@ class TricycleVectorEnv(VectorEnv[Told, Any, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = fleet.observation_space, fleet.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        shown = rendering(render_mode, fleet.navigation.simulator.drive.decision_period)
+        shown = rendering(fleet.navigation.simulator.drive.decision_period)
         self.metadata = {**self.metadata, **shown, "autoreset_mode": autoreset_mode}
         self._generators = [np_random()[0] for _ in range(self.num_envs)]
         self._over = np.zeros(self.num_envs, np.bool_)
@@ -144,7 +142,7 @@ def _masked(values: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> Infos:
     """Values of `info` (n, ...) with blanks for the vehicles outside the mask (n,), and the mask; of none, nothing."""
     infos: Infos = {}
     for name, its in values.items() if mask.any() else ():
-        blank = _BLANK.get(its.dtype.kind, 0)
+        blank: Any = None if its.dtype == object else its.dtype.type(0)
         infos[name] = its if mask.all() else np.where(mask.reshape(-1, *[1] * (its.ndim - 1)), its, blank)
         infos[f"_{name}"] = mask
     return infos

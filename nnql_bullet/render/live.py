@@ -3,7 +3,6 @@
 import os
 import time
 from dataclasses import replace
-from math import floor
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -13,7 +12,7 @@ from nnql_bullet.env import Observation, Transition
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Studio
-from nnql_bullet.render.filming import check_pictures
+from nnql_bullet.render.filming import FPS, check_pictures
 from nnql_bullet.render.renderers import best_renderer
 from nnql_bullet.render.window import RATE, Window, check_window
 from nnql_bullet.rollout import Decision
@@ -24,14 +23,12 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
 RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
-"""A picture of now, pictures since the last time, or a window."""
+"""A picture of now, one of each state since the last time, or a window."""
 
 SIZE = (640, 360)
 """Default size of pictures [pixels]; TinyRenderer, which works everywhere, draws them as fast as any."""
 INSTANT = 1e-6
 """Time after the start of an episode that stands for its first step before there is one [s]."""
-LIST_FPS = 10.0
-"""Pictures in a second of the episode where the mode is a list [Hz]."""
 
 
 def modes_here() -> list[RenderMode]:
@@ -45,7 +42,7 @@ def check_mode(mode: RenderMode, size: tuple[int, int]) -> None:
     Raises:
         UserError: If the size is out of range, or no window can open.
     """
-    check_pictures(size, LIST_FPS, 1.0)
+    check_pictures(size, FPS, 1.0)
     if mode == "human":
         check_window("take render_mode='rgb_array', or a virtual display (xvfb-run)")
 
@@ -70,7 +67,7 @@ class Live:
         """
         self._mode, self._vehicle, self._camera, self._size, self._about = mode, vehicle, camera, size, about
         self._recorder = Recorder(vehicle)
-        self._clearance, self._speed, self._shown = 0.0, 0.0, -1
+        self._clearance, self._speed, self._shown = 0.0, 0.0, 0
         self._studio: Studio | None = None
         self._window: Window | None = None
         self._was_closed = False
@@ -83,13 +80,13 @@ class Live:
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int, clearance: float) -> None:
         """Is told of the start of an episode of a vehicle, and of its clearance there [m]."""
         self._recorder.on_reset(world, observation, vehicle)
-        self._clearance, self._speed, self._shown = clearance, float(observation.speed[vehicle]), -1
+        self._clearance, self._speed, self._shown = clearance, float(observation.speed[vehicle]), 0
         self.close()
         self._show()
 
     def on_step(self, transition: Transition, vehicle: int) -> None:
         """Is told of a step of n vehicles, and of which of them it shows."""
-        before = self._now
+        before = self._recorder.times[-1]
         decision = Decision(transition.a_tm1, np.zeros(len(transition.a_tm1), np.bool_), None)
         self._recorder.on_step(transition, decision, vehicle)
         self._show(before)
@@ -97,13 +94,13 @@ class Live:
     def render(self) -> Bytes | list[Bytes]:
         """Draws the vehicle as it is now (height, width, 3).
 
-        Where the mode is a list, it draws what happened since the last call in this episode, `LIST_FPS` pictures a
-        second.
+        Where the mode is a list, it draws each state of this episode since the last call.
         """
         if self._mode != "rgb_array_list":
-            return self._drawn([self._now])[0]
-        first, self._shown = self._shown + 1, floor(self._now * LIST_FPS + 1e-6)
-        return self._drawn([k / LIST_FPS for k in range(first, self._shown + 1)])
+            return self._drawn([self._recorder.times[-1]])[0]
+        times = self._recorder.times[self._shown :]
+        self._shown += len(times)
+        return self._drawn(times)
 
     def close(self) -> None:
         """Frees what draws; the next picture makes it anew."""
@@ -115,11 +112,6 @@ class Live:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_studio": None, "_window": None}
-
-    @property
-    def _now(self) -> float:
-        """Time since the start of the episode [s]."""
-        return self._recorder.time
 
     def _drawn(self, times: list[float]) -> list[Bytes]:
         recording = self._recording()
@@ -137,9 +129,9 @@ class Live:
             if self._window is None:
                 self._window = Window(recording)
             self._window.follow(recording)
-            began, now = time.monotonic(), begin
-            while now < self._now and self._window.is_open:
-                now = min(begin + time.monotonic() - began, self._now)
+            began, now, end = time.monotonic(), begin, self._recorder.times[-1]
+            while now < end and self._window.is_open:
+                now = min(begin + time.monotonic() - began, end)
                 self._window.show(now)
                 time.sleep(1 / RATE)
             self._was_closed = not self._window.is_open
