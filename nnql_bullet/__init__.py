@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.api.worlds import export_world, import_world, view_world
     from nnql_bullet.driving import drive
-    from nnql_bullet.errors import UserError, WorkFailed
+    from nnql_bullet.errors import RobotWarning, UserError, WorkFailed
     from nnql_bullet.recording import Recording
     from nnql_bullet.run_config import Conditions
     from nnql_bullet.runs import load_policy, load_run
@@ -40,6 +40,7 @@ _HOMES = {
     "Conditions": "run_config",
     "Progress": "work",
     "Recording": "recording",
+    "RobotWarning": "errors",
     "UserError": "errors",
     "Vehicle": "vehicle.spec",
     "WorkFailed": "errors",
@@ -67,6 +68,7 @@ __all__ = [
     "Conditions",
     "Progress",
     "Recording",
+    "RobotWarning",
     "UserError",
     "Vehicle",
     "WorkFailed",

@@ -259,7 +259,14 @@ class Navigation:
         s_tm1, turns, scales = self._observation, commands.heading_changes, commands.speed_scales
         m, ray_distances = self.simulator.advance(turns, active, scales, traces)
         s_t = self._observed(
-            self._target, m.pose, m.yaw_rate, m.speed, ray_distances, m.touching, m.at_target, s_tm1.state_property
+            self._target,
+            m.pose,
+            m.yaw_rate,
+            m.speed,
+            ray_distances,
+            m.touching | m.overturned,
+            m.at_target,
+            s_tm1.state_property,
         )
         if active is None:
             active = np.ones(self.simulator.size, np.bool_)
@@ -281,7 +288,7 @@ class Navigation:
             discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
-            ending=ending(s_t.state_property, self._steps, self.task, self._staying),
+            ending=ending(s_t.state_property, self._steps, self.task, self._staying, m.overturned),
             heading_command=turns,
             speed_command=scales,
             motion=m,
@@ -304,7 +311,7 @@ class Navigation:
         yaw_rates: Array,
         speeds: Array,
         ray_distances: Array,
-        touching: NDArray[np.bool_],
+        failed: NDArray[np.bool_],
         at_target: NDArray[np.bool_],
         before: NDArray[np.int64],
     ) -> Observation:
@@ -317,7 +324,7 @@ class Navigation:
             target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
             yaw_rate=yaw_rates,
             speed=speeds,
-            state_property=state_property(readings, touching, at_target, self.task, before),
+            state_property=state_property(readings, failed, at_target, self.task, before),
             ray_distances=ray_distances,
         )
 

@@ -1,8 +1,10 @@
 """Makes the objects of a run from its configuration."""
 
+import math
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation
@@ -37,15 +39,24 @@ def at_own_speed(config: RunConfig, vehicle: VehicleSpec) -> RunConfig:
     Raises:
         UserError: If another speed is asked for that is more than the vehicle's own.
     """
-    speed, own = config.drive.speed, own_speed(vehicle)
-    if speed <= own:
+    own = own_speed(vehicle)
+    if config.drive.speed <= own:
         return config
-    if speed != DriveOptions().speed:
-        raise UserError(
-            f"robot '{vehicle.name}' drives at {own:g} m/s at most, not at {speed:g} m/s; lower the speed, or raise "
-            "limits.speed in its TOML"
-        )
+    if config.drive.speed != DriveOptions().speed:
+        refuse_speed(vehicle, config.drive.speed)
     return replace(config, drive=replace(config.drive, speed=own))
+
+
+def refuse_speed(vehicle: VehicleSpec, speed: float) -> NoReturn:
+    """Refuses a speed that is more than the vehicle's own.
+
+    Raises:
+        UserError: Always.
+    """
+    raise UserError(
+        f"robot '{vehicle.name}' drives at {own_speed(vehicle):g} m/s at most, not at {speed:g} m/s; lower the speed, "
+        "or raise limits.speed in its TOML"
+    )
 
 
 class Experiment:
@@ -85,6 +96,22 @@ class Experiment:
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
+
+    def out_of_reach(self, world: World) -> str:
+        """Says why no vehicle can reach the target of a world in an episode, however it drives; empty if one may.
+
+        It compares the straight way to the edge of the target with the way that the steps of an episode allow.
+        """
+        c = self.config
+        way = c.task.max_steps * c.drive.decision_period * c.drive.speed
+        straight = math.dist(world.start, world.target) - world.target_radius
+        if way >= straight:
+            return ""
+        return (
+            f"world '{world.name}': {c.task.max_steps} steps of {c.drive.decision_period:g} s at {c.drive.speed:g} m/s "
+            f"are {way:g} m, and the target is {straight:.0f} m away: no episode can reach it; raise 'task.max_steps' "
+            "or 'drive.speed'"
+        )
 
     @cached_property
     def task(self) -> TaskOptions:

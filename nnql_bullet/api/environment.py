@@ -11,6 +11,7 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.gym_env.actions import ActionsName
 from nnql_bullet.gym_env.fleet import Fleet
 from nnql_bullet.gym_env.observations import ObservationName
@@ -55,6 +56,7 @@ def make_env(
     size: tuple[int, int] = SIZE,
     autoreset_mode: AutoresetMode | Literal["NextStep", "SameStep", "Disabled"] = AutoresetMode.NEXT_STEP,
     workers: int | None = 1,
+    check: bool = True,
 ) -> TricycleEnv | TricycleVectorEnv:
     """Makes a Gymnasium environment of one vehicle, or a vector environment of several.
 
@@ -96,6 +98,7 @@ def make_env(
         autoreset_mode: What becomes of a vehicle of a vector environment whose episode is over.
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles of a vector
             environment; None takes one a core.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
 
     Raises:
         UserError: If a value is wrong, or a window is asked for where none can open.
@@ -120,6 +123,8 @@ def make_env(
         resolved = changed(resolved, conditions={"rays": rays})
     if max_episode_steps is not None and max_episode_steps < resolved.task.max_steps:
         resolved = changed(resolved, task={"max_steps": max_episode_steps})
+    if check:
+        check_at_first_use(resolved.robot, resolved.simulator, resolved.physics)
     if render_mode is not None:
         check_mode(render_mode, size)
     experiment = Experiment(resolved)

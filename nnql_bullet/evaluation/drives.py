@@ -1,7 +1,8 @@
 """Drives policies through worlds, in pieces of work."""
 
+import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -11,6 +12,7 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
+from nnql_bullet.config import nested
 from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
@@ -20,7 +22,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
@@ -29,6 +31,8 @@ from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +67,8 @@ class Tier:
     worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
-    given: World | None = None
-    """The world, if it was made in code."""
+    given: tuple[tuple[str, World], ...] = ()
+    """Worlds in place of what files say, by the names of the files: made in code, or kept by an earlier evaluation."""
 
     @property
     def title(self) -> str:
@@ -78,7 +82,7 @@ class Tier:
 
     def kind(self, world: Drawn) -> str | World:
         """Returns the value of a configuration's key `world` for a world of the tier."""
-        return self.given or world.file
+        return dict(self.given).get(world.file, world.file)
 
     def block(self, first: int) -> tuple[Drawn, ...]:
         """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
@@ -104,23 +108,29 @@ class Setting:
     """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
     target: tuple[float, ...] | None = None
     """In place of each world's own [m]."""
+    keys: Keys = ()
+    """What else each policy drives with in place of its own configuration: robot, speed, keys of the shield, ..."""
 
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes to a policy's configuration."""
+    def changes(self, policy: Policy) -> dict[str, Any]:
+        """Returns changes to a policy's configuration."""
         return {
             "simulator": self.simulator,
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            **policy.changes(self.keys),
         }
 
-    @property
-    def title(self) -> str:
-        """Title for people."""
+    def title(self, robots: Iterable[str] = ()) -> str:
+        """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        conditions = [self.conditions.title] if self.conditions else []
-        return ", ".join((where, *conditions))
+        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys, robots))))
+
+    @property
+    def robot(self) -> str | None:
+        """What all policies drive; None if each drives its own vehicle."""
+        robot: str | None = dict(self.keys).get("robot")
+        return robot
 
     @property
     def flags(self) -> list[str]:
@@ -128,16 +138,19 @@ class Setting:
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
         changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
+        changes |= nested(dict(self.keys))
         return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
-def check_setting(policy: Policy, setting: Setting) -> None:
-    """Checks an evaluation's setting before the drives, by making a simulator.
+def check_setting(policy: Policy, setting: Setting) -> str:
+    """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes).experiment.simulator.close()
+    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment.simulator.close()
+    return experiment.config.robot
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -200,7 +213,7 @@ def draw_tiers(
     Raises:
         UserError: If there is no such world, one is given twice or is not the frozen one, or all files are refused.
     """
-    chance = any([has_chance(policy, setting.changes) for policy in policies])
+    chance = any([has_chance(policy, setting.changes(policy)) for policy in policies])
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
@@ -221,6 +234,9 @@ def draw_tiers(
                 worlds += [Drawn(shown, seed, digest) for seed, digest in digests.items()]
         if experiment is None or not worlds:
             continue
+        hopeless = experiment.out_of_reach(kind)
+        if hopeless:
+            _log.warning("%s: %s", policies[0].name, hopeless)
         of_folder = files != [one]
         name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
         if name in [tier.name for tier in tiers]:
@@ -233,8 +249,8 @@ def draw_tiers(
                 one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
             )
         )
-        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
-        shown = one.name if isinstance(one, World) else one
+        cover, shown = None if of_folder else _cover_of(kind), one.name if isinstance(one, World) else one
+        code = ((shown, one),) if isinstance(one, World) else ()
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:
@@ -285,8 +301,10 @@ class DriveTask(_BlockTask):
         """See `parts.Piece`."""
         if self.policy.custom:
             return ""
-        where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
-        return part_name("drives", self.policy.fingerprint, *where, *self.tier.part(self.first))
+        policy, setting = self.policy, self.setting
+        where = setting.simulator, setting.physics, *flags({"conditions": setting.conditions})
+        how = policy.vehicle, *(its for its in policy.holding(setting.keys) if its[0] != "robot")
+        return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -363,7 +381,8 @@ class FilmTask:
         """Command line that repeats the drive."""
         where = ["--world", self.world.file, "--seed", str(self.world.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
+        setting = replace(self.setting, keys=self.policy.holding(self.setting.keys))
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *setting.flags)
 
 
 def film(task: FilmTask) -> Recording:
@@ -385,5 +404,5 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
     ends = {"start": setting.start, "target": setting.target}
-    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes, **policy.changes}
+    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes(policy)}
     return load_policy(policy.source, changes).experiment

@@ -44,7 +44,7 @@ class Evaluation:
     @property
     def title(self) -> str:
         """Worlds, simulator and conditions, for people."""
-        return f"{self.draws.title}, {self.setting.title}"
+        return f"{self.draws.title}, {self.setting.title(policy.robot for policy in self.policies)}"
 
     @property
     def methods(self) -> list[str]:

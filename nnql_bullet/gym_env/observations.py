@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
 from nnql_bullet.agents.learning.frames import FrameMaker, Look
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.env import MOST_YAW_RATE, Observation, as_numbers
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array

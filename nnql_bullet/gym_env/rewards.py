@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nnql_bullet.agents.learning.double_dqn import reward_terms
 from nnql_bullet.agents.learning.frames import Look
+from nnql_bullet.agents.learning.shaped_reward import reward_terms
 from nnql_bullet.env import Reward, Transition
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
