@@ -17,6 +17,7 @@ from nnql_bullet.registration import register_lazily
 
 if TYPE_CHECKING:
     from nnql_bullet.api.ablate import ablate
+    from nnql_bullet.api.barn import barn
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
     from nnql_bullet.api.failures import failures
@@ -46,6 +47,7 @@ _HOMES = {
     "WorkFailed": "errors",
     "World": "worlds.source",
     "ablate": "api.ablate",
+    "barn": "api.barn",
     "check_fidelity": "api.fidelity",
     "drive": "driving",
     "envelope": "api.fidelity",
@@ -74,6 +76,7 @@ __all__ = [
     "WorkFailed",
     "World",
     "ablate",
+    "barn",
     "check_fidelity",
     "drive",
     "envelope",

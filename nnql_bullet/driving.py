@@ -15,7 +15,7 @@ from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, key_texts
-from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_other_robot
+from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_differences
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress
@@ -83,7 +83,7 @@ def drive(
     asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked |= {"start": start and list(start), "target": target and list(target)}
-    tell_other_robot(policy, asked.get("robot"))
+    tell_differences(policy, asked.get("robot"), own_world=world is None)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     if check:

@@ -31,6 +31,7 @@ KEYS = {
     "smallest_clearance",
     "seed",
     "world",
+    "robot",
     "recording",
     "picture",
 }

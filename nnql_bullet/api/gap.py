@@ -138,7 +138,7 @@ def gap(
     first, second = Side(against, physics), Side(simulator, physics)
     in_shield, keys = shield or "shield" in changes, frozen_keys(driving_with(changes, robot, speed))
     robot = dict(keys).get("robot")
-    opened = [its for its in open_policies(policies, in_shield, robot) if its.shielded == in_shield]
+    opened = [its for its in open_policies(policies, in_shield, robot, world is None) if its.shielded == in_shield]
     where = executor_for(opened, executor, workers)
     ours = [measure.check(PairTask(policy, world, draws.seeds, first, second, conditions, keys)) for policy in opened]
     for its, side in product(dict.fromkeys(ours if check else ()), (against, simulator)):

@@ -214,8 +214,13 @@ class Gap:
     @property
     def title(self) -> str:
         """The world, and what is asked for in place of the policies' own, in words; empty if that is nothing."""
-        world, shield = f"world {self.world}" if self.world else "", "in a shield" if self.shield else ""
-        return ", ".join(filter(None, (world, shield, asked_title(self.conditions, self.keys))))
+        return ", ".join(filter(None, (f"world {self.world}" if self.world else "", self.asked)))
+
+    @property
+    def asked(self) -> str:
+        """What is asked for in place of the policies' own, besides the world."""
+        shield = "in a shield" if self.shield else ""
+        return ", ".join(filter(None, (shield, asked_title(self.conditions, self.keys, self.robots))))
 
     @property
     def command(self) -> str:

@@ -15,6 +15,7 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.env import ACTIONS, SLOW, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
+from nnql_bullet.mapping.way import first_surroundings, moved_on, way_ahead, with_scan
 from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.shield.fallback import Spin, fallback
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
@@ -36,6 +38,9 @@ from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 __all__ = ["Shield", "ShieldOptions"]
+
+ALONG = radians(45.0)
+"""Largest angle between the way of a recovery and an action that drives along it [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +114,11 @@ class Shield:
         wanted, agent_state = self.agent.act(o, state.agent)
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
+        led, headings, along = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted)), np.ones(turns.shape, np.bool_)
         if self.options.recovers:
-            memories = self._recovering(ranks, o, turns, memories)
+            memories, led, headings = self._recovering(seen, memories)
+            away = np.abs(wrap_angles(turns - headings[:, None]))
+            ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
@@ -118,16 +126,17 @@ class Shield:
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
-            admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            admitted, margin = clear[i] & along[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            slowly = along[i] & (not backs) if led[i] else admitted
             chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
             calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
-            follows = wanted[i] >= ACTIONS and calm and not memory.recovery.leads(float(o.target_distance[i]))
+            follows = wanted[i] >= ACTIONS and calm and not led[i]
             if not (follows and self._predictor.can_stop(alone, recent, int(wanted[i]), margin)):
-                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin)
+                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, slowly, margin)
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
-                    *(memory.recovery.side, float(o.target_bearing[i])),
+                    *(int(np.sign(headings[i])), float(o.target_bearing[i])),
                 )
             spins.append(spin)
         if isinstance(self.agent, Overridable):
@@ -141,20 +150,25 @@ class Shield:
         last = [memory.scan for memory in memories]
         return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
 
-    def _recovering(self, ranks: Array, o: Observation, turns: Array, memories: Sequence[Memory]) -> tuple[Memory, ...]:
-        """Updates the recoveries, and ranks in place the actions of the vehicles that they lead."""
-        after = []
+    def _recovering(
+        self, seen: Perception, memories: Sequence[Memory]
+    ) -> tuple[tuple[Memory, ...], NDArray[np.bool_], Array]:
+        """Updates the recoveries; also whether each leads its vehicle (n,), and to which heading change (n,) [rad]."""
+        after, o = [], seen.observation
+        led, headings = np.zeros(len(memories), np.bool_), np.zeros(len(memories))
         for i, memory in enumerate(memories):
-            distance = float(o.target_distance[i])
-            recovery = memory.recovery.updated(
-                distance, o.readings[i], memory.spin.side, self._drive.decision_period, self._lengths.scale
-            )
+            distance, bearing = float(o.target_distance[i]), float(o.target_bearing[i])
+            recovery = memory.recovery.updated(distance, self._drive.decision_period, self._lengths.scale)
+            around = None
             if recovery.leads(distance):
-                sensor, bearing = self._vehicle.sensor, float(o.target_bearing[i])
-                heading = recovery.heading(bearing, o.ray_distances[i], sensor, self._lengths.scale)
-                ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
-            after.append(replace(memory, recovery=recovery))
-        return tuple(after)
+                rays = np.where(seen.moving[i, : o.ray_distances.shape[1]], 0.0, seen.scans[i].recent.rays[0])
+                around = recovery.surroundings
+                around = moved_on(around, seen.moved[i], distance, bearing) if around else None
+                around = with_scan(around or first_surroundings(distance, bearing), rays, self._vehicle)
+                tight, reach = self._lengths.tight_margin, self._lengths.turning_radius
+                led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach)
+            after.append(replace(memory, recovery=replace(recovery, surroundings=around)))
+        return tuple(after), led, headings
 
     def _remembered(
         self,
@@ -174,7 +188,7 @@ class Shield:
         for i, memory in enumerate(memories):
             spin = spins[i]
             if o.speed[i] >= 0.9 * goals[i] > 0:
-                spin = Spin(spin.side if memory.recovery.side else 0)
+                spin = Spin()
             after.append(Memory(spin, replace(scans[i], moved=moved[i]), memory.recovery))
         return tuple(after)
 

@@ -255,6 +255,17 @@ def looks_of(link: Element, find: Callable[[str], Path | None]) -> list[Element]
     return [_look(solid, painted) for solid in link.findall("collision") if _is_drawable(solid)]
 
 
+def without_looks(text: str) -> str:
+    """Returns a URDF without what is only seen."""
+    robot = parse(text)
+    for link in robot.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for material in robot.findall("material"):
+        robot.remove(material)
+    return text_of(robot)
+
+
 def text_of(robot: Element) -> str:
     """Writes a URDF as text."""
     return ElementTree.tostring(robot, encoding="unicode")

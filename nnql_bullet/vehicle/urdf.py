@@ -68,6 +68,13 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     return replace(made, source=name)
 
 
+def collision_meshes(urdf: Path) -> dict[str, Path]:
+    """Finds the files of the meshes that a vehicle is as large as, by their names in its URDF."""
+    meshes = Meshes(urdf)
+    named = [mesh.get("filename", "") for mesh in read(urdf).iterfind("link/collision/geometry/mesh")]
+    return {name: file for name in named if (file := meshes.find(name))}
+
+
 def robot_name(vehicle: str | Path | VehicleSpec) -> str:
     """Returns the name or TOML file of a vehicle, for a configuration.
 

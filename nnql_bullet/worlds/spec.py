@@ -10,7 +10,7 @@ import numpy as np
 from nnql_bullet.blocks import by_place
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows
 from nnql_bullet.jit import njit
-from nnql_bullet.worlds.passages import Passage, narrowest_passage
+from nnql_bullet.worlds.passages import Passage, is_passable, narrowest_passage
 
 WALL_THICKNESS = 1.0
 """[m]"""
@@ -126,6 +126,10 @@ class WorldSpec:
     def bottleneck(self) -> Passage:
         """The narrowest place of the widest path from the start to the target, without patrols."""
         return narrowest_passage(self.solids, (self.start.x, self.start.y), self.target)
+
+    def admits(self, width: float) -> bool:
+        """Whether the bottleneck admits a disc of a width [m], found faster than the bottleneck itself."""
+        return is_passable(self.solids, (self.start.x, self.start.y), self.target, width)
 
     @property
     def cover(self) -> float:
