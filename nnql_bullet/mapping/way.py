@@ -1,8 +1,8 @@
 """The shortest way to the target through what a vehicle has seen since it began to ask for one.
 
 Cells about the vehicle are occupied where rays ended, until rays pass. Unseen ones count as free, as in Koenig and
-Likhachev, "D* Lite" (AAAI 2002); here every decision searches anew by A* (Hart, Nilsson and Raphael, "A Formal Basis for
-the Heuristic Determination of Minimum Cost Paths", 1968), with a cost that falls with the distance to the nearest
+Likhachev, "D* Lite" (AAAI 2002); here every decision searches anew by A* (Hart, Nilsson and Raphael, "A Formal Basis
+for the Heuristic Determination of Minimum Cost Paths", 1968), with a cost that falls with the distance to the nearest
 occupied cell. Poses are in the target's frame of `grid_map`.
 """
 
@@ -137,7 +137,8 @@ def _clearances(cells: Cells, most: float) -> Array:
                 for to_a in range(max(a - reach, 0), min(a + reach + 1, SIDE)):
                     for to_b in range(max(b - reach, 0), min(b + reach + 1, SIDE)):
                         squares[to_a, to_b] = min(squares[to_a, to_b], (to_a - a) ** 2 + (to_b - b) ** 2)
-    return np.sqrt(squares)
+    away: Array = np.sqrt(squares)
+    return away
 
 
 @njit()

@@ -47,9 +47,7 @@ class Recovery:
         if waited <= STUCK_AFTER:
             return replace(self, closest=closest, waited=waited)
         gain = FIRST_GAIN * scale * GAIN_GROWTH**self.recoveries
-        return replace(
-            self, closest=closest, waited=0.0, recoveries=self.recoveries + 1, led_until=closest - gain
-        )
+        return replace(self, closest=closest, waited=0.0, recoveries=self.recoveries + 1, led_until=closest - gain)
 
     def leads(self, distance: float) -> bool:
         """Whether the recovery, not the agent, leads the vehicle at a distance to the target [m]."""
