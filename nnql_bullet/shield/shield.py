@@ -5,8 +5,8 @@ straight on after it. It takes the agent's best action that stays clear of what 
 vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
 `mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
 it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
-no nearer to the target (`recovery`). It completes sensors that read nothing against all evidence, and expects moving
-obstacles to come nearer (`perception`).
+no nearer to the target on the shortest way through what was seen (`recovery`, `mapping.way`). It completes sensors that
+read nothing against all evidence, and expects moving obstacles to come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
