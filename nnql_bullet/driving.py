@@ -9,7 +9,7 @@ from typing import Any
 from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import to_values
-from nnql_bullet.env import Navigation, Reward
+from nnql_bullet.env import Reward
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName
@@ -78,7 +78,7 @@ def drive(
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     recorder = Recorder(experiment.vehicle)
-    navigation = Navigation(experiment.simulator, experiment.task, reward)
+    navigation = experiment.new_navigation(experiment.simulator, reward)
     summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(
@@ -88,6 +88,7 @@ def drive(
         conditions=to_values(config.conditions),
         version=__version__,
         summary=asdict(summary),
+        plans=[{"time": time, "corners": corners.tolist()} for time, corners in navigation.plans(0)],
     )
 
 

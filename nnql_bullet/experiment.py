@@ -5,10 +5,11 @@ from dataclasses import replace
 from functools import cached_property, partial
 
 from nnql_bullet.agents import LearningAgent, Trainable
-from nnql_bullet.env import Navigation
+from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
 from nnql_bullet.machine import allowed_cores, may_start_processes
+from nnql_bullet.planning.planner import Planner
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
@@ -78,7 +79,7 @@ class Experiment:
         """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
         if not own_ends:
-            source = source.between(self.config.start, self.config.target)
+            source = source.between(self.config.start, self.config.target, self.config.waypoints)
         if source.obstacle_height <= sensor_height:
             raise UserError(
                 f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
@@ -148,7 +149,17 @@ class Experiment:
     @cached_property
     def navigation(self) -> Navigation:
         """The task over `simulator`."""
-        return Navigation(self.simulator, self.task)
+        return self.new_navigation(self.simulator)
+
+    def new_navigation(self, simulator: Simulator, reward: Reward | None = None) -> Navigation:
+        """Makes the task over a simulator, with the plan that the configuration asks for.
+
+        Args:
+            simulator: One that this experiment made.
+            reward: A reward in place of the paper's.
+        """
+        planner = Planner(self.config.plan, self.vehicle) if self.config.plan else None
+        return Navigation(simulator, self.task, reward, planner)
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator with the configuration's number of vehicles; the caller closes it.
@@ -240,4 +251,4 @@ class Experiment:
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
         with closing(kinematic.new_simulator(workers)) as simulator:
-            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.task), worlds)
+            return count_goals(kinematic.trainable, candidates, self.new_navigation(simulator), worlds)

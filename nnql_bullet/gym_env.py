@@ -35,7 +35,6 @@ from nnql_bullet.env import (
     ACTIONS,
     MANOEUVRES,
     MOST_YAW_RATE,
-    Navigation,
     Observation,
     Reward,
     Transition,
@@ -118,7 +117,7 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             UserError: If a key or value is wrong.
         """
         self._experiment = _experiment(config, changes)
-        self._navigation = Navigation(self._experiment.simulator, self._experiment.task, reward)
+        self._navigation = self._experiment.new_navigation(self._experiment.simulator, reward)
         self.observation_space = _observation_space(self._experiment)
         self._count = MANOEUVRES if manoeuvres else ACTIONS
         self.action_space = gymnasium.spaces.Discrete(self._count)
@@ -201,7 +200,7 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         simulator = self._experiment.new_simulator(workers)
-        self._navigation = Navigation(simulator, self._experiment.task, reward)
+        self._navigation = self._experiment.new_navigation(simulator, reward)
         self._generators = [np_random()[0] for _ in range(num_envs)]
         self._over = np.zeros(num_envs, np.bool_)
 

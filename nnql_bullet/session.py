@@ -184,7 +184,7 @@ class _Session:
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
         with _one_thread:
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
-                navigation = Navigation(simulator, experiment.task, self.reward)
+                navigation = experiment.new_navigation(simulator, self.reward)
                 _check_terms(run, navigation)
                 trainer = experiment.trainer(navigation)
                 if run.state:

@@ -11,7 +11,6 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
-from nnql_bullet.env import Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -304,7 +303,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.task)
+            navigation = experiment.new_navigation(simulator)
             return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
     experiment = _experiment(task.policy, task.tier, task.setting, 1)
     return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)

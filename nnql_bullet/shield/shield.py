@@ -121,7 +121,7 @@ class Shield:
             admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
             chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
             calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
-            follows = wanted[i] >= ACTIONS and calm and not memory.recovery.leads(float(o.target_distance[i]))
+            follows = wanted[i] >= ACTIONS and calm and not memory.recovery.leads(float(o.distance_left[i]))
             if not (follows and self._predictor.can_stop(alone, recent, int(wanted[i]), margin)):
                 chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin)
             if chosen[i] < 0:
@@ -145,7 +145,7 @@ class Shield:
         """Updates the recoveries, and ranks in place the actions of the vehicles that they lead."""
         after = []
         for i, memory in enumerate(memories):
-            distance = float(o.target_distance[i])
+            distance = float(o.distance_left[i])
             recovery = memory.recovery.updated(
                 distance, o.readings[i], memory.spin.side, self._drive.decision_period, self._lengths.scale
             )
