@@ -8,15 +8,14 @@ from typing import Any
 
 from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
-from nnql_bullet.config import to_values
+from nnql_bullet.config import dotted, merged, to_values
 from nnql_bullet.env import Reward
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.run_config import Conditions, SimulatorName
-from nnql_bullet.runs import PolicyLike, drives_folder, load_policy
+from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, key_texts
+from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_other_robot
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.vehicle.urdf import robot_name
 from nnql_bullet.worlds.source import World
 
 RECORDING = "trajectory.npz"
@@ -33,7 +32,8 @@ def drive(
     seed: int = 0,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
-    vehicle: str | Path | VehicleSpec | None = None,
+    robot: str | Path | VehicleSpec | None = None,
+    speed: float | None = None,
     shield: bool = False,
     allow_impassable: bool = False,
     conditions: Conditions | None = None,
@@ -59,22 +59,23 @@ def drive(
         seed: Seed of the world.
         simulator: Where it drives, wherever it was trained.
         physics: Solver settings of contact physics.
-        vehicle: A shipped robot, a TOML file or a `Vehicle`; by default that of the training.
+        robot: A shipped robot, a TOML file or a `Vehicle`; by default that of the training.
+        speed: Speed [m/s]; by default that of the policy, or the robot's own if that is less.
         shield: Whether to put the policy into a shield.
         allow_impassable: Whether to drive even if the vehicle is too wide for every path to the target.
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
-        changes: Nested values laid over the rest of the policy's configuration (see `config.merged`).
+        changes: Nested values laid over the tables drive, shield, task and agent of the policy's configuration.
 
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
     """
-    asked: dict[str, Any] = {"shield": {} if shield else None, **changes}
+    asked = merged({"shield": {}} if shield else {}, driving_with(changes, robot, speed))
     asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
     asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked |= {"start": start and list(start), "target": target and list(target)}
-    asked["robot"] = None if vehicle is None else robot_name(vehicle)
+    tell_other_robot(policy, asked.get("robot"))
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
     recorder = Recorder(experiment.vehicle)
@@ -108,9 +109,10 @@ def drive_folder(
     simulator: SimulatorName = "bullet",
     shield: bool = False,
     conditions: Conditions | None = None,
+    changes: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
-    asked = conditions.texts if conditions else {}
+    asked = (conditions.texts if conditions else {}) | key_texts(dotted(changes))
     parts = [world, str(seed), *([simulator] if simulator != "bullet" else []), *(["shield"] if shield else [])]
     parts += [f"{name.replace('_', '-')}-{text}" for name, text in asked.items()]
     return drives_folder(policy) / "-".join(parts)

@@ -3,6 +3,7 @@
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation, Reward
@@ -38,15 +39,24 @@ def at_own_speed(config: RunConfig, vehicle: VehicleSpec) -> RunConfig:
     Raises:
         UserError: If another speed is asked for that is more than the vehicle's own.
     """
-    speed, own = config.drive.speed, own_speed(vehicle)
-    if speed <= own:
+    own = own_speed(vehicle)
+    if config.drive.speed <= own:
         return config
-    if speed != DriveOptions().speed:
-        raise UserError(
-            f"robot '{vehicle.name}' drives at {own:g} m/s at most, not at {speed:g} m/s; lower the speed, or raise "
-            "limits.speed in its TOML"
-        )
+    if config.drive.speed != DriveOptions().speed:
+        refuse_speed(vehicle, config.drive.speed)
     return replace(config, drive=replace(config.drive, speed=own))
+
+
+def refuse_speed(vehicle: VehicleSpec, speed: float) -> NoReturn:
+    """Refuses a speed that is more than the vehicle's own.
+
+    Raises:
+        UserError: Always.
+    """
+    raise UserError(
+        f"robot '{vehicle.name}' drives at {own_speed(vehicle):g} m/s at most, not at {speed:g} m/s; lower the speed, "
+        "or raise limits.speed in its TOML"
+    )
 
 
 class Experiment:

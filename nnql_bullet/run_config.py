@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -10,7 +11,8 @@ from pydantic import Field
 from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
 from nnql_bullet.agents.learning.nnql import NnqlOptions
-from nnql_bullet.config import merged, options, parse, to_values
+from nnql_bullet.config import dotted, merged, options, parse, to_values
+from nnql_bullet.errors import UserError
 from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions
@@ -23,8 +25,10 @@ from nnql_bullet.types import Count, NonNegative, Number, Positive, Seed, Vehicl
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.urdf import robot_name
 from nnql_bullet.worlds.source import Waypoints, WorldLike
 
+DEFAULT_ROBOT = "tricycle"
 SimulatorName = Literal[EngineName, "kinematic"]
 
 RENAMED_KEYS = {
@@ -80,13 +84,12 @@ class Conditions:
     @property
     def texts(self) -> dict[str, str]:
         """The values that differ from the defaults, as short texts."""
-        pairs = {name: value if isinstance(value, tuple) else (value,) for name, value in self.changes.items()}
-        return {name: "..".join(f"{one:g}" for one in values) for name, values in pairs.items()}
+        return key_texts(self.changes)
 
     @property
     def title(self) -> str:
         """The values that differ from the defaults, in words; empty if there are none."""
-        return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in self.texts.items())
+        return asked_title(self, ())
 
     def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
         """The vehicle under these conditions."""
@@ -132,7 +135,7 @@ class RunConfig:
     """x, y [m] in that frame of several targets to reach in turn, in place of `target`: the last is the target."""
     allow_impassable: bool = False
     """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
-    robot: str = "tricycle"
+    robot: str = DEFAULT_ROBOT
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"
     """Contact physics in one of two engines, or the kinematic model."""
@@ -159,6 +162,56 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
         UserError: If a key or value is wrong.
     """
     return parse(RunConfig, merged(to_values(config), changes), "configuration")
+
+
+def key_texts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Returns values by dotted names as short texts; a robot's is its name, wherever its file is."""
+    found = {}
+    for name, value in values.items():
+        its = value if isinstance(value, list | tuple) else (value,)
+        texts = [f"{one:g}" if isinstance(one, float) else str(one) for one in its]
+        found[name.removeprefix("drive.")] = Path(texts[0]).stem if name == "robot" else "..".join(texts)
+    return found
+
+
+DRIVING = ("robot", "drive", "shield", "task", "agent")
+"""The keys and tables of how a policy drives, besides the conditions."""
+
+
+def driving_with(
+    changes: Mapping[str, Any], robot: str | Path | VehicleSpec | None = None, speed: float | None = None
+) -> dict[str, Any]:
+    """Lays a robot and a speed over nested values of how a policy drives.
+
+    Args:
+        changes: Values in the tables of `DRIVING`.
+        robot: A shipped robot, a TOML file or a vehicle.
+        speed: [m/s]
+
+    Raises:
+        UserError: If a value is of something else, or the vehicle has no file.
+    """
+    others = [key for key in changes if key not in DRIVING]
+    if others:
+        raise UserError(f"changes: '{others[0]}' is not of how a policy drives; these are: {', '.join(DRIVING)}")
+    asked = {"robot": None if robot is None else robot_name(robot), "drive": {} if speed is None else {"speed": speed}}
+    return merged(changes, asked)
+
+
+Keys = tuple[tuple[str, Any], ...]
+"""Values by dotted names, as a record can hold them."""
+
+
+def frozen_keys(values: Mapping[str, Any]) -> Keys:
+    """Returns nested values as a record can hold them; `config.nested` is the inverse."""
+    plain = {name: tuple(its) if isinstance(its, list) else its for name, its in dotted(merged({}, values)).items()}
+    return tuple(sorted((name, its) for name, its in plain.items() if its is not None))
+
+
+def asked_title(conditions: Conditions | None, keys: Keys) -> str:
+    """Returns what is asked for in place of the policies' own, in words; empty if that is nothing."""
+    texts = key_texts(dict(keys)) | (conditions.texts if conditions else {})
+    return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in texts.items())
 
 
 def conditions_of(values: Mapping[str, Any]) -> Conditions | None:

@@ -5,7 +5,9 @@ the robot's description in `robot/`, unless that is a shipped one.
 """
 
 import json
+from collections.abc import Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,21 @@ def keep_sources(config: RunConfig, folder: Path) -> None:
             write_atomically(copy, partial(Path.write_bytes, data=file.read_bytes()))
     if worlds or robots:
         write_text(folder / SOURCES, json.dumps({"worlds": worlds, "robots": robots}, indent=1, sort_keys=True) + "\n")
+
+
+def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
+    """Hashes what the files say that a configuration names, wherever they are; empty if it names none.
+
+    Args:
+        config: The configuration.
+        worlds: Further worlds.
+
+    Raises:
+        UserError: If a file cannot be read.
+    """
+    said = [to_values(World.load(name)) for name in _world_files(config, worlds)]
+    robot = load_vehicle(config.robot).digest if is_file(config.robot) else ""
+    return sha256(json.dumps([robot, said], sort_keys=True).encode()).hexdigest()[:16] if said or robot else ""
 
 
 def located(config: RunConfig, folder: Path) -> RunConfig:
@@ -98,9 +115,9 @@ def _read(folder: Path) -> Sources:
     return sources
 
 
-def _world_files(config: RunConfig) -> list[str]:
+def _world_files(config: RunConfig, worlds: Sequence[str] = ()) -> list[str]:
     selection = config.training.selection
-    named = (config.world, *config.training.worlds, *(selection.worlds if selection else ()))
+    named = (config.world, *config.training.worlds, *(selection.worlds if selection else ()), *worlds)
     return [name for name in dict.fromkeys(named) if isinstance(name, str) and is_file(name)]
 
 

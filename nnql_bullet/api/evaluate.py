@@ -1,10 +1,11 @@
 """`evaluate`: policies through the same worlds, with intervals."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet.arguments import checked
@@ -36,9 +37,10 @@ from nnql_bullet.reports import evaluation as report
 from nnql_bullet.reports.failures import FILES
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.rollout import EpisodeSummary
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
 from nnql_bullet.worlds.source import World
@@ -134,8 +136,11 @@ def evaluate(
     seeds: range | None = None,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
+    robot: str | Path | VehicleSpec | None = None,
+    speed: float | None = None,
     conditions: Conditions | None = None,
     shield: bool = False,
+    changes: Mapping[str, Any] = MappingProxyType({}),
     allow_impassable: bool = False,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
@@ -167,8 +172,12 @@ def evaluate(
         seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.
+        robot: A shipped robot, a TOML file or a `Vehicle` in place of each policy's own.
+        speed: Speed in place of each policy's own [m/s].
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
+        changes: Nested values laid over the tables drive, shield, task and agent of each policy's configuration; those
+            of a shield hold for policies in a shield.
         allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
@@ -191,8 +200,9 @@ def evaluate(
     if out is not None and clips:
         check_encoder()
     first, last = (None if place is None else tuple(place) for place in (start, target))
-    setting = Setting(simulator, physics, conditions, allow_impassable, first, last)
-    opened = open_policies(policies, shield)
+    keys = frozen_keys(driving_with(changes, robot, speed))
+    setting = Setting(simulator, physics, conditions, allow_impassable, first, last, keys)
+    opened = open_policies(policies, shield or "shield" in changes, setting.robot)
     where = executor_for(opened, executor, workers, address)
     if out is not None and Path(out).exists() and not Path(out).is_dir():
         raise UserError(f"{out}: is a file; give a folder")
@@ -206,7 +216,7 @@ def evaluate(
     with locked(folder):
         parts = Parts(folder / "parts" if folder else None)
         difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
-        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes))
+        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes(its)))
         evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
         results = EvaluationResults(evaluation)
         if folder:

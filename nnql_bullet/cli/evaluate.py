@@ -1,21 +1,20 @@
 """`nnql-bullet evaluate`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.reports import evaluation as report
-from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.sim.engines import PhysicsName
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
@@ -42,17 +41,13 @@ def evaluate(
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
     json: bool = False,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive policies through the same worlds; say how good each is and how sure that is.
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
     evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. The same inputs give
     the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command goes on.
-
-    In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
-    --sensor-range [m], --blind-arc FROM TO [degrees]. To read more: nnql-bullet keys conditions
 
     For example:
 
@@ -80,7 +75,7 @@ def evaluate(
         clips: Most videos of failures, in DIR/clips.
         out: Folder of the report.
         json: Print results.json instead of the table.
-        conditions: Conditions in place of each policy's own.
+        keys: Values in place of each policy's own.
     """
     files = _files(cover, world)
     tell_warnings(files, start, target)
@@ -94,8 +89,8 @@ def evaluate(
                 seeds=seed_range(seeds),
                 simulator=sim,
                 physics=physics,
-                conditions=conditions_of(conditions),
                 shield=shield,
+                **asked_for(keys),
                 allow_impassable=allow_impassable,
                 start=start,
                 target=target,

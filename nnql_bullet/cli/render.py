@@ -1,12 +1,16 @@
 """`nnql-bullet render`."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.flags import DriveKeys, asked_for
+from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
@@ -32,6 +36,7 @@ def render(
     frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Draw a recorded drive as a video; nothing is simulated again.
 
@@ -61,6 +66,7 @@ def render(
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.
         workers: Processes that draw; default one a core. They do not change the result.
+        keys: Values of that drive in place of the policy's own; its speed is --drive.speed here.
     """
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)
@@ -69,11 +75,13 @@ def render(
     if out or not (frames or sheet):
         check_encoder()
     if recording.suffix == ".npz":
-        if world is not None or seed is not None:
-            raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")
+        asked = {"world": world, "seed": seed, **keys}
+        given = flags(asked)
+        if given:
+            raise UserError(f"{given[0]} is for a policy that is to be driven; this is a recording")
         path = recording
     else:
-        path = _driven(recording, world, seed or 0)
+        path = _driven(recording, world, seed or 0, keys)
     video = out or (None if frames or sheet else path.with_suffix(f".{kind}"))
     with progress() as show:
         filming.render(
@@ -98,12 +106,13 @@ def render(
     return 0
 
 
-def _driven(policy: Path, world: str | None, seed: int) -> Path:
+def _driven(policy: Path, world: str | None, seed: int, keys: Mapping[str, Any]) -> Path:
     """Drives a policy as the verb `drive` does; returns the file of the recording."""
     from nnql_bullet.driving import drive, drive_folder, keep  # all that drives; to draw, none of it is needed
 
-    recording = drive(policy, world=world, seed=seed)
-    return keep(recording, drive_folder(policy, recording.world.name, seed))["recording"]
+    asked, shield = asked_for(keys), "shield" in keys
+    recording = drive(policy, world=world, seed=seed, shield=shield, **asked)
+    return keep(recording, drive_folder(policy, recording.world.name, seed, shield=shield, **asked))["recording"]
 
 
 def _size(text: str) -> tuple[int, int]:

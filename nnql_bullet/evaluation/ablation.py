@@ -24,6 +24,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import RunConfig, SimulatorName, changed
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sources import files_digest
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
@@ -45,6 +46,8 @@ class AblationTask:
     """World files of the test."""
     worlds: int
     """Number of validation worlds in each tier."""
+    files: str = ""
+    """Hash of what the files say that the configuration names."""
 
     @property
     def size(self) -> int:
@@ -54,7 +57,7 @@ class AblationTask:
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("ablation", self.config, self.worlds, *self.tiers)
+        return part_name("ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +86,8 @@ def task_of(study: Study, variant: Variant, seed: int, budget: Budget) -> Ablati
     """Makes the task of one variant and training seed."""
     spent = {"simulator": budget.simulator, "vehicles": budget.vehicles, "episodes": budget.episodes, "seed": seed}
     config = load_config(study.preset, merged(merged(spent, study.base), variant.changes))
-    return AblationTask(json.dumps(to_values(config), sort_keys=True), seed, tuple(study.tiers), budget.worlds)
+    tiers, text = tuple(study.tiers), json.dumps(to_values(config), sort_keys=True)
+    return AblationTask(text, seed, tiers, budget.worlds, files_digest(config, tiers))
 
 
 def train_and_test(task: AblationTask) -> list[Counts]:
@@ -104,9 +108,10 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     for world in task.tiers:
         vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_VEHICLES)
         test = Experiment(changed(config, world=world, vehicles=vehicles))
-        worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds)]
+        differ = test.worlds.is_random or config.conditions.sensor_noise > 0
+        worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds if differ else 1)]
         with closing(test.new_simulator(workers=1)) as simulator:
-            summaries = run_episodes(experiment.new_navigation(simulator), worlds, experiment.agent)
+            summaries = run_episodes(experiment.new_navigation(simulator), worlds, experiment.policy)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found

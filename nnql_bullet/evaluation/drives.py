@@ -11,6 +11,7 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
+from nnql_bullet.config import nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -19,7 +20,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
@@ -103,23 +104,30 @@ class Setting:
     """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
     target: tuple[float, ...] | None = None
     """In place of each world's own [m]."""
+    keys: Keys = ()
+    """What else each policy drives with in place of its own configuration: robot, speed, keys of the shield, ..."""
 
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes to a policy's configuration."""
+    def changes(self, policy: Policy) -> dict[str, Any]:
+        """Returns changes to a policy's configuration."""
         return {
             "simulator": self.simulator,
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            **policy.changes(self.keys),
         }
 
     @property
     def title(self) -> str:
         """Title for people."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        conditions = [self.conditions.title] if self.conditions else []
-        return ", ".join((where, *conditions))
+        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys))))
+
+    @property
+    def robot(self) -> str | None:
+        """What all policies drive; None if each drives its own vehicle."""
+        robot: str | None = dict(self.keys).get("robot")
+        return robot
 
     @property
     def flags(self) -> list[str]:
@@ -127,6 +135,7 @@ class Setting:
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
         changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
+        changes |= nested(dict(self.keys))
         return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
 
 
@@ -136,7 +145,7 @@ def check_setting(policy: Policy, setting: Setting) -> None:
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes).experiment.simulator.close()
+    load_policy(policy.source, setting.changes(policy)).experiment.simulator.close()
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -199,7 +208,7 @@ def draw_tiers(
     Raises:
         UserError: If there is no such world, one is given twice or is not the frozen one, or all files are refused.
     """
-    chance = any([has_chance(policy, setting.changes) for policy in policies])
+    chance = any([has_chance(policy, setting.changes(policy)) for policy in policies])
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
@@ -284,8 +293,10 @@ class DriveTask(_BlockTask):
         """See `parts.Piece`."""
         if self.policy.custom:
             return ""
-        where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
-        return part_name("drives", self.policy.fingerprint, *where, *self.tier.part(self.first))
+        policy, setting = self.policy, self.setting
+        where = setting.simulator, setting.physics, *flags({"conditions": setting.conditions})
+        how = policy.vehicle, *(its for its in policy.holding(setting.keys) if its[0] != "robot")
+        return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -362,7 +373,8 @@ class FilmTask:
         """Command line that repeats the drive."""
         where = ["--world", self.world.file, "--seed", str(self.world.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
+        setting = replace(self.setting, keys=self.policy.holding(self.setting.keys))
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *setting.flags)
 
 
 def film(task: FilmTask) -> Recording:
@@ -384,5 +396,5 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
     ends = {"start": setting.start, "target": setting.target}
-    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes, **policy.changes}
+    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes(policy)}
     return load_policy(policy.source, changes).experiment

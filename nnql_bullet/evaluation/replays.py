@@ -14,7 +14,7 @@ from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
-from nnql_bullet.run_config import Conditions
+from nnql_bullet.run_config import Conditions, frozen_keys
 from nnql_bullet.text import shell_line
 
 
@@ -66,8 +66,11 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else parse(Conditions, values["conditions"], "conditions")
         impassable = bool(values.get("allow_impassable", False))
-        ends = [None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")]
-        setting = Setting(values["simulator"], values["physics"], conditions, impassable, *ends)
+        start, target = (
+            None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")
+        )
+        keys = frozen_keys(values.get("keys", {}))
+        setting = Setting(values["simulator"], values["physics"], conditions, impassable, start, target, keys)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(
@@ -138,10 +141,16 @@ def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]
     Raises:
         UserError: If one has changed or cannot be read.
     """
-    for policy in dict.fromkeys(one.film.policy for one in failed):
-        (now,) = open_policies([policy.source], policy.shielded)[-1:]
+    robots = {one.film.policy: one.film.setting.robot for one in failed}
+    for policy in robots:
+        (now,) = open_policies([policy.source], policy.shielded, robots[policy])[-1:]
         if now.fingerprint != policy.fingerprint:
             raise UserError(f"{policy.path}: is not what was evaluated; evaluate anew: {evaluation.command}")
+        if policy.vehicle not in ("", now.vehicle):  # older evaluations do not say it
+            raise UserError(
+                f"the robot '{policy.robot}' is not what it was when {policy.path} was evaluated; put its files back, "
+                f"or evaluate anew: {evaluation.command}"
+            )
 
 
 @dataclass(frozen=True, slots=True)

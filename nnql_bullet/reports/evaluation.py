@@ -287,6 +287,8 @@ def evaluation_values(
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "allow_impassable": e.setting.allow_impassable,
         **{name: its for name, its in (("start", e.setting.start), ("target", e.setting.target)) if its},
+        "robots": sorted({policy.robot for policy in e.policies}),
+        "keys": dict(e.setting.keys),
         "endings": list(ENDINGS),
         "policies": [policy.values for policy in e.policies],
         "tiers": [

@@ -1,6 +1,7 @@
 """The vehicle: its dimensions, masses, limits and friction, as its URDF and TOML describe them."""
 
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -160,6 +161,12 @@ class VehicleSpec:
         from nnql_bullet.vehicle.translation import read_robot
 
         return read_robot(path).vehicle
+
+    @property
+    def digest(self) -> str:
+        """Hash of all that its files say, wherever they are and whatever its name is."""
+        said = replace(self, name="", urdf=Path(), source="")
+        return sha256(f"{said!r} {self.description}".encode()).hexdigest()[:16]
 
     @property
     def sensor_height(self) -> float:
