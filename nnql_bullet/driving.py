@@ -17,6 +17,7 @@ from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_other_
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 RECORDING = "trajectory.npz"
 """File that a drive is kept in."""
@@ -29,6 +30,8 @@ def drive(
     world: str | Path | World | None = None,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
+    plan: bool = False,
     seed: int = 0,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
@@ -56,6 +59,10 @@ def drive(
             default that of the training.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
+            file of them (see `waypoints.read_waypoints`).
+        plan: Whether a plan of the way through the whole world leads the policy; for its lengths see the keys `plan` in
+            `changes`.
         seed: Seed of the world.
         simulator: Where it drives, wherever it was trained.
         physics: Solver settings of contact physics.
@@ -65,16 +72,18 @@ def drive(
         allow_impassable: Whether to drive even if the vehicle is too wide for every path to the target.
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
-        changes: Nested values laid over the tables drive, shield, task and agent of the policy's configuration.
+        changes: Nested values laid over the tables drive, shield, plan, task and agent of the policy's configuration.
 
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
     """
-    asked = merged({"shield": {}} if shield else {}, driving_with(changes, robot, speed))
+    wanted: dict[str, Any] = {name: {} for name, its in (("shield", shield), ("plan", plan)) if its}
+    asked = merged(wanted, driving_with(changes, robot, speed))
     asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
     asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked |= {"start": start and list(start), "target": target and list(target)}
+    asked["waypoints"] = None if waypoints is None else list(as_waypoints(waypoints))
     tell_other_robot(policy, asked.get("robot"))
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
@@ -108,11 +117,13 @@ def drive_folder(
     seed: int,
     simulator: SimulatorName = "bullet",
     shield: bool = False,
+    plan: bool = False,
     conditions: Conditions | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
     asked = (conditions.texts if conditions else {}) | key_texts(dotted(changes))
     parts = [world, str(seed), *([simulator] if simulator != "bullet" else []), *(["shield"] if shield else [])]
+    parts += ["plan"] if plan else []
     parts += [f"{name.replace('_', '-')}-{text}" for name, text in asked.items()]
     return drives_folder(policy) / "-".join(parts)

@@ -174,7 +174,7 @@ def key_texts(values: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-DRIVING = ("robot", "drive", "shield", "task", "agent")
+DRIVING = ("robot", "drive", "shield", "plan", "task", "agent")
 """The keys and tables of how a policy drives, besides the conditions."""
 
 

@@ -1,4 +1,4 @@
-"""Drives between places of maps that a vehicle cannot see from one another, along plans, and prints how often it arrives.
+"""Drives along plans between places of maps that are beyond sight, and prints how often a vehicle arrives.
 
 Start and target of a pair are drawn evenly from the places with room to turn round, between which the vehicle passes.
 `office`, `maze` and `playground` are maps that this script makes; any other name is a file or a shipped world.
@@ -154,13 +154,13 @@ def main() -> int:
     parser.add_argument("--failures", type=Path, help="folder for pictures of the drives that did not arrive")
     a = parser.parse_args()
     plan = {key: float(value) for key, _, value in (its.partition("=") for its in a.set)}
-    changes = {"plan": plan, **({"drive": {"speed": a.speed}} if a.speed else {})}
+    how = {"simulator": a.sim, "robot": a.robot, "speed": a.speed, "changes": {"plan": plan}}
     vehicle, rows = nb.Vehicle.load(a.robot), []
     for name in a.maps:
         world, drives, began = load(name, a.seed), list[Recording](), time.monotonic()
         for number, (start, target) in enumerate(pairs(world, vehicle, a.pairs, a.seed)):
             its = world.between(start, target)
-            drive = nb.drive(a.policy, world=its, simulator=a.sim, vehicle=a.robot, shield=True, changes=changes)
+            drive = nb.drive(a.policy, world=its, shield=True, **how)
             drives.append(drive)
             if a.failures and drive.summary.ending != "goal":
                 a.failures.mkdir(parents=True, exist_ok=True)

@@ -16,6 +16,7 @@ from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions, frozen_keys
 from nnql_bullet.text import shell_line
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +70,11 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         start, target = (
             None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")
         )
-        keys = frozen_keys(values.get("keys", {}))
-        setting = Setting(values["simulator"], values["physics"], conditions, impassable, start, target, keys)
+        places = values.get("waypoints")
+        waypoints = None if places is None else as_waypoints(places)
+        plan, keys = bool(values.get("plan", False)), frozen_keys(values.get("keys", {}))
+        where = values["simulator"], values["physics"], conditions, impassable
+        setting = Setting(*where, start, target, waypoints, plan, keys)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(

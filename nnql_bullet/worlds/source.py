@@ -22,6 +22,7 @@ from nnql_bullet.worlds.layouts.base import Densifiable
 from nnql_bullet.worlds.narrowing import as_narrow_as
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.waypoints import MOST_WAYPOINTS
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
@@ -29,8 +30,6 @@ MOST_NARROWINGS = 50
 """Largest number of random layouts that are narrowed to the bottleneck of a seed."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
-MOST_WAYPOINTS = 1000
-"""Most way points of a world."""
 MOST_NAME = 100
 """Longest name of a world."""
 Waypoints = Annotated[tuple[tuple[Number, Number], ...], Field(max_length=MOST_WAYPOINTS)]
