@@ -320,8 +320,9 @@ class Navigation:
             UserError: If one has no target, or there is a planner and no way; then nothing has changed.
         """
         for vehicle, its in targets.items():
-            if not its:
-                raise UserError(f"give vehicle {vehicle} a target at least")
+            if vehicle not in self._worlds or not its:
+                lacks = "a target at least" if vehicle in self._worlds else "an episode first, by reset"
+                raise UserError(f"give vehicle {vehicle} {lacks}")
         begun = {}
         for vehicle, its in targets.items():
             x, y = self._poses[vehicle, :2].tolist()

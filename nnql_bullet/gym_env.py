@@ -19,7 +19,7 @@ about one place for long. `info` holds `world_seed`, and after a step also `endi
 and a `reward/NAME` for each term.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot, pi
 from typing import Any
 
@@ -48,6 +48,7 @@ from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import TRAINING_WORLDS
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.task import ENDINGS, TRUNCATIONS, StateProperty
+from nnql_bullet.worlds.source import checked_place, in_frame
 from nnql_bullet.worlds.spec import WorldSpec
 
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
@@ -87,6 +88,12 @@ def _infos(t: Transition) -> dict[str, NDArray[Any]]:
 def _over(t: Transition) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether an episode terminated, and whether it was truncated (n,)."""
     return t.active & (t.discount_t == 0.0), t.active & np.isin(t.ending, _TRUNCATIONS)
+
+
+def _in_arena(experiment: Experiment, targets: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
+    """Targets in the frame of the arena, of those in the frame of the map."""
+    frame = experiment.worlds.frame
+    return [in_frame(frame, checked_place("target", target)) for target in targets]
 
 
 def _draw_seed(generator: np.random.Generator) -> int:
@@ -142,6 +149,21 @@ class TricycleEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         terminated, truncated = _over(t)
         info = {name: values.item() for name, values in _infos(t).items()}
         return self._vector(), t.r_t.item(), terminated.item(), truncated.item(), info
+
+    def set_target(self, *targets: Sequence[float]) -> NDArray[np.float32]:
+        """Gives the vehicle, in the middle of its episode, another target, or several to reach in turn.
+
+        Args:
+            *targets: x, y [m] in the frame of the world's map; the last is the target.
+
+        Returns:
+            The observation, which tells of the first of them.
+
+        Raises:
+            UserError: If one is outside the arena, or there is a plan and no way.
+        """
+        self._navigation.set_targets({0: _in_arena(self._experiment, targets)})
+        return self._vector()
 
     @property
     def simulator(self) -> Simulator:
@@ -248,6 +270,21 @@ class TricycleVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArra
         self._over = terminated | truncated
         vectors = _vectors(self._navigation.observation, self.single_observation_space)
         return vectors, np.where(active, t.r_t, 0.0), terminated, truncated, infos
+
+    def set_target(self, targets: Mapping[int, Sequence[Sequence[float]]]) -> NDArray[np.float32]:
+        """Gives some vehicles, in the middle of their episodes, other targets to reach in turn.
+
+        Args:
+            targets: x, y [m] of each in the frame of the world's map, by vehicle; the last is the target.
+
+        Returns:
+            The observations of all vehicles.
+
+        Raises:
+            UserError: See `TricycleEnv.set_target`; then nothing has changed.
+        """
+        self._navigation.set_targets({i: _in_arena(self._experiment, its) for i, its in targets.items()})
+        return _vectors(self._navigation.observation, self.single_observation_space)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees the vehicles."""

@@ -10,6 +10,7 @@ from math import inf
 
 import numpy as np
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.planning.planner import Planner, Ways
 from nnql_bullet.worlds.passages import Point
@@ -44,6 +45,9 @@ class Course:
         self.distance_left: float
         """Length of the known way to the last target [m]."""
         self._world, self._left, self._planner, self._time = world, tuple(targets), planner, 0.0
+        for place in self._left:
+            if not (0 < place[0] < world.width and 0 < place[1] < world.depth):
+                raise UserError(f"world '{world.name}': a target ({place[0]:g}, {place[1]:g}) is outside the arena")
         if planner:
             for begin, end in zip(self._left, self._left[1:], strict=False):
                 planner.check(world, begin, end)

@@ -133,7 +133,8 @@ class World:
             if not 0 < len(waypoints) <= MOST_WAYPOINTS:
                 raise UserError(f"waypoints: give 1 to {MOST_WAYPOINTS} places x,y, not {len(waypoints)}")
             places = (checked_place("waypoints", point) for point in waypoints)
-            *values["waypoints"], values["target"] = [in_frame(self.frame, point) for point in places]
+            *between, values["target"] = [in_frame(self.frame, point) for point in places]
+            values["waypoints"] = tuple(between)
         elif target is not None:
             values["waypoints"] = ()
         if start is not None:
