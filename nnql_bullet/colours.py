@@ -1,5 +1,8 @@
 """The colours of pictures, films and pages, as "#rrggbb": each has one meaning everywhere."""
 
+Colour = tuple[float, float, float]
+"""Red, green, blue, from 0 to 1."""
+
 SAFE, NON_SAFE, COLLISION = "#1f77b4", "#e8590c", "#c92a2a"
 GOAL, TIMEOUT, STUCK = "#2b8a3e", "#868e96", "#0b7285"
 BOX, BOX_EDGE = "#adb5bd", "#495057"
@@ -55,7 +58,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def unit_rgb(colour: str) -> tuple[float, float, float]:
+def unit_rgb(colour: str) -> Colour:
     """Returns the same, each from 0 to 1."""
     red, green, blue = rgb(colour)
     return red / 255, green / 255, blue / 255

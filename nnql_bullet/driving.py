@@ -1,5 +1,6 @@
 """One drive of a policy, recorded."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.waypoints import as_waypoints
 
+_log = logging.getLogger(__name__)
 RECORDING = "trajectory.npz"
 """File that a drive is kept in."""
 
@@ -87,6 +89,9 @@ def drive(
     tell_other_robot(policy, asked.get("robot"))
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
+    hopeless = experiment.out_of_reach(experiment.worlds)
+    if hopeless:
+        _log.warning("%s", hopeless)
     recorder = Recorder(experiment.vehicle)
     navigation = experiment.new_navigation(experiment.simulator, reward)
     summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)

@@ -1,5 +1,6 @@
 """Makes the objects of a run from its configuration."""
 
+import math
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
@@ -97,6 +98,22 @@ class Experiment:
                 f"of '{self.vehicle.name}' at {sensor_height:g} m; raise 'obstacle_height'"
             )
         return source
+
+    def out_of_reach(self, world: World) -> str:
+        """Says why no vehicle can reach the target of a world in an episode, however it drives; empty if one may.
+
+        It compares the straight way to the edge of the target with the way that the steps of an episode allow.
+        """
+        c = self.config
+        way = c.task.max_steps * c.drive.decision_period * c.drive.speed
+        straight = math.dist(world.start, world.target) - world.target_radius
+        if way >= straight:
+            return ""
+        return (
+            f"world '{world.name}': {c.task.max_steps} steps of {c.drive.decision_period:g} s at {c.drive.speed:g} m/s "
+            f"are {way:g} m, and the target is {straight:.0f} m away: no episode can reach it; raise 'task.max_steps' "
+            "or 'drive.speed'"
+        )
 
     @cached_property
     def task(self) -> TaskOptions:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import dotted, merged, options, parse, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.planning.planner import PlanOptions
@@ -205,7 +205,8 @@ Keys = tuple[tuple[str, Any], ...]
 def frozen_keys(values: Mapping[str, Any]) -> Keys:
     """Returns nested values as a record can hold them; `config.nested` is the inverse."""
     plain = {name: tuple(its) if isinstance(its, list) else its for name, its in dotted(merged({}, values)).items()}
-    return tuple(sorted((name, its) for name, its in plain.items() if its is not None))
+    given = [(name, its) for name, its in plain.items() if its is not None]
+    return tuple(sorted(given, key=lambda pair: (DRIVING.index(pair[0].partition(".")[0]), pair[0])))
 
 
 def asked_title(conditions: Conditions | None, keys: Keys) -> str:

@@ -1,8 +1,9 @@
 """Makes every generator of random numbers in the package."""
 
 import random
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from enum import IntEnum
 
 import numpy as np
@@ -51,22 +52,22 @@ def training_world_seed(seed: int, episode: int) -> int:
 
 @contextmanager
 def fenced(generator: np.random.Generator) -> Iterator[None]:
-    """Seeds the global generators of Python, NumPy and torch, and restores their states afterwards.
+    """Seeds the global generators of Python, NumPy and torch (if it is loaded), and restores their states afterwards.
 
     Some libraries draw from the global generators and accept no other; their calls belong inside.
 
     Args:
         generator: Gives the seed.
     """
-    import torch  # here because worker processes that only simulate import this module and need no torch
-
+    torch = sys.modules.get("torch")  # what has not loaded it draws nothing from it
     python, numpy = random.getstate(), np.random.get_state()
     seed = int(generator.integers(2**32))
     try:
-        with torch.random.fork_rng(devices=[]):
+        with torch.random.fork_rng(devices=[]) if torch else nullcontext():
             random.seed(seed)
             np.random.seed(seed)
-            torch.default_generator.manual_seed(seed)
+            if torch:
+                torch.default_generator.manual_seed(seed)
             yield
     finally:
         random.setstate(python)

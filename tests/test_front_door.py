@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import nnql_bullet as nb
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import REWARD_TERMS, RewardTerm, TaskOptions, paper_reward

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions
-from nnql_bullet.agents.learning.nnql import Nnql, encode
-from nnql_bullet.agents.learning.q_learning import boltzmann
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.q_learning import boltzmann, encode
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nnql_bullet import colours, diagnosis
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.env import STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
@@ -36,8 +37,9 @@ from nnql_bullet.render.video import write_pictures, write_video
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet
-from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link, works
+from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link
 from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.sim.scene_trial import works
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import deck_load, loaded

@@ -16,7 +16,8 @@ import torch
 from helpers import same
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
+from nnql_bullet.agents.learning.options import Sb3DqnOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError

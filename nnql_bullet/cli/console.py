@@ -22,8 +22,8 @@ from nnql_bullet.text import one_line, printable
 from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED = (
-    f"CPython 3.10 or 3.11 is needed, not {sys.version.split()[0]}: PyBullet has no wheels for it"
-    if not (3, 10) <= sys.version_info < (3, 12)
+    f"CPython 3.10 or a newer one is needed, not {sys.version.split()[0]}"
+    if sys.version_info < (3, 10)
     else "Windows is not supported; run it in the Windows Subsystem for Linux (WSL 2)"
     if os.name == "nt"
     else ""

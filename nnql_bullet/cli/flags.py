@@ -52,6 +52,12 @@ def _numbers(words: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(its) for word in words for its in word.split(","))
 
 
+ELSEWHERE = {
+    "failures": "the drives are those of the evaluation; give it to `evaluate`",
+    "view": "a recording is shown as it was driven; give it to `drive`",
+    "report": "it shows what there is; give it to `train`, `evaluate` or `gap`",
+}
+"""What verbs that drive nothing of their own say of flags of drives."""
 NUMBERS = tyro.constructors.PrimitiveConstructorSpec[tuple[float, ...]](
     nargs="*",
     metavar="X,...",
@@ -77,8 +83,9 @@ _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
 
 @dataclass(frozen=True)
 class KeyFlags:
-    """Annotates a parameter of a verb that takes nested values: each key of a configuration is a flag."""
+    """Annotates a parameter of a verb that takes nested values: each key of an options class is a flag."""
 
+    cls: type = RunConfig
     names: tuple[str, ...] = ()
     """Only keys that begin like this; all by default."""
     shown: tuple[str, ...] = ()
@@ -92,7 +99,7 @@ class KeyFlags:
 
     def keys(self, for_help: bool) -> list[Key]:
         """The keys that have a flag."""
-        found = [key for key in keys(RunConfig) if not self.names or key.name.startswith(self.names)]
+        found = [key for key in keys(self.cls) if not self.names or key.name.startswith(self.names)]
         if not for_help:
             return found
         if not self.shown:
@@ -116,6 +123,10 @@ DriveKeys = Annotated[
     ),
 ]
 """Values of a verb that drives, in place of each policy's own."""
+
+
+OF_DRIVES = ("--world", "--seed", "--seeds", "--start", "--target", "--sim", "--shield", "--robot", "--speed", "--rays")
+"""Flags of drives that people may look for where nothing is driven."""
 
 
 def asked_for(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -292,7 +303,8 @@ def _given(value: object) -> object:
 
 def _is(value: object, cls: str) -> bool:
     """Whether a value is of a dataclass that this module made."""
-    return type(value).__module__ == "types" and type(value).__name__ == cls
+    its = type(value)
+    return its.__name__ == cls and its.__module__ in ("types", __name__)  # the second from CPython 3.12 on
 
 
 def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], arguments: Sequence[str]) -> str:
@@ -325,6 +337,8 @@ def _unknown(token: str, verb: Callable[..., int]) -> str:
             return f"{name} is now {new}{name.removeprefix(old)}"
     if not token.startswith("-"):
         return f"unexpected argument '{token}'"
+    if name in OF_DRIVES and verb.__name__ in ELSEWHERE:
+        return f"{name}: {ELSEWHERE[verb.__name__]}"
     known = {its.replace("-", "_").lstrip("_"): its for its in _flags_of(verb)}
     close = [known[one] for one in nearest(name.replace("-", "_").lstrip("_"), known)]
     return f"unknown flag '{name}'" + (f" (did you mean {' or '.join(close)}?)" if close else "")

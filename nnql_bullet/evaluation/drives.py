@@ -1,5 +1,6 @@
 """Drives policies through worlds, in pieces of work."""
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -30,6 +31,8 @@ from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,6 +243,9 @@ def draw_tiers(
                 worlds += [Drawn(shown, seed, digest) for seed, digest in digests.items()]
         if experiment is None or not worlds:
             continue
+        hopeless = experiment.out_of_reach(kind)
+        if hopeless:
+            _log.warning("%s: %s", policies[0].name, hopeless)
         of_folder = files != [one]
         name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
         if name in [tier.name for tier in tiers]:

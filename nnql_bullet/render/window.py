@@ -8,8 +8,8 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import chase
 from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
-from nnql_bullet.sim.bullet_scene import works
 from nnql_bullet.sim.c_library import silenced
+from nnql_bullet.sim.scene_trial import works
 
 RATE = 60.0
 """Frame rate [Hz]."""

@@ -19,6 +19,7 @@ from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
 from nnql_bullet.jit import njit
+from nnql_bullet.machine import pybullet_package
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
     DynamicsInfo,
@@ -41,10 +42,10 @@ with silenced():  # it prints its build time
     try:
         import pybullet as bullet
     except ImportError as error:
-        raise UserError(
-            f"PyBullet is not installed, or does not load ({error}): pip install pybullet; where there is no wheel of "
-            "it, conda install -c conda-forge pybullet"
-        ) from None
+        package = pybullet_package()
+        advice = f"pip install {package}" if package else "PyPI has no wheel of it for this Python"
+        others = "where there is none: conda install -c conda-forge pybullet, or --sim kinematic or mujoco"
+        raise UserError(f"PyBullet is not installed, or does not load ({error}): {advice}; {others}") from None
 
 CHASSIS, OBSTACLE, WHEEL, GROUND, POLE = 1, 2, 4, 8, 16
 """Collision groups, one bit each."""
