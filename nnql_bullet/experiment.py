@@ -7,7 +7,6 @@ from functools import cached_property, partial
 from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
-from nnql_bullet.agents.guided import Guided
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import as_rows, clearance_at
@@ -229,10 +228,9 @@ class Experiment:
 
     @cached_property
     def policy(self) -> Policy:
-        """The policy that drives after training: the agent, led by its plan and in its shield if it has them."""
-        c = self.config
-        agent = Guided(self.agent, self.vehicle) if c.plan else self.agent
-        return Shield(c.shield, agent, self.vehicle, c.drive, self.task) if c.shield else agent
+        """The policy that drives after training: the agent, in its shield if it has one."""
+        c, on_plan = self.config, self.config.plan is not None
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task, on_plan) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:
