@@ -9,8 +9,9 @@ from typing import NoReturn
 from nnql_bullet.agents import LearningAgent, Trainable
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import as_rows, clearance_at
+from nnql_bullet.geometry import Pose, as_rows, bearing, clearance_at
 from nnql_bullet.machine import allowed_cores, may_start_processes
+from nnql_bullet.planning.course import Course
 from nnql_bullet.planning.planner import Planner
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
@@ -148,6 +149,10 @@ class Experiment:
             UserError: See `world`.
         """
         world = source.draw(seed, self.vehicle.width, self.config.allow_impassable)
+        if self.planner and source.start_yaw_degrees is None:  # the vehicle drives as it starts
+            place = world.start.x, world.start.y
+            aim = Course(world, world.targets, self.planner, *place).aim
+            world = replace(world, start=replace(world.start, yaw=round(bearing(Pose(*place, 0.0), *aim), 6)))
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
@@ -185,8 +190,12 @@ class Experiment:
             simulator: One that this experiment made.
             reward: A reward in place of the paper's.
         """
-        planner = Planner(self.config.plan, self.vehicle) if self.config.plan else None
-        return Navigation(simulator, self.task, reward, planner)
+        return Navigation(simulator, self.task, reward, self.planner)
+
+    @cached_property
+    def planner(self) -> Planner | None:
+        """The planner that the configuration asks for."""
+        return Planner(self.config.plan, self.vehicle) if self.config.plan else None
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator with the configuration's number of vehicles; the caller closes it.

@@ -114,7 +114,8 @@ class Recording:
         """
         if "summary" not in self.about:
             raise UserError("this recording holds no summary; record the drive again")
-        return EpisodeSummary(**self.about["summary"])
+        its = self.about["summary"]
+        return EpisodeSummary(**{**its, "waypoint_times": tuple(its.get("waypoint_times", ()))})
 
     @cached_property
     def aims(self) -> Array:
@@ -129,11 +130,6 @@ class Recording:
     def plans(self) -> list[tuple[float, Array]]:
         """The plans along which the vehicle was led: when each was made [s], and its corners (k, 2) [m]."""
         return [(plan["time"], np.array(plan["corners"])) for plan in self.about.get("plans", ())]
-
-    @property
-    def waypoint_times(self) -> tuple[float, ...]:
-        """Times at which way points were reached, in turn [s]."""
-        return tuple(self.about.get("summary", {}).get("waypoint_times", ()))
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:

@@ -1,7 +1,7 @@
 """Drives along plans between places of maps that are beyond sight, and prints how often a vehicle arrives.
 
-Start and target of a pair are drawn evenly from the places with room to turn round, between which the vehicle passes.
-`office`, `maze` and `playground` are maps that this script makes; any other name is a file or a shipped world.
+Start and target of a pair are drawn evenly from the places with room to turn round, between which the vehicle passes;
+it starts along its plan, at full speed. `office`, `maze` and `playground` are maps that this script makes; any other name is a file or a shipped world.
 
     python scripts/beyond_sight.py office maze playground --robot jackal_tricycle
     python scripts/beyond_sight.py depot.yaml warehouse.yaml --robot jackal_tricycle --speed 1 --failures failures/
@@ -125,7 +125,7 @@ def load(name: str, seed: int) -> nb.World:
 
 
 def pairs(world: nb.World, vehicle: nb.Vehicle, count: int, seed: int) -> list[tuple[Sequence[float], ...]]:
-    """Draws starts and targets between which the vehicle passes, in the frame of the map [m, rad]."""
+    """Draws starts and targets between which the vehicle passes, in the frame of the map [m]."""
     drawn = world.draw(0, allow_impassable=True)
     shape, radius = (int(drawn.depth / CELL), int(drawn.width / CELL)), turning_radius(vehicle.footprint)
     regions, _ = label(free_cells(shape, CELL, drawn.solids, (vehicle.width + SPARE) / 2), np.ones((3, 3)))
@@ -135,8 +135,7 @@ def pairs(world: nb.World, vehicle: nb.Vehicle, count: int, seed: int) -> list[t
         one, other = roomy[rng.integers(len(roomy), size=2)]
         if regions[tuple(one)] == regions[tuple(other)] and CELL * np.hypot(*(one - other)) > FARTHER * radius:
             (x, y), (u, v) = ((CELL * (cell[::-1] + 0.5)).tolist() for cell in (one, other))
-            yaw = rng.uniform(-np.pi, np.pi)
-            found.append(((*placed(world.frame, x, y), yaw), placed(world.frame, u, v)))
+            found.append((placed(world.frame, x, y), placed(world.frame, u, v)))
     return found
 
 

@@ -103,7 +103,7 @@ class TestCarrot:
             for share in np.linspace(0, 1, 30):
                 u, v = x + share * (course.aim[0] - x), y + share * (course.aim[1] - y)
                 assert clearance_at(u, v, 0.0, disc, WALLED.solids) > vehicle.width / 2 - 0.05
-            assert course.distance_left < left
+            assert course.distance_left < left + 0.05
             before, left = at, course.distance_left
         assert len(course.plans) == 1
 
@@ -113,16 +113,15 @@ class TestCarrot:
         assert [time for time, _ in course.plans] == [0.0, 5.0]
         assert course.plans[1][1][0].tolist() == [3.0, 13.0]
 
-    def test_policy_arrives_behind_the_wall_only_with_a_plan(self):
-        boxes = [(10.0, 6.0, 0.4, 12.0), (8.0, 11.9, 4.0, 0.2), (8.0, 0.4, 4.0, 0.2)]  # a pocket that faces the start
-        world = nb.World.from_boxes(
-            boxes, width=20.0, depth=15.0, start=(3.0, 6.0), target=(17.0, 6.0), target_radius=1.0
-        )
-        asked = {"world": world, "simulator": "kinematic", "shield": True, "changes": {"task": {"max_steps": 150}}}
-        assert nb.drive("straight", **asked).summary.ending != "goal"
+    def test_vehicle_leaves_a_pocket_that_the_target_is_behind(self, vehicle):
+        boxes = [(10.0, 6.0, 0.4, 12.0), (8.0, 11.9, 4.0, 0.2), (8.0, 0.4, 4.0, 0.2)]
+        ends = {"start": (8.0, 6.0), "target": (17.0, 6.0), "target_radius": 1.0}
+        world = nb.World.from_boxes(boxes, width=20.0, depth=16.0, **ends)
+        asked = {"world": world, "simulator": "kinematic", "shield": True, "changes": {"task": {"max_steps": 60}}}
+        assert nb.drive("straight", **asked).summary.ending == "timeout"
         recording = nb.drive("straight", plan=True, **asked)
         assert recording.summary.ending == "goal"
-        assert len(recording.plans) >= 1
+        assert recording.plans[0][0] == 0.0
         assert len(recording.aims) == len(recording.state_pose)
 
 

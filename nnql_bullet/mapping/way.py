@@ -144,7 +144,8 @@ def _clearances(cells: Cells, most: float) -> Array:
                 for to_a in range(max(a - reach, 0), min(a + reach + 1, SIDE)):
                     for to_b in range(max(b - reach, 0), min(b + reach + 1, SIDE)):
                         squares[to_a, to_b] = min(squares[to_a, to_b], (to_a - a) ** 2 + (to_b - b) ** 2)
-    return np.sqrt(squares)
+    rooms: Array = np.sqrt(squares)
+    return rooms
 
 
 @njit()
