@@ -358,11 +358,12 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
             drives = zip(tier.worlds, e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
             for world, summary, difficulty in drives:
                 values = asdict(summary)
+                times = {"waypoint_times": " ".join(map(str, values.pop("waypoint_times")))}
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
                 where |= {"file": world.file}
                 its = {"bottleneck": difficulty.bottleneck, "shortest_path": difficulty.shortest_path}
-                records.append({**where, **values, **terms, **its})
+                records.append({**where, **values, **times, **terms, **its})
     return records
 
 
