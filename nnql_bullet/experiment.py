@@ -4,6 +4,7 @@ import math
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
@@ -102,11 +103,14 @@ class Experiment:
     def out_of_reach(self, world: World) -> str:
         """Says why no vehicle can reach the target of a world in an episode, however it drives; empty if one may.
 
-        It compares the straight way to the edge of the target with the way that the steps of an episode allow.
+        It compares the straight way, by way points, to the edge of the target with the way that the steps of an
+        episode allow.
         """
         c = self.config
         way = c.task.max_steps * c.drive.decision_period * c.drive.speed
-        straight = math.dist(world.start, world.target) - world.target_radius
+        places = (world.start, *world.waypoints, world.target)
+        legs = [math.dist(*leg) for leg in pairwise(places)]
+        straight = sum(legs) - (2 * len(legs) - 1) * world.target_radius
         if way >= straight:
             return ""
         return (
