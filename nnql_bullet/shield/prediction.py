@@ -198,14 +198,14 @@ class Predictor:
         Args:
             situation: Of this vehicle alone.
             scans: Its recent scans.
-            ranks: How good each action is held to be (6,); minus infinity for one that is not to be taken.
+            ranks: How good each action is held to be (6,).
             clear: Whether each action is admitted at full speed (6,).
             slowly: Whether it is admitted slowly (6,).
             margin: Clearance that it keeps up to the stop [m].
         """
         for action in np.argsort(-ranks, kind="stable").tolist():
             for manoeuvre, admitted in ((action, clear[action]), (action + SLOW, slowly[action])):
-                if admitted and ranks[action] > -np.inf and self.can_stop(situation, scans, manoeuvre, margin):
+                if admitted and self.can_stop(situation, scans, manoeuvre, margin):
                     return int(manoeuvre)
         return -1
 

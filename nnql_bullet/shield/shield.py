@@ -15,7 +15,7 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf, radians
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,13 +134,13 @@ class Shield:
         elif self.options.recovers:
             memories, led, headings = self._recovering(seen, memories)
         away = np.abs(wrap_angles(turns - headings[:, None]))
-        ranks = np.where(led[:, None], np.where(away <= ALONG, -away, -inf), ranks)
+        ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
-            admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
-            slowly = np.full(ACTIONS, not backs) if led[i] else admitted
+            admitted, margin = clear[i] & along[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            slowly = along[i] & (not backs) if led[i] else admitted
             chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
             calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
             follows = wanted[i] >= ACTIONS and calm and not led[i]
