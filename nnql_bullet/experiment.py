@@ -242,8 +242,8 @@ class Experiment:
     @cached_property
     def policy(self) -> Policy:
         """The policy that drives after training: the agent, in its shield if it has one."""
-        c, on_plan = self.config, self.config.plan is not None
-        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task, on_plan) if c.shield else self.agent
+        c, carrot = self.config, self.planner.look_ahead if self.planner else None
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task, carrot) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:

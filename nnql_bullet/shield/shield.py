@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.mapping.way import first_surroundings, moved_on, place_seen, way_ahead, with_scan
@@ -42,6 +42,9 @@ __all__ = ["Shield", "ShieldOptions"]
 
 ALONG = radians(45.0)
 """Largest angle between the way of a recovery or plan and an action that drives along it [rad]."""
+BEND = 0.7
+"""Distance of the point on a plan, as a share of what it is on straight ways, below which the plan bends so much that
+the vehicle drives slowly."""
 NARROW = 1.25
 """Distance of the nearest obstacle from the sensor within which a plan leads, not the agent, in turning radii."""
 
@@ -76,7 +79,7 @@ class Shield:
         vehicle: VehicleSpec,
         drive: DriveOptions,
         task: TaskOptions,
-        on_plan: bool = False,
+        carrot: float | None = None,
     ) -> None:
         """Puts the shield around the agent.
 
@@ -86,11 +89,12 @@ class Shield:
             vehicle: The vehicle with its load and grip.
             drive: How decisions reach the wheels.
             task: Says what sensors read of rays, and which states are safe.
-            on_plan: Whether the target that the vehicle is told of is a point on a plan, which moves on ahead of it.
+            carrot: Distance at which the target, a point on a plan, moves on ahead of the vehicle [m]; None for a
+                target that stays.
         """
         self.options = options
         self.agent = agent
-        self._vehicle, self._drive, self._task, self._on_plan = vehicle, drive, task, on_plan
+        self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
 
@@ -128,7 +132,9 @@ class Shield:
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
-        if self._on_plan:
+        if self._carrot is not None:
+            bends = (o.target_distance < BEND * self._carrot) & (o.distance_left > self._carrot)
+            clear &= ~bends[:, None]  # slowly there
             at_speed = np.take_along_axis(clear, (wanted % ACTIONS)[:, None], axis=1)[:, 0]
             led, headings = ~at_speed | self._is_led_by_plan(o), o.target_bearing
         elif self.options.recovers:
@@ -151,7 +157,8 @@ class Shield:
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
                     *(int(np.sign(headings[i])), float(o.target_bearing[i])),
                 )
-            spins.append(spin)
+            drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
+            spins.append(Spin() if drives_on else spin)
         if isinstance(self.agent, Overridable):
             agent_state = self.agent.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
