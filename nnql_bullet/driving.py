@@ -11,12 +11,14 @@ from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, merged, to_values
 from nnql_bullet.env import Reward
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, key_texts
-from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_other_robot
+from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_differences
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.work import OnProgress
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.waypoints import as_waypoints
 
@@ -44,6 +46,8 @@ def drive(
     conditions: Conditions | None = None,
     reward: Reward | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
+    check: bool = True,
+    on_progress: OnProgress | None = None,
 ) -> Recording:
     """Drives a policy through a world and records it.
 
@@ -75,6 +79,8 @@ def drive(
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
         changes: Nested values laid over the tables drive, shield, plan, task and agent of the policy's configuration.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
+        on_progress: Receives the progress of this check.
 
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
@@ -86,9 +92,11 @@ def drive(
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked |= {"start": start and list(start), "target": target and list(target)}
     asked["waypoints"] = None if waypoints is None else list(as_waypoints(waypoints))
-    tell_other_robot(policy, asked.get("robot"))
+    tell_differences(policy, asked.get("robot"), own_world=world is None)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
+    if check:
+        check_at_first_use(config.robot, config.simulator, config.physics, on_progress)
     hopeless = experiment.out_of_reach(experiment.worlds)
     if hopeless:
         _log.warning("%s", hopeless)

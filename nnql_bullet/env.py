@@ -77,6 +77,30 @@ def speed_scale(action: int | NDArray[np.int64], drive: DriveOptions) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
+class Commands:
+    """What n vehicles are to do until the next decision."""
+
+    actions: NDArray[np.int64]
+    """Manoeuvres (n,); of commands that are none of them, the nearest."""
+    heading_changes: Array
+    """(n,) [rad], positive to the left."""
+    speed_scales: Array
+    """Wanted speeds as shares of the drive's (n,), from -1 to 1, negative backwards."""
+
+
+def commands_of(actions: NDArray[np.int64], target_bearing: Array, drive: DriveOptions) -> Commands:
+    """The commands of manoeuvres (n,), of vehicles whose targets are at bearings (n,) [rad]."""
+    return Commands(actions, heading_change(actions, target_bearing), speed_scale(actions, drive))
+
+
+def nearest_manoeuvres(heading_changes: Array, speed_scales: Array, drive: DriveOptions) -> NDArray[np.int64]:
+    """The manoeuvres (n,) with one of the five turns that are nearest to commands (n,)."""
+    turns = np.abs(heading_changes[:, None] - paper.TURNS).argmin(axis=-1)
+    ways = np.arange(0, MANOEUVRES, ACTIONS)
+    return np.asarray(turns + ways[np.abs(speed_scales[:, None] - speed_scale(ways, drive)).argmin(axis=-1)])
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
     """What an agent is told of n vehicles."""
 
@@ -140,7 +164,7 @@ class Transition:
 
     s_tm1: Observation
     a_tm1: NDArray[np.int64]
-    """(n,)"""
+    """See `Commands.actions` (n,)."""
     r_t: Array
     """(n,)"""
     discount_t: Array
@@ -152,6 +176,8 @@ class Transition:
     """Index into `task.ENDINGS`, or `task.NO_ENDING` (n,)."""
     heading_command: Array
     """Heading changes that were commanded (n,) [rad]."""
+    speed_command: Array
+    """Speeds that were commanded (n,), as shares of the drive's."""
     motion: Motion
     active: NDArray[np.bool_]
     """Whether the vehicle took a step (n,)."""
@@ -266,9 +292,14 @@ class Navigation:
             UserError: If they are not such numbers.
         """
         actions = as_actions(actions, self.simulator.size)
-        s_tm1 = self._observation
-        turns = heading_change(actions, s_tm1.target_bearing)
-        scales = speed_scale(actions, self.simulator.drive)
+        commands = commands_of(actions, self._observation.target_bearing, self.simulator.drive)
+        return self.carry_out(commands, active, traces)
+
+    def carry_out(
+        self, commands: Commands, active: NDArray[np.bool_] | None = None, traces: Traces | None = None
+    ) -> Transition:
+        """Carries out commands, as `step` does those of manoeuvres."""
+        s_tm1, turns, scales = self._observation, commands.heading_changes, commands.speed_scales
         m, ray_distances = self.simulator.advance(turns, active, scales, traces)
         every = np.arange(self.simulator.size)
         if active is None:
@@ -278,7 +309,14 @@ class Navigation:
         if at_waypoint:
             at_target = at_target & ~np.isin(every, at_waypoint)
         s_t = self._observed(
-            every, m.pose, m.yaw_rate, m.speed, ray_distances, m.touching, at_target, s_tm1.state_property
+            every,
+            m.pose,
+            m.yaw_rate,
+            m.speed,
+            ray_distances,
+            m.touching | m.overturned,
+            at_target,
+            s_tm1.state_property,
         )
         poses = m.pose
         if not active.all():
@@ -296,19 +334,20 @@ class Navigation:
         )
         t = Transition(
             s_tm1=s_tm1,
-            a_tm1=actions,
+            a_tm1=commands.actions,
             r_t=terms.sum(axis=-1),
             discount_t=np.where(is_terminal(s_t.state_property), 0.0, 1.0),
             s_t=s_t,
             terms=terms,
-            ending=ending(s_t.state_property, self._steps, self.task, self._staying),
+            ending=ending(s_t.state_property, self._steps, self.task, self._staying, m.overturned),
             heading_command=turns,
+            speed_command=scales,
             motion=m,
             active=active,
             at_waypoint=at_waypoint,
             term_names=self.term_names,
         )
-        return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(actions)))
+        return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(turns)))
 
     def set_targets(self, targets: Mapping[int, Sequence[Point]]) -> None:
         """Gives some vehicles, in the middle of their episodes, other targets in place of all that they had left.
@@ -381,7 +420,7 @@ class Navigation:
         yaw_rates: Array,
         speeds: Array,
         ray_distances: Array,
-        touching: NDArray[np.bool_],
+        failed: NDArray[np.bool_],
         at_target: NDArray[np.bool_],
         before: NDArray[np.int64],
     ) -> Observation:
@@ -392,7 +431,7 @@ class Navigation:
             **self._sights(vehicles, poses),
             yaw_rate=yaw_rates,
             speed=speeds,
-            state_property=state_property(readings, touching, at_target, self.task, before),
+            state_property=state_property(readings, failed, at_target, self.task, before),
             ray_distances=ray_distances,
         )
 

@@ -91,6 +91,20 @@ def private_folder() -> Path | None:
     return folder if own and os.access(folder, os.W_OK | os.X_OK) else None
 
 
+def cache_folder() -> Path | None:
+    """The folder of this package in the user's cache, else `private_folder`; None if there can be none."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    folder = base / "nnql-bullet"
+    try:
+        if base.is_absolute():  # not so without a home
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK):
+                return folder
+    except OSError:
+        pass
+    return private_folder()
+
+
 @contextmanager
 def open_streams() -> Iterator[None]:
     """Opens the null device in place of closed standard streams (`>&-`), for this process and its children.

@@ -7,7 +7,6 @@ of `Recording`. With n decisions, arrays of states have n + 1 rows and arrays of
 import filecmp
 import json
 import zipfile
-from collections import defaultdict
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from math import inf, prod
@@ -350,6 +349,10 @@ _ABOUT = TypeAdapter(_About)
 _RAYS: TypeAdapter[int] = TypeAdapter(RayCount)
 
 
+_SAMPLED = ("sample_time", "sample_pose", "joint_angles", "wheel_speeds")
+_COLUMNS = tuple(field.name for field in fields(Recording) if field.name not in ("about", *_SAMPLED))
+
+
 class Recorder:
     """Watches an episode and turns it into a `Recording`."""
 
@@ -357,10 +360,15 @@ class Recorder:
         self.trace: list[Sample] = []
         self._vehicle = vehicle
 
+    @property
+    def times(self) -> list[float]:
+        """Times of the states since the start of the episode [s]."""
+        return [float(time) for time in self._columns["state_time"]]
+
     def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
         """Starts the recording."""
         self._world, self._ending, self._term_names = world, NO_ENDING, REWARD_TERMS
-        self._columns: defaultdict[str, list[Any]] = defaultdict(list)
+        self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         self._aims: list[list[float]] = []
         self.trace.clear()
         self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))

@@ -1,7 +1,7 @@
 """The configuration of a run: which vehicle, world, simulator, task and agent, and how it is trained."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -209,9 +209,17 @@ def frozen_keys(values: Mapping[str, Any]) -> Keys:
     return tuple(sorted(given, key=lambda pair: (DRIVING.index(pair[0].partition(".")[0]), pair[0])))
 
 
-def asked_title(conditions: Conditions | None, keys: Keys) -> str:
-    """Returns what is asked for in place of the policies' own, in words; empty if that is nothing."""
-    texts = key_texts(dict(keys)) | (conditions.texts if conditions else {})
+def asked_title(conditions: Conditions | None, keys: Keys, robots: Iterable[str] = ()) -> str:
+    """Returns what is asked for in place of the policies' own, in words; empty if that is nothing.
+
+    Args:
+        conditions: What is asked for.
+        keys: What is asked for besides.
+        robots: Names of the vehicles that drive; the shipped one's is not worth a word.
+    """
+    own = sorted({*robots} - {DEFAULT_ROBOT, ""}) if "robot" not in dict(keys) else []
+    texts = {"robot": " and ".join(own)} if own else {}
+    texts |= key_texts(dict(keys)) | (conditions.texts if conditions else {})
     return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in texts.items())
 
 

@@ -35,7 +35,7 @@ from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
-from nnql_bullet.sources import ROBOT, SOURCES, keep_sources, located
+from nnql_bullet.sources import ROBOT, SOURCES, changed_robots, changed_worlds, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
@@ -276,16 +276,28 @@ def _experiment(config: RunConfig, changes: Mapping[str, Any], agent: Policy | N
     return experiment
 
 
-def tell_other_robot(policy: PolicyLike, robot: str | None) -> None:
-    """Logs a line if a policy is to drive another vehicle than the one that it learned with.
+def tell_differences(policy: PolicyLike, robot: str | None, own_world: bool = False) -> None:
+    """Logs what is not as it was when a policy learned: its vehicle, or files that its run folder keeps.
 
     Args:
         policy: See `load_policy`.
         robot: What it is to drive; None is what it learned with.
+        own_world: Whether it is to drive in the world in which it learned.
 
     Raises:
         UserError: If there is no such policy or robot.
     """
+    name = policy.name if isinstance(policy, LoadedPolicy) else policy
+    if isinstance(name, str | Path) and os.path.exists(name) and not _is_configured(Path(name)):
+        folder = Path(name) if os.path.isdir(name) else Path(name).parent
+        changed_files = changed_robots(folder) if robot is None else {}
+        changed_files |= changed_worlds(folder) if own_world else {}
+        for file, difference in changed_files.items():
+            _log.warning(
+                "%s has changed since %s was trained (%s); it drives with its own copy, as it was then; name the file "
+                "to drive with what it says now",
+                *(file, name, difference),
+            )
     if robot is None:
         return
     loaded, vehicle = load_policy(policy), load_vehicle(robot)

@@ -8,6 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from nnql_bullet.errors import UserError
+
 
 class Stream(IntEnum):
     """Purpose of a generator. The streams are independent: a change in one does not change the others."""
@@ -72,3 +74,18 @@ def fenced(generator: np.random.Generator) -> Iterator[None]:
     finally:
         random.setstate(python)
         np.random.set_state(numpy)
+
+
+def as_seed(given: object) -> int | None:
+    """The seed that a caller gave as a whole number of Python or NumPy, or as a `SeedSequence`; None is none.
+
+    Raises:
+        UserError: If it is another thing, or negative.
+    """
+    if given is None:
+        return None
+    if isinstance(given, np.random.SeedSequence):
+        return int(given.generate_state(1, np.uint64)[0])
+    if isinstance(given, bool | np.bool_) or not isinstance(given, int | np.integer) or given < 0:
+        raise UserError(f"a seed must be a whole number from 0 on, a SeedSequence or None, not {given!r}")
+    return int(given)

@@ -116,8 +116,12 @@ def resume(
     """
     run = load_run(folder, episodes)
     changed = changed_sources(folder)
-    for name in changed:
-        _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
+    for name, difference in changed.items():
+        _log.warning(
+            "%s has changed since this run began (%s); the run goes on with its own copy, as it was then; to train "
+            "with what the file says now, begin another run",
+            *(name, difference),
+        )
     if run.is_over:  # before anything is written
         with suppress(OSError), locked(folder):  # which removes what a killed process left
             pass

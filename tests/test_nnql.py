@@ -43,6 +43,7 @@ def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
         terms=np.zeros((1, len(REWARD_TERMS))),
         ending=np.array([NO_ENDING]),
         heading_command=np.zeros(1),
+        speed_command=np.ones(1),
         motion=no_motion(1),
         active=np.ones(1, np.bool_),
     )

@@ -11,12 +11,17 @@ from typing import Any
 
 import pytest
 
+from nnql_bullet import ablate, check_fidelity, drive, failures
 from nnql_bullet.cli.flags import ELSEWHERE, parse
 from nnql_bullet.cli.parser import VERBS, verb_of
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import Drawn, DriveTask, Setting, Tier
 from nnql_bullet.evaluation.policies import open_policies
+from nnql_bullet.fidelity.envelope import envelope_slices
+from nnql_bullet.fidelity.probe import Bench
+from nnql_bullet.fidelity.stopping import stopping_tasks
 from nnql_bullet.run_config import frozen_keys
+from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cli = Callable[..., tuple[int, str, str]]
 
@@ -50,6 +55,11 @@ class TestFlags:
     def test_speed_is_short_for_the_key(self, verb: str) -> None:
         assert called(verb, [*DRIVES[verb], "--speed", "0.5"]).keywords["keys"] == {"drive": {"speed": 0.5}}
 
+    @pytest.mark.parametrize("verb", ["fidelity", "envelope"])
+    def test_a_bench_has_a_robot_and_a_speed(self, verb: str) -> None:
+        given = called(verb, ["--robot", "r.toml", "--speed", "0.5"]).keywords
+        assert (given["robot"], given["speed"]) == ("r.toml", 0.5)
+
     @pytest.mark.parametrize("verb", ELSEWHERE)
     @pytest.mark.parametrize("flag", ["--robot", "--speed", "--seeds", "--shield"])
     def test_a_verb_without_drives_says_where_it_belongs(self, run_cli: Cli, verb: str, flag: str) -> None:
@@ -64,7 +74,7 @@ class TestHelp:
         text = run_cli(verb, "--help")[1]
         assert len(text.splitlines()) <= 90
         about, _, examples = text.partition("For example:\n")
-        assert all(len(line) <= WIDEST for line in about.splitlines())
+        assert all(len(line) <= WIDEST for line in about.splitlines() if not line.startswith("usage:"))
         assert examples or verb == "doctor"
         for line in examples.splitlines():
             words = shlex.split(line.partition(";")[0])
@@ -107,7 +117,7 @@ class TestResults:
         self, run_cli: Cli, tmp_path: Path, other_robot: Path, small_world: Path
     ) -> None:
         where = ("--world", small_world, "--worlds", 2, "--sim", "kinematic", "--task.max-steps", 3)
-        asked = (*where, "--robot", other_robot, "--speed", 0.5, "--workers", 1)
+        asked = (*where, "--robot", other_robot, "--speed", 0.5, "--executor", "inline")
         out = tmp_path / "out"
         code, said, err = run_cli("evaluate", "double_dqn", *asked, "--shield.margin", 0.1, "--out", out)
         assert code == 0, err
@@ -119,23 +129,27 @@ class TestResults:
         bare, shielded = (one["replay"] for one in values["failures"])
         assert "--shield.margin 0.1" in shielded
         assert "--shield" not in bare
-        assert run_cli("failures", out, "--workers", 1)[0] == 0
-        other_robot.write_text(re.sub(r"yaw_rate = .*", "yaw_rate = 0.3", other_robot.read_text()))
-        code, _, err = run_cli("failures", out, "--workers", 1)
-        assert code == 2
-        assert "the robot 'other' is not what it was" in err
+        assert len(failures(out).rows) == 4
+        kept = out / "robot" / "other.toml"
+        kept.write_text(kept.read_text().replace("yaw_rate = 0.5", "yaw_rate = 0.3"))
+        with pytest.raises(UserError, match="the robot 'other' is not what it was"):
+            failures(out)
 
     def test_a_speed_beyond_the_robot_is_refused_even_if_it_is_the_default(self, other_robot: Path) -> None:
-        from nnql_bullet import drive
-
         text = other_robot.read_text().replace("[limits]", "[limits]\nspeed = 0.4")
         other_robot.write_text(text)
         with pytest.raises(UserError, match=r"drives at 0\.4 m/s at most, not at 2 m/s"):
             drive("straight", simulator="kinematic", robot=other_robot, speed=2.0)
 
-    def test_an_ablation_refuses_a_key_that_it_varies(self) -> None:
-        from nnql_bullet import ablate
+    def test_an_envelope_is_about_the_speed_of_the_vehicle(self, vehicle: VehicleSpec) -> None:
+        with pytest.raises(UserError, match="at 2 m/s at most, not at 3 m/s"):
+            check_fidelity(vehicle, speed=3.0)
+        for spec, speed in ((vehicle, 2.0), (vehicle.driving_at(0.5), 0.5)):
+            (speeds, *_), stops = envelope_slices(spec), stopping_tasks(Bench(spec))
+            assert speeds.values == tuple(speed * share / 4 for share in range(2, 9))
+            assert {task.speed for task in stops} == {speed * count / 2 for count in range(1, 13)}
 
+    def test_an_ablation_refuses_a_key_that_it_varies(self) -> None:
         with pytest.raises(UserError, match=r"'drive\.decision_period' is what the factor 'period' varies"):
             ablate("paper", only=["period"], changes={"drive": {"decision_period": 0.25}})
 

@@ -15,6 +15,7 @@ from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.studies import STUDIES, Study
 from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.reports import ablation as report
@@ -81,6 +82,7 @@ def ablate(
     workers: int | None = 1,
     address: str | None = None,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> AblationResults:
     """Trains every variant of every factor of a preset from several seeds, and tests them on validation worlds.
@@ -110,6 +112,7 @@ def ablate(
         address: HOST:PORT of a running Ray cluster.
         out: Folder for the report; finished trainings are kept there, so that the same call continues after an
             interrupt. Without it nothing is written.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -129,6 +132,8 @@ def ablate(
         worlds=n_worlds,
     )
     where = make_executor(executor, workers, address)
+    if check and "robot" in asked:
+        check_at_first_use(asked["robot"], simulator, "reference", on_progress)
     trials = [
         (factor.name, variant.label, task_of(study, variant, seed, budget))
         for seed in range(budget.seeds)

@@ -1,7 +1,7 @@
 """`evaluate`: policies through the same worlds, with intervals."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ from nnql_bullet.evaluation.drives import (
     FilmTask,
     Setting,
     Tier,
+    WorldFiles,
     check_setting,
     draw_tiers,
     drive,
@@ -26,8 +27,9 @@ from nnql_bullet.evaluation.drives import (
 from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
-from nnql_bullet.evaluation.splits import SplitName, choose_draws
+from nnql_bullet.evaluation.splits import Draws, SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import Recording
@@ -40,6 +42,7 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.sources import SOURCES, keep_files
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
@@ -52,7 +55,7 @@ CLIP = 12.0
 """Length of a clip of a failure [s]."""
 CLIP_SIZE = (960, 540)
 """Size of a clip [pixels]."""
-_OLD = ("cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
+_OLD = (SOURCES, "cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
 """Files of an older report that a new one may be without."""
 
 
@@ -123,6 +126,8 @@ class EvaluationResults:
             for task in tasks[:clips]:
                 (out / "clips").mkdir(exist_ok=True)
                 render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+            files = [world.file for tier in e.tiers for world in tier.worlds if not tier.given]
+            keep_files(files, e.setting.robot, out)
             write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 
@@ -152,6 +157,7 @@ def evaluate(
     address: str | None = None,
     out: Path | str | None = None,
     clips: int = 0,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
@@ -194,6 +200,7 @@ def evaluate(
         out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
         clips: Most videos of failures in `out`.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -211,24 +218,62 @@ def evaluate(
     setting = Setting(simulator, physics, conditions, allow_impassable, first, last, between, plan, keys)
     opened = open_policies(policies, shield or "shield" in changes, setting.robot)
     where = executor_for(opened, executor, workers, address)
-    if out is not None and Path(out).exists() and not Path(out).is_dir():
-        raise UserError(f"{out}: is a file; give a folder")
     if not worlds:
         raise UserError("give a world")
-    for policy in opened:
-        check_setting(policy, setting)
-    tiers, refused = draw_tiers(worlds, draws, setting, opened)
     asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
+
+    def save(evaluation: Evaluation, folder: Path) -> None:
+        EvaluationResults(evaluation).save(folder, clips, where, on_progress)
+
+    evaluation = run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress, check)
+    return EvaluationResults(evaluation)
+
+
+def run_evaluation(
+    policies: Sequence[Policy],
+    worlds: Sequence[str | Path | World | WorldFiles],
+    asked: Sequence[str],
+    draws: Draws,
+    setting: Setting,
+    executor: Executor,
+    out: Path | str | None,
+    save: Callable[[Evaluation, Path], object],
+    on_progress: OnProgress | None,
+    check: bool,
+) -> Evaluation:
+    """Drives policies through worlds, and saves what comes of it into a folder that no other process writes to.
+
+    Args:
+        policies: The policies.
+        worlds: The worlds.
+        asked: What the worlds are called on a command line.
+        draws: Which worlds of each kind.
+        setting: The setting.
+        executor: Where pieces run.
+        out: The folder, where finished pieces are kept too; without it nothing is kept or saved.
+        save: Writes the report into the folder.
+        on_progress: Receives the progress.
+        check: Whether a robot that is not shipped is checked when it is first driven in contact physics.
+
+    Raises:
+        UserError: See `evaluate`.
+        WorkFailed: If a piece of work fails.
+    """
+    if out is not None and Path(out).exists() and not Path(out).is_dir():
+        raise UserError(f"{out}: is a file; give a folder")
+    robots = [check_setting(policy, setting) for policy in policies]
+    tiers, refused = draw_tiers(worlds, draws, setting, policies)
     folder = None if out is None else Path(out)
     with locked(folder):
+        for its in dict.fromkeys(robots if check else ()):
+            check_at_first_use(its, setting.simulator, setting.physics, on_progress)
         parts = Parts(folder / "parts" if folder else None)
-        difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
-        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes(its)))
-        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
-        results = EvaluationResults(evaluation)
+        difficulties, drives = _driven(executor, policies, tiers, setting, parts, on_progress)
+        random = frozenset(p.name for p in policies if p.custom is None and has_chance(p, setting.changes(p)))
+        evaluation = Evaluation(asked, draws, setting, policies, tiers, difficulties, drives, refused, random)
         if folder:
-            results.save(folder, clips, where, on_progress)
-    return results
+            save(evaluation, folder)
+    return evaluation
 
 
 def _driven(

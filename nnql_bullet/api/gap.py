@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,6 +17,7 @@ from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import RECORDINGS
@@ -86,6 +88,7 @@ def gap(
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> GapResults:
     """Measures the sim-to-sim gap: the same policies, worlds and seeds in two simulators, drive by drive.
@@ -117,6 +120,7 @@ def gap(
         executor: See `evaluate`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -134,10 +138,11 @@ def gap(
     first, second = Side(against, physics), Side(simulator, physics)
     in_shield, keys = shield or "shield" in changes, frozen_keys(driving_with(changes, robot, speed))
     robot = dict(keys).get("robot")
-    opened = [its for its in open_policies(policies, in_shield, robot) if its.shielded == in_shield]
+    opened = [its for its in open_policies(policies, in_shield, robot, world is None) if its.shielded == in_shield]
     where = executor_for(opened, executor, workers)
-    for policy in opened:
-        measure.check(PairTask(policy, world, draws.seeds, first, second, conditions, keys))
+    ours = [measure.check(PairTask(policy, world, draws.seeds, first, second, conditions, keys)) for policy in opened]
+    for its, side in product(dict.fromkeys(ours if check else ()), (against, simulator)):
+        check_at_first_use(its, side, physics, on_progress)
     asked = [{"world": world, "conditions": conditions} | policy.changes(keys) for policy in opened]
     experiment = load_policy(opened[0].source, asked[0]).experiment
     chances = [has_chance(policy, its) for policy, its in zip(opened, asked, strict=True)]

@@ -28,6 +28,7 @@ def ablate(
     executor: ExecutorKind = "processes",
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    check: bool = True,
     keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Measure what each factor of a preset is worth.
@@ -58,6 +59,7 @@ def ablate(
         executor: Where trainings run; inline is this process.
         address: A running Ray cluster; without it Ray is started on this machine.
         out: Folder of the report; default runs/ablation, of another preset runs/ablation-PRESET.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of the preset's; none that a factor varies.
     """
     folder = out or Path("runs") / ("ablation" if preset == "paper" else f"ablation-{preset}")
@@ -78,6 +80,7 @@ def ablate(
                 workers=workers,
                 address=address,
                 out=folder,
+                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

@@ -39,6 +39,7 @@ def drive(
     video: bool = False,
     gui: bool = False,
     json: bool = False,
+    check: bool = True,
     keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive a policy through a world that it has not seen, and leave a recording and a picture.
@@ -75,6 +76,7 @@ def drive(
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
         gui: Show the drive in PyBullet's window, in real time. It needs a display.
         json: Print one JSON object instead of text.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of the policy's own.
     """
     asked, in_shield, planned = asked_for(keys), shield or "shield" in keys, plan or "plan" in keys
@@ -83,20 +85,23 @@ def drive(
     if gui:
         check_window()
     tell_warnings([world], start, waypoints[-1] if waypoints else target)
-    recording = driving.drive(
-        policy,
-        world=world,
-        start=start,
-        target=target,
-        waypoints=waypoints,
-        plan=planned,
-        seed=seed,
-        simulator=sim,
-        physics=physics,
-        shield=in_shield,
-        allow_impassable=allow_impassable,
-        **asked,
-    )
+    with progress() as show:
+        recording = driving.drive(
+            policy,
+            world=world,
+            start=start,
+            target=target,
+            waypoints=waypoints,
+            plan=planned,
+            seed=seed,
+            simulator=sim,
+            physics=physics,
+            shield=in_shield,
+            allow_impassable=allow_impassable,
+            check=check,
+            on_progress=show,
+            **asked,
+        )
     files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, planned, **asked))
     if video:
         files["video"] = files["recording"].with_suffix(".mp4")

@@ -43,6 +43,7 @@ def evaluate(
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
     json: bool = False,
+    check: bool = True,
     keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive policies through the same worlds; say how good each is and how sure that is.
@@ -81,6 +82,7 @@ def evaluate(
         clips: Most videos of failures, in DIR/clips.
         out: Folder of the report.
         json: Print results.json instead of the table.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of each policy's own.
     """
     files = _files(cover, world)
@@ -107,6 +109,7 @@ def evaluate(
                 address=address,
                 out=out,
                 clips=clips,
+                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

@@ -52,12 +52,6 @@ def _numbers(words: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(its) for word in words for its in word.split(","))
 
 
-ELSEWHERE = {
-    "failures": "the drives are those of the evaluation; give it to `evaluate`",
-    "view": "a recording is shown as it was driven; give it to `drive`",
-    "report": "it shows what there is; give it to `train`, `evaluate` or `gap`",
-}
-"""What verbs that drive nothing of their own say of flags of drives."""
 NUMBERS = tyro.constructors.PrimitiveConstructorSpec[tuple[float, ...]](
     nargs="*",
     metavar="X,...",
@@ -123,10 +117,14 @@ DriveKeys = Annotated[
     ),
 ]
 """Values of a verb that drives, in place of each policy's own."""
-
-
 OF_DRIVES = ("--world", "--seed", "--seeds", "--start", "--target", "--sim", "--shield", "--robot", "--speed", "--rays")
 """Flags of drives that people may look for where nothing is driven."""
+ELSEWHERE = {
+    "failures": "the drives are those of the evaluation; give it to `evaluate`",
+    "view": "a recording is shown as it was driven; give it to `drive`",
+    "report": "it shows what there is; give it to `train`, `evaluate` or `gap`",
+}
+"""What verbs that drive nothing of their own say of flags of drives."""
 
 
 def asked_for(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -31,6 +31,7 @@ def gap(
     faults: bool = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    check: bool = True,
     keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
@@ -60,6 +61,7 @@ def gap(
         faults: Leave out the drives with faults, which take some twelve times as long as the rest.
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/gap.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of each policy's own.
     """
     tell_warnings([world], start, target)
@@ -82,6 +84,7 @@ def gap(
             executor="processes",
             workers=workers,
             out=folder,
+            check=check,
             on_progress=show,
         )
     say(results.table())

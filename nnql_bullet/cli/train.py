@@ -27,6 +27,7 @@ def train(
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     overwrite: bool = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    check: bool = True,
     keys: Annotated[Mapping[str, Any], KeyFlags()] = MappingProxyType({}),
 ) -> int:
     """Train the vehicle, headless, and leave a run folder.
@@ -55,6 +56,7 @@ def train(
         resume: Continue the run in this folder as if it had never stopped (sb3_dqn redoes it first).
         overwrite: Start anew in a folder that holds a run already.
         workers: Processes (kinematic: threads); default one a core. They do not change the result.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Keys of the configuration.
     """
     if resume is not None:
@@ -95,7 +97,15 @@ def train(
             if resume is not None:
                 api.resume(folder, total, workers=workers, on_progress=shown, stop=stop)
             else:
-                api.train(resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=shown, stop=stop)
+                api.train(
+                    resolved,
+                    out=folder,
+                    workers=workers,
+                    overwrite=overwrite,
+                    check=check,
+                    on_progress=shown,
+                    stop=stop,
+                )
         except WorkerDied as error:
             died = error
     run = load_run(folder)

@@ -69,6 +69,12 @@ class Counts:
     collision: int
     timeout: int
     stuck: int = 0
+    overturned: int = 0
+
+    @property
+    def drives(self) -> int:
+        """Number of all drives."""
+        return self.goal + self.collision + self.timeout + self.stuck + self.overturned
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +170,7 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
 
 def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     """Computes the success of each training seed in each tier (tiers, seeds)."""
-    return np.array([[t.goal / (t.goal + t.collision + t.timeout + t.stuck) for t in its] for its in trainings]).T
+    return np.array([[t.goal / t.drives for t in its] for its in trainings]).T
 
 
 def _difference(differences: Array) -> Estimate:

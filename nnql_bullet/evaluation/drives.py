@@ -2,7 +2,8 @@
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,6 +35,9 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 _log = logging.getLogger(__name__)
 
+MOST_KEPT = 400
+"""Number of drawn worlds that a process keeps: reading the files of others takes longer than to drive through them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
@@ -46,6 +50,10 @@ class Drawn:
     """Its hash."""
 
 
+_kept: OrderedDict[Drawn, WorldSpec] = OrderedDict()
+"""Worlds that this process has drawn, the last used at the end; their hashes say that they are the same."""
+
+
 @dataclass(frozen=True, slots=True)
 class Refused:
     """A world file that nothing drives through."""
@@ -53,6 +61,14 @@ class Refused:
     file: str
     reason: str
     """What is wrong with it, in one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldFiles:
+    """World files that are counted together."""
+
+    name: str
+    files: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +83,8 @@ class Tier:
     worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
-    given: World | None = None
-    """The world, if it was made in code."""
+    given: tuple[tuple[str, World], ...] = ()
+    """Worlds in place of what files say, by the names of the files: made in code, or kept by an earlier evaluation."""
 
     @property
     def title(self) -> str:
@@ -82,7 +98,7 @@ class Tier:
 
     def kind(self, world: Drawn) -> str | World:
         """Returns the value of a configuration's key `world` for a world of the tier."""
-        return self.given or world.file
+        return dict(self.given).get(world.file, world.file)
 
     def block(self, first: int) -> tuple[Drawn, ...]:
         """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
@@ -130,12 +146,11 @@ class Setting:
         """What each world has in place of its own ends, by the keys of a configuration."""
         return {"start": self.start, "target": self.target, "waypoints": self.waypoints}
 
-    @property
-    def title(self) -> str:
-        """Title for people."""
+    def title(self, robots: Iterable[str] = ()) -> str:
+        """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
         plan = "with a plan" if self.plan else ""
-        return ", ".join(filter(None, (where, plan, asked_title(self.conditions, self.keys))))
+        return ", ".join(filter(None, (where, plan, asked_title(self.conditions, self.keys, robots))))
 
     @property
     def robot(self) -> str | None:
@@ -153,13 +168,15 @@ class Setting:
         return ["--sim", self.simulator, *physics, *impassable, *plan, *flags(changes)]
 
 
-def check_setting(policy: Policy, setting: Setting) -> None:
-    """Checks an evaluation's setting before the drives, by making a simulator.
+def check_setting(policy: Policy, setting: Setting) -> str:
+    """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes(policy)).experiment.simulator.close()
+    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment.simulator.close()
+    return experiment.config.robot
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -206,12 +223,12 @@ def _cover_of(world: World) -> float | None:
 
 
 def draw_tiers(
-    given: Sequence[str | Path | World], draws: Draws, setting: Setting, policies: Sequence[Policy]
+    given: Sequence[str | Path | World | WorldFiles], draws: Draws, setting: Setting, policies: Sequence[Policy]
 ) -> tuple[list[Tier], list[Refused]]:
     """Draws and checks worlds of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, files, folders of files, or worlds made in code.
+        given: Shipped worlds, files, folders of files, files that are counted together, or worlds made in code.
         draws: Which worlds of each kind.
         setting: The setting.
         policies: The policies; the vehicle of the first gives the width of the free path.
@@ -226,7 +243,7 @@ def draw_tiers(
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
-    for one in [one if isinstance(one, World) else str(one) for one in given]:
+    for one in [str(one) if isinstance(one, str | Path) else one for one in given]:
         files = _files(one)
         worlds: list[Drawn] = []
         experiment: Experiment | None = None
@@ -247,7 +264,9 @@ def draw_tiers(
         if hopeless:
             _log.warning("%s: %s", policies[0].name, hopeless)
         of_folder = files != [one]
-        name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
+        name = kind.name
+        if of_folder:
+            name = one.name if isinstance(one, WorldFiles) else Path(str(one)).resolve().name
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
@@ -258,8 +277,9 @@ def draw_tiers(
                 one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
             )
         )
-        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
-        shown = one.name if isinstance(one, World) else one
+        cover = None if of_folder else _cover_of(kind)
+        shown = one if isinstance(one, str) else one.name
+        code = ((shown, one),) if isinstance(one, World) else ()
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:
@@ -268,14 +288,16 @@ def draw_tiers(
     return tiers, refused
 
 
-def _files(given: str | World) -> Sequence[str | World]:
-    """The world files of a folder in the order of their names; any other world as it is.
+def _files(given: str | World | WorldFiles) -> Sequence[str | World]:
+    """The world files of a folder in the order of their names, files that are given; any other world as it is.
 
     Raises:
         UserError: If there is no such world, or a folder has none.
     """
     if isinstance(given, World):
         return [given]
+    if isinstance(given, WorldFiles):
+        return given.files
     if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
         assets.find("worlds", given)
         return [given]
@@ -342,10 +364,18 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
 
 
 def _drawn(experiment: Experiment, task: _BlockTask) -> list[WorldSpec]:
-    """Draws the worlds of a piece."""
+    """Draws the worlds of a piece, or takes them as this process has drawn them before."""
     block = task.tier.block(task.first)
-    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in block}
-    return [experiment.draw(kinds[world.file], world.seed) for world in block]
+    new = [world for world in block if world not in _kept]
+    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in new}
+    drawn = {world: _kept[world] for world in block if world in _kept}
+    drawn |= {world: experiment.draw(kinds[world.file], world.seed) for world in new}
+    for world in block:
+        _kept[world] = drawn[world]
+        _kept.move_to_end(world)
+    while len(_kept) > MOST_KEPT:
+        _kept.popitem(last=False)
+    return [drawn[world] for world in block]
 
 
 class SurveyTask(_BlockTask):

@@ -214,8 +214,13 @@ class Gap:
     @property
     def title(self) -> str:
         """The world, and what is asked for in place of the policies' own, in words; empty if that is nothing."""
-        world, shield = f"world {self.world}" if self.world else "", "in a shield" if self.shield else ""
-        return ", ".join(filter(None, (world, shield, asked_title(self.conditions, self.keys))))
+        return ", ".join(filter(None, (f"world {self.world}" if self.world else "", self.asked)))
+
+    @property
+    def asked(self) -> str:
+        """What is asked for in place of the policies' own, besides the world."""
+        shield = "in a shield" if self.shield else ""
+        return ", ".join(filter(None, (shield, asked_title(self.conditions, self.keys, self.robots))))
 
     @property
     def command(self) -> str:
@@ -238,8 +243,11 @@ class Gap:
         return [*shield, *flags({"conditions": self.conditions, **nested(dict(self.keys))})]
 
 
-def check(task: PairTask) -> None:
+def check(task: PairTask) -> str:
     """Makes each simulator and a world once, so that what is wrong with them shows before anything is driven.
+
+    Returns:
+        The robot that will drive.
 
     Raises:
         UserError: If a simulator or the world cannot be made, or a condition is impossible.
@@ -248,6 +256,7 @@ def check(task: PairTask) -> None:
         experiment = _kept_experiment.__wrapped__(task.policy, task.world, side, task.conditions, task.keys)
         experiment.simulator.close()
         experiment.world(task.seeds[0])
+    return experiment.config.robot
 
 
 WORLDS_AT_A_TIME = 5
@@ -289,7 +298,7 @@ def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
 
 
 def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
-    """How many drives ended how, (4, 4) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    """How many drives ended how, (5, 5) in the order of `task.ENDINGS`: rows the first side, columns the second."""
     matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
     for pair in pairs:
         matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1

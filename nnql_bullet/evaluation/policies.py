@@ -21,7 +21,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array
 from nnql_bullet.run_config import Keys, RunConfig
-from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy, tell_other_robot
+from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy, tell_differences
 from nnql_bullet.vehicle.urdf import load_vehicle
 
 
@@ -81,14 +81,18 @@ class Policy:
 
 
 def open_policies(
-    policies: PolicyLike | Sequence[PolicyLike], shield: bool = False, robot: str | None = None
+    policies: PolicyLike | Sequence[PolicyLike],
+    shield: bool = False,
+    robot: str | None = None,
+    own_world: bool = False,
 ) -> list[Policy]:
     """Reads policies and groups them by method.
 
     Args:
         policies: One policy or several.
         shield: Whether each policy is also evaluated in a shield.
-        robot: What they drive in place of each policy's own vehicle; a policy that learned with another one is logged.
+        robot: What they drive in place of each policy's own vehicle.
+        own_world: Whether each drives in the world in which it learned. What is not as it was then is logged.
 
     Raises:
         UserError: If there is no policy, one cannot be read, is given twice or has changed since it was loaded, or
@@ -108,7 +112,7 @@ def open_policies(
         if isinstance(policy, LoadedPolicy) and fingerprint(experiment) != fingerprint(policy.experiment):
             raise UserError(f"{policy.name}: is not what is saved there; load it again, without changes")
     for policy in several:
-        tell_other_robot(policy, robot)
+        tell_differences(policy, robot, own_world)
     vehicles = [load_vehicle(robot or experiment.config.robot) for experiment in experiments]
     odd = [path for path, its in zip(given, vehicles, strict=True) if its.width != vehicles[0].width]
     if odd:

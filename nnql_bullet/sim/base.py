@@ -37,7 +37,7 @@ Traces = Mapping[int, list[Sample]]
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The motion of n vehicles in one control period. A period ends early at the first contact or inside the target."""
+    """The motion of n vehicles in one control period. It ends early at a contact, inside the target, or at a fall."""
 
     pose: Array
     """x, y [m] and yaw [rad] of the rear-axle centre at the end (n, 3)."""
@@ -55,14 +55,16 @@ class Motion:
     heading_error: Array
     """Commanded heading change minus the one that was reached (n,) [rad]."""
     touching: NDArray[np.bool_]
-    """Whether the vehicle touched an obstacle or wall, or tipped over (n,)."""
+    """Whether the vehicle touched an obstacle or wall (n,)."""
     at_target: NDArray[np.bool_]
     """Whether the rear-axle centre came within the radius of the target or way point (n,)."""
+    overturned: NDArray[np.bool_]
+    """Whether the vehicle tipped over (n,): `sim.contact.OVERTURNED`. The kinematic model never does."""
 
 
 def no_motion(size: int) -> Motion:
     """The motion of n vehicles that stand by: all zero."""
-    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((2, size), np.bool_))
+    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((3, size), np.bool_))
 
 
 def driving(active: NDArray[np.bool_] | None, size: int) -> Sequence[int]:

@@ -87,7 +87,7 @@ class ContactSimulator:
             motion.yaw_rate[i], motion.speed[i] = m.yaw_rate, m.speed
             motion.duration[i], motion.path_length[i] = m.duration, m.path_length
             motion.clearance[i], motion.heading_error[i] = m.clearance, m.heading_error
-            motion.touching[i], motion.at_target[i] = m.touching, m.at_target
+            motion.touching[i], motion.at_target[i], motion.overturned[i] = m.touching, m.at_target, m.overturned
             ray_distances[i] = engine.scan()
         return motion, ray_distances
 

@@ -200,6 +200,7 @@ class KinematicSimulator:
             heading_error=period.heading_error.copy(),
             touching=period.event == _TOUCHING,
             at_target=period.event == _AT_TARGET,
+            overturned=np.zeros(self.size, np.bool_),
         )
         if traces:
             for i in vehicles.tolist():

@@ -30,6 +30,7 @@ from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import physics_text
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -214,7 +215,7 @@ class MujocoEngine(ContactEngine):
             spec = mujoco.MjSpec.from_string(self._urdf)
             spec.compiler.fusestatic = False
             spec.worldbody.first_body().add_freejoint()
-            _set_solver(spec, self.time_step)
+            _set_solver(spec, self.vehicle, self.time_step)
             _set_contacts(spec, self.vehicle)
             _add_clutches(spec, self.vehicle)
             if self._ground:
@@ -339,9 +340,11 @@ def _hard(damping: float, time_step: float) -> list[float]:
     return [CONSTRAINT_STEPS * time_step, damping]
 
 
-def _set_solver(spec: Any, time_step: float) -> None:
+def _set_solver(spec: Any, vehicle: VehicleSpec, time_step: float) -> None:
     spec.option.timestep = time_step
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    # The solver stops when a round gains less energy than this; that of a small vehicle goes with its lengths as k^5.
+    spec.option.tolerance *= min(length_scale(vehicle.footprint), 1.0) ** 5
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # friction is the same in all directions
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND  # `_let_slide` works without; there is only one
 

@@ -3,9 +3,10 @@
 PyBullet is loaded in the process that tries them, and there alone.
 """
 
-import multiprocessing
 import os
+import sys
 from functools import cache
+from subprocess import DEVNULL, TimeoutExpired, run
 from typing import Literal
 
 import numpy as np
@@ -30,16 +31,17 @@ def works(kind: SceneKind, timeout: float = 60.0) -> bool:
     """
     if not may_start_processes():
         return kind == "tiny"
-    process = multiprocessing.get_context("spawn").Process(target=_draw_something, args=(kind,))
-    process.start()
-    process.join(timeout)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    return process.exitcode == 0
+    # A new interpreter, as multiprocessing would run the caller's script again.
+    program = f"from {__name__} import draw_something; draw_something({kind!r})"
+    surroundings = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        return run([sys.executable, "-c", program], env=surroundings, timeout=timeout, stdin=DEVNULL).returncode == 0
+    except TimeoutExpired:
+        return False
 
 
-def _draw_something(kind: SceneKind) -> None:
+def draw_something(kind: SceneKind) -> None:
+    """Draws a box; whether the process lives tells whether the renderer works."""
     for stream in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)  # the exit code reports a failure
     from nnql_bullet.sim.bullet_scene import BulletScene

@@ -231,9 +231,9 @@ class World:
         attempts = MOST_ATTEMPTS if self.layout.is_random else 1
         for attempt in range(attempts):
             world = self._attempt(seed, attempt, self.layout)
-            if allow_impassable or world.bottleneck.admits(vehicle_width + self.clearance):
+            if allow_impassable or world.admits(vehicle_width + self.clearance):
                 return self._with_patrols(world)
-            if attempt == 0 and not replace(world, obstacles=()).bottleneck.admits(vehicle_width + self.clearance):
+            if attempt == 0 and not replace(world, obstacles=()).admits(vehicle_width + self.clearance):
                 attempts = 1  # no draw of obstacles mends ends that walls are too near to
                 break
         found, again = world.bottleneck, f" in {attempts} attempts" if attempts > 1 else ""

@@ -19,21 +19,18 @@ from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
+from nnql_bullet.agents.learning.shaped_reward import reward
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
-from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
+from nnql_bullet.env import ACTIONS, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
-from nnql_bullet.sensing import FRONT
-from nnql_bullet.task import NO_ENDING, StateProperty
+from nnql_bullet.task import NO_ENDING
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-FRONT_DISTANCE = 5.0
-"""Readings of the front sensor below this cost reward [m]."""
 
 
 class DuelingNetwork(torch.nn.Module):
@@ -210,15 +207,6 @@ class DoubleDqn:
             soft_update(self.network, learning.online, o.tau)
             errors.append(td_error.detach())
         return float(torch.cat(errors).square().mean().sqrt())
-
-
-def reward(t: Transition, o: DoubleDqnOptions, scale: float = 1.0) -> Array:
-    """Rewards of steps (n,) of vehicles of a scale, except for the progress, which is known at the next decision."""
-    nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / (FRONT_DISTANCE * scale), 0.0)
-    turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
-    won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
-    before_end = o.reward_step + o.reward_turn * turns + o.reward_near * nearness
-    return np.asarray(before_end + (o.reward_winning * won + o.reward_failure * failed))
 
 
 def partly_mirrored(batch: Batch, frames: FrameMaker, generator: np.random.Generator) -> Batch:

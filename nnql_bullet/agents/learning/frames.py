@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
-from nnql_bullet.env import ACTIONS, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, Commands, Observation, Transition, commands_of
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import nearest_rays
@@ -161,10 +161,13 @@ class FrameMaker:
 
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
-        o, memory = observations, look.memory
-        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
-        turns = heading_change(actions, o.target_bearing)
-        headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
+        return self.commanded(look, observations, commands_of(actions, observations.target_bearing, self._drive))
+
+    def commanded(self, look: Look, observations: Observation, commands: Commands) -> Memory:
+        """The memory of vehicles after they were given commands."""
+        o, memory, actions, goals = observations, look.memory, commands.actions, commands.speed_scales
+        speeds = np.where(memory.age == 0, 1.0, memory.speeds)
+        headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
         ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
         change = self._acceleration * self._times[-1] / self._speed
@@ -197,6 +200,29 @@ class FrameMaker:
             2.0 * (actions[:, None] == np.arange(ACTIONS)) - 1,
         ]
         return as_bytes(np.concatenate(parts, axis=-1))
+
+
+class Sight:
+    """What n vehicles see and remember, for one who follows their steps and decides nothing."""
+
+    def __init__(self, maker: FrameMaker, size: int) -> None:
+        self._maker = maker
+        self._memory = maker.nothing(size)
+        self.look: Look
+        """The memory with the present observation entered; there is one from the first `begin` on."""
+
+    def begin(self, vehicles: NDArray[np.int64], observations: Observation) -> None:
+        """Forgets some vehicles, which are put into worlds; the observations are of all n."""
+        age = self._memory.age.copy()
+        age[vehicles] = 0
+        self._memory = replace(self._memory, age=age)
+        self.look = self._maker.look(self._memory, observations)
+
+    def follow(self, t: Transition) -> None:
+        """Enters a step of all n vehicles."""
+        commands = Commands(t.a_tm1, t.heading_command, t.speed_command)
+        self._memory = self._maker.commanded(self.look, t.s_tm1, commands)
+        self.look = self._maker.look(self._memory, t.s_t)
 
 
 def as_bytes(numbers: Array) -> Bytes:
