@@ -109,7 +109,7 @@ def test_every_way_to_drive_checks_once_in_this_process_unless_told_not_to(
 ) -> None:
     own = {"robot": str(mine), "world": "empty", "physics": "fast"}
     ways: list[Callable[[], object]] = [
-        lambda: nb.drive("straight", world="empty", vehicle=mine, physics="fast", check=check),
+        lambda: nb.drive("straight", world="empty", robot=mine, physics="fast", check=check),
         lambda: nb.make_env(check=check, **own).close(),
         lambda: nb.train(**own, episodes=1, task={"max_steps": 1}, out=tmp_path / "run", overwrite=True, check=check),
         lambda: nb.evaluate(tmp_path / "run", worlds=["empty"], n_worlds=1, physics="fast", check=check),

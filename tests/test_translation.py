@@ -63,7 +63,11 @@ STEERED = [
     joint("steer", "yoke", "-0.2 0 0.1", "revolute"),
     joint("front", "front", "0 0 0", "continuous", rpy="1.5708 0 0", on="yoke"),
 ]
+BALLAST = [link("ballast", 10.0, '<box size="0.1 0.1 0.1"/>', 0.05), joint("w", "ballast", "0.4 0 0.2")]
+FRONT = [link("front_ball", 0.1, '<sphere radius="0.05"/>', 1e-4), joint("a", "front_ball", "0.4 0 0.05")]
+BACK = [link("back_ball", 0.1, '<sphere radius="0.05"/>', 1e-4), joint("b", "back_ball", "0 0 0.05")]
 KINDS = {
+    "ball ahead, ball behind, weight on the axle": BALLAST + FRONT + BACK,
     "ball behind": BALL,
     "swivel behind": caster("c", -0.2, 0.0),
     "swivel behind that points ahead": caster("c", -0.2, 0.0, 0.04),

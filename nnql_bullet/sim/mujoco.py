@@ -41,6 +41,9 @@ OBSTACLE = 1
 
 IMPEDANCE = 0.9999
 """Share to which a constraint is met, the largest that the engine takes; the vehicle hardly sinks in or creeps."""
+SLIDING_IMPEDANCE = 0.99
+"""The same for balls of a vehicle with more than three supports: where its weight could rest on any of them, the wheels
+take it. Otherwise the load would jump, because `_let_slide` finds one of many solutions."""
 CONSTRAINT_STEPS = 2.0
 """Time constant of a constraint, in steps, the smallest that the engine takes; it corrects a velocity in one step."""
 HIT_DAMPING = 5.0
@@ -370,6 +373,9 @@ def _set_contacts(spec: Any, vehicle: VehicleSpec) -> None:
         for geom in spec.body(link).geoms:
             geom.contype = WHEEL
             geom.friction = friction
+    for its in vehicle.casters if len(vehicle.casters) > 1 else ():
+        for geom in [] if its.swivels else spec.body(its.link).geoms:
+            geom.solimp[:2] = SLIDING_IMPEDANCE
 
 
 def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:
