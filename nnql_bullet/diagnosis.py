@@ -20,11 +20,10 @@ import numpy as np
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import placed, ray_distances, wrap_angle
-from nnql_bullet.machine import allowed_cores
+from nnql_bullet.machine import allowed_cores, pybullet_package
 from nnql_bullet.render.video import check_encoder
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sim import bullet
-from nnql_bullet.sim.bullet_scene import works
+from nnql_bullet.sim.scene_trial import works
 
 GIGABYTE = 1e9
 """[bytes]"""
@@ -51,15 +50,17 @@ def check_platform() -> Finding:
 
 
 def check_pybullet() -> Finding:
-    """Checks that one package alone brings PyBullet, and that it supports NumPy, which fast images need."""
-    packages = _packages("pybullet")
+    """Checks that one package alone brings PyBullet, and that it loads."""
+    packages, right = _packages("pybullet"), pybullet_package()
     found = f"{_listed(packages)}, numpy {version('numpy')}"
     if len(packages) > 1:
-        names = " ".join(packages)
-        return Finding(False, f"{found}: they overwrite each other; pip uninstall {names}, then pip install pybullet")
-    if not bullet.has_numpy():
-        return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
-    return Finding(True, found)
+        remedy = f"pip uninstall {' '.join(packages)}, then pip install {right}"
+        return Finding(False, f"{found}: they overwrite each other; {remedy}")
+    try:
+        from nnql_bullet.sim import bullet
+    except UserError as error:
+        return Finding(False, str(error), needed=right is not None)
+    return Finding(True, found if bullet.has_numpy() else f"{found}; built without NumPy, so that pictures take longer")
 
 
 def check_drive() -> Finding:

@@ -1,4 +1,4 @@
-"""The exceptions that a caller is meant to catch."""
+"""The exceptions and warnings that a caller is meant to catch."""
 
 from nnql_bullet.text import one_line
 
@@ -12,6 +12,10 @@ class UserError(Exception):
 
 class WorkFailed(Exception):
     """Raised when a piece of work fails or its process dies. The message is one line that names the piece."""
+
+
+class RobotWarning(UserWarning):
+    """A robot does not move in contact physics as mechanics says; the message is one line that names what is off."""
 
 
 def missing_library(library: str, extra: str) -> UserError:

@@ -20,7 +20,8 @@ from nnql_bullet.sim.base import WorkerDied
 Cli = Callable[..., tuple[int, str, str]]
 
 NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot"), ("what",)) | {
-    "worlds": ("list",)
+    "worlds": ("list",),
+    "barn": ("what", "what"),
 }
 """Arguments without which a verb is not called."""
 RAISED = {

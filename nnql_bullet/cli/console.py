@@ -5,25 +5,27 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import timedelta
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import RobotWarning, UserError
 from nnql_bullet.files import is_file
 from nnql_bullet.machine import open_streams
 from nnql_bullet.text import one_line, printable
 from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED = (
-    f"CPython 3.10 or 3.11 is needed, not {sys.version.split()[0]}: PyBullet has no wheels for it"
-    if not (3, 10) <= sys.version_info < (3, 12)
+    f"CPython 3.10 or a newer one is needed, not {sys.version.split()[0]}"
+    if sys.version_info < (3, 10)
     else "Windows is not supported; run it in the Windows Subsystem for Linux (WSL 2)"
     if os.name == "nt"
     else ""
@@ -107,7 +109,7 @@ class _Telling(logging.Handler):
 
 @contextmanager
 def messages() -> Iterator[None]:
-    """Prints what the library logs for information, on standard error; standard output is for results."""
+    """Prints what the library logs and what it warns its user of, on standard error; standard output is for results."""
     from nnql_bullet.jit import announced  # not at the top: see UNSUPPORTED
 
     logger, handler = logging.getLogger("nnql_bullet"), _Telling()
@@ -115,7 +117,17 @@ def messages() -> Iterator[None]:
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
-        with announced():
+        with announced(), warnings.catch_warnings():
+            as_usual: Callable[..., None] = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+                if issubclass(category, RobotWarning):
+                    tell(f"nnql-bullet: {one_line(str(message))}")
+                else:
+                    as_usual(message, category, *where, **more)
+
+            warnings.simplefilter("always", RobotWarning)
+            warnings.showwarning = show
             yield
     finally:
         logger.setLevel(before)

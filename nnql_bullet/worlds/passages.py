@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
+ROUNDING = 1e-9
+"""How much narrower than needed a passage may be for the sake of rounding [m]."""
 _FIRST_REACH = 1.0
 """Distance of pairs that are looked at first [m]; it doubles until a barrier closes."""
 
@@ -35,7 +37,7 @@ class Passage:
 
     def admits(self, width: float) -> bool:
         """Whether a disc of a width [m] passes, to a nanometre."""
-        return self.width > width - 1e-9
+        return self.width > width - ROUNDING
 
 
 def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
@@ -58,6 +60,17 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
         if closing >= 0 or reach >= most:
             return min(found, key=lambda its: its.width)
         reach *= 2.0
+
+
+def is_passable(shapes: Array, start: Point, target: Point, width: float) -> bool:
+    """Whether a disc of a width [m] passes from the start to the target, as `narrowest_passage(...).admits(width)`.
+
+    It looks only at pairs that are no farther apart than the width, which are few among many shapes.
+    """
+    if not all(_around(point, shapes).admits(width) for point in (start, target)):
+        return False
+    distances, pairs, points = _close_pairs(shapes, np.nextafter(width - ROUNDING, np.inf))
+    return _first_barrier(np.arange(len(distances)), pairs, points, shapes, np.array([start, target])) < 0
 
 
 def _around(point: Point, shapes: Array) -> Passage:
