@@ -95,6 +95,7 @@ class Shield:
         """
         self.options = options
         self.agent = agent
+        self._overridable = agent if isinstance(agent, Overridable) else None  # asked once: the answer takes a while
         self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
@@ -160,8 +161,8 @@ class Shield:
                 )
             drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
             spins.append(Spin() if drives_on else spin)
-        if isinstance(self.agent, Overridable):
-            agent_state = self.agent.override(agent_state, chosen)
+        if self._overridable is not None:
+            agent_state = self._overridable.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
         return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
 
