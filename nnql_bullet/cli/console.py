@@ -5,6 +5,7 @@ import logging
 import os
 import re
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import timedelta
@@ -107,15 +108,18 @@ class _Telling(logging.Handler):
 
 @contextmanager
 def messages() -> Iterator[None]:
-    """Prints what the library logs for information, on standard error; standard output is for results."""
-    from nnql_bullet.jit import announced  # not at the top: see UNSUPPORTED
+    """Prints what the library logs for information, and warnings of others, in lines on standard error."""
+
+    def warn(message: Warning | str, *_: object) -> None:
+        tell(one_line(str(message).strip().partition("\n")[0]))
 
     logger, handler = logging.getLogger("nnql_bullet"), _Telling()
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
-        with announced():
+        with warnings.catch_warnings():
+            warnings.showwarning = warn  # type: ignore[assignment]  # takes what it does not say
             yield
     finally:
         logger.setLevel(before)

@@ -19,6 +19,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
 from nnql_bullet.markup import parse_xml
+from nnql_bullet.text import listed
 
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4, "scale": 3}
 NUMBERS |= dict.fromkeys(("lower", "upper", "velocity"), 1)
@@ -46,11 +47,8 @@ def refuse(problems: Sequence[str]) -> None:
     Raises:
         Unfit: If there are any.
     """
-    if len(problems) == 1:
-        raise Unfit(problems[0])
     if problems:
-        listed = "; ".join(f"({number}) {problem}" for number, problem in enumerate(problems, 1))
-        raise Unfit(f"{len(problems)} things are wrong: {listed}")
+        raise Unfit(listed(problems))
 
 
 @dataclass(frozen=True, slots=True)
