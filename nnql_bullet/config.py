@@ -254,7 +254,15 @@ def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
 def _mistakes(cls: type, error: ValidationError) -> str:
     """All that is wrong, an unknown key first: it is often the misspelt name of a missing one."""
     found = sorted(error.errors(), key=lambda mistake: mistake["type"] not in _UNKNOWN_KEY)
-    return listed([_mistake(cls, its) for its in found])
+    meant = [name for its in found if its["type"] in _UNKNOWN_KEY for name in _meant(cls, its)]
+    said = [f"key '{name}' is missing" for name in meant]  # by the hint of the unknown one
+    return listed([text for text in (_mistake(cls, its) for its in found) if text not in said])
+
+
+def _meant(cls: type, unknown: ErrorDetails) -> list[str]:
+    """The keys that an unknown one may be the misspelt name of."""
+    name = ".".join(_walk(cls, unknown["loc"])[0])
+    return nearest(name, (key.name for key in keys(cls) if key.name != name))
 
 
 def _mistake(cls: type, mistake: ErrorDetails) -> str:
@@ -263,7 +271,7 @@ def _mistake(cls: type, mistake: ErrorDetails) -> str:
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
         valid = sorted({field.name for member in members for field in fields(member)})
-        close = nearest(name, (key.name for key in keys(cls) if key.name != name))
+        close = _meant(cls, mistake)
         hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
         return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):

@@ -155,6 +155,22 @@ def test_the_engine_can_be_silenced_where_streams_are_closed(tmp_path: Path, clo
     assert (tmp_path / "answer").read_text() == "True"
 
 
+@pytest.mark.slow
+def test_a_scene_that_is_left_open_prints_nothing_at_the_end_and_leaves_the_environment() -> None:
+    """Its words would be among the JSON that a verb prints."""
+    if not works("egl"):
+        pytest.skip("EGL does not work here")
+    code = """if True:
+        import os
+        before = dict(os.environ)
+        from nnql_bullet.sim.bullet_scene import BulletScene
+        scene = BulletScene("egl")
+        assert os.environ == before
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 def test_silence_keeps_what_c_printed_before(capfd: pytest.CaptureFixture[str]) -> None:
     C.printf(b"before ")
     with silenced():

@@ -13,11 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
 _FIRST_REACH = 1.0
 """Distance of pairs that are looked at first [m]; it doubles until a barrier closes."""
+
+MOST_PAIRS = 10_000_000
+"""Largest number of pairs that are near each other; only obstacles that overlap again and again come to so many."""
 
 Point = tuple[float, float]
 
@@ -45,11 +49,19 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
         shapes: Obstacles and walls, rows (n, 7) of `as_rows`; walls surround the start and the target.
         start: [m]
         target: [m]
+
+    Raises:
+        UserError: If more than `MOST_PAIRS` obstacles are near each other.
     """
     found = [_around(point, shapes) for point in (start, target)]
     reach, most = _FIRST_REACH, 2.0 * max(min(its.width for its in found), 0.0)
     while True:
-        distances, pairs, points = _close_pairs(shapes, min(reach, most))
+        distances, pairs, points = _close_pairs(shapes, min(reach, most), MOST_PAIRS)
+        if len(distances) > MOST_PAIRS:
+            raise UserError(
+                f"more than {MOST_PAIRS} pairs of obstacles are within {min(reach, most):.2f} m of each other; merge "
+                "those that overlap"
+            )
         order = np.argsort(distances, kind="stable")
         closing = _first_barrier(order, pairs, points, shapes, np.array([start, target]))
         if closing >= 0:
@@ -67,8 +79,8 @@ def _around(point: Point, shapes: Array) -> Passage:
 
 
 @njit()
-def _close_pairs(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64], Array]:
-    """Finds the pairs of shapes whose distance is less than `reach` [m].
+def _close_pairs(shapes: Array, reach: float, most: int) -> tuple[Array, NDArray[np.int64], Array]:
+    """Finds the pairs of shapes whose distance is less than `reach` [m], and gives up a little above `most` pairs.
 
     Returns:
         Distances (k,) [m], indices (k, 2), and the closest points of both (k, 2, 2) [m].
@@ -77,6 +89,8 @@ def _close_pairs(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64],
     radii = np.array([reach_of(shape) for shape in shapes])
     from_left = np.argsort(shapes[:, 0] - radii)
     for place, i in enumerate(from_left):
+        if len(distances) > most:
+            break
         for j in from_left[place + 1 :]:
             if shapes[j, 0] - radii[j] - shapes[i, 0] - radii[i] >= reach:
                 break
