@@ -545,6 +545,11 @@ class TestReadOnly:
         assert "--out" in refused(run_cli("train", "--episodes", 1, "--out", "locked/run"))
 
 
+def test_drive_into_a_link_to_nothing_is_refused(run_cli: Cli, here: Path) -> None:
+    (here / "out").symlink_to("nowhere")
+    assert "link to nothing" in refused(run_cli("drive", "straight", "--sim", "kinematic", "--out", "out"))
+
+
 def test_drive_into_a_file_is_refused(run_cli: Cli, tiny_run: Path, here: Path) -> None:
     (here / "notes").write_text("precious")
     refused(run_cli("drive", tiny_run, "--out", "notes"))
