@@ -1,5 +1,5 @@
-# Set-up, demo, tests and checks. Needs only CPython 3.11 (or 3.10) with venv, and make.
-PYTHON ?= $(shell command -v python3.11 || command -v python3.10 || command -v python3)
+# Set-up, demo, tests and checks. Needs only CPython (3.10 to 3.13; CI runs 3.11) with venv, and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
@@ -17,10 +17,10 @@ help:
 	@echo 'make clean      remove the environment, runs and caches'
 
 $(INSTALLED): pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 12))' || \
-		{ echo "CPython 3.10 or 3.11 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' || \
+		{ echo "CPython 3.10 to 3.13 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,mujoco,ray,sb3,baselines,viz,render]'
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,mujoco,ray,sb3,baselines,viz,render,robots]'
 	@touch $@
 
 demo: $(INSTALLED)

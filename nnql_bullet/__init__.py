@@ -17,6 +17,7 @@ from nnql_bullet.registration import register_lazily
 
 if TYPE_CHECKING:
     from nnql_bullet.api.ablate import ablate
+    from nnql_bullet.api.barn import barn
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
     from nnql_bullet.api.failures import failures
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.api.worlds import export_world, import_world, view_world
     from nnql_bullet.driving import drive
-    from nnql_bullet.errors import UserError, WorkFailed
+    from nnql_bullet.errors import RobotWarning, UserError, WorkFailed
     from nnql_bullet.recording import Recording
     from nnql_bullet.run_config import Conditions
     from nnql_bullet.runs import load_policy, load_run
@@ -40,11 +41,13 @@ _HOMES = {
     "Conditions": "run_config",
     "Progress": "work",
     "Recording": "recording",
+    "RobotWarning": "errors",
     "UserError": "errors",
     "Vehicle": "vehicle.spec",
     "WorkFailed": "errors",
     "World": "worlds.source",
     "ablate": "api.ablate",
+    "barn": "api.barn",
     "check_fidelity": "api.fidelity",
     "drive": "driving",
     "envelope": "api.fidelity",
@@ -67,11 +70,13 @@ __all__ = [
     "Conditions",
     "Progress",
     "Recording",
+    "RobotWarning",
     "UserError",
     "Vehicle",
     "WorkFailed",
     "World",
     "ablate",
+    "barn",
     "check_fidelity",
     "drive",
     "envelope",

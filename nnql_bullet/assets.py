@@ -32,6 +32,11 @@ def find(kind: str, name: str) -> Path:
     raise UserError(f"{kind}: there is no file '{name}'; give a path to a TOML file or one of: {names}")
 
 
+def is_shipped(kind: str, path: Path) -> bool:
+    """Whether a file is one of the shipped files of a kind."""
+    return path.resolve().parent == folder(kind).resolve()
+
+
 def policies() -> dict[str, Path]:
     """Returns the weight files of the shipped policies by name."""
     return {path.stem: path for path in sorted((_PACKAGE / "_data" / "policies").glob("*.safetensors"))}

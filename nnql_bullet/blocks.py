@@ -62,7 +62,7 @@ def squared_distance_to_bounds(x: float, y: float, bounds: Array) -> float:
 
 @njit()
 def clearance_among(x: float, y: float, yaw: float, footprint: Array, shapes: Array, bounds: Array) -> float:
-    """Computes `geometry.clearance_at`, the nearest block first [m].
+    """Computes `geometry.clearance_at`, the block first that is surely near [m]; that of a wall reaches far.
 
     Args:
         x: [m]
@@ -76,7 +76,9 @@ def clearance_among(x: float, y: float, yaw: float, footprint: Array, shapes: Ar
     reach = np.hypot(footprint[2], footprint[3]) + footprint[6]
     nearest, least = 0, np.inf
     for block in range(len(bounds)):
-        squared = squared_distance_to_bounds(row[0], row[1], bounds[block])
+        across = max(row[0] - bounds[block, 0], bounds[block, 2] - row[0])
+        along = max(row[1] - bounds[block, 1], bounds[block, 3] - row[1])
+        squared = across * across + along * along  # to the farthest corner of the bounds
         if squared < least:
             nearest, least = block, squared
     closest = np.inf
@@ -85,7 +87,7 @@ def clearance_among(x: float, y: float, yaw: float, footprint: Array, shapes: Ar
     for block in range(len(bounds)):
         if squared_distance_to_bounds(row[0], row[1], bounds[block]) < (closest + reach) ** 2 and block != nearest:
             some = shapes[SHAPES_PER_BLOCK * block : SHAPES_PER_BLOCK * (block + 1)]
-            closest = min(closest, clearance(row, some))
+            closest = clearance(row, some, closest)
     return float(closest)
 
 

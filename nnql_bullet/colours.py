@@ -1,16 +1,20 @@
 """The colours of pictures, films and pages, as "#rrggbb": each has one meaning everywhere."""
 
+Colour = tuple[float, float, float]
+"""Red, green, blue, from 0 to 1."""
+
 SAFE, NON_SAFE, COLLISION = "#1f77b4", "#e8590c", "#c92a2a"
-GOAL, TIMEOUT, STUCK = "#2b8a3e", "#868e96", "#0b7285"
+GOAL, TIMEOUT, STUCK, OVERTURNED = "#2b8a3e", "#868e96", "#0b7285", "#862e9c"
 BOX, BOX_EDGE = "#adb5bd", "#495057"
 MOVING, MOVING_EDGE = "#b197fc", "#5f3dc4"
 VEHICLE = "#fab005"
+PLAN = "#0ca678"
 ARENA, TARGET = "#f8f9fa", "#ffe3e3"
 INK = "#212529"
 GRID, SHADE, REFERENCE = "#e9ecef", "#f1f3f5", "#ced4da"
 """Grid lines, the background of one row among many, and lines that others are compared with."""
 TEMPERATURE = "#7048e8"
-ENDINGS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT, "stuck": STUCK}
+ENDINGS = {"goal": GOAL, "collision": COLLISION, "timeout": TIMEOUT, "stuck": STUCK, "overturned": OVERTURNED}
 """The endings of an episode."""
 LINES = ("#1f77b4", "#e8590c", "#2b8a3e", "#7048e8", "#c2255c", "#0b7285", "#5c940d", "#862e9c", "#f08c00", "#495057")
 """Things of one kind, in this order."""
@@ -54,7 +58,7 @@ def rgb(colour: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def unit_rgb(colour: str) -> tuple[float, float, float]:
+def unit_rgb(colour: str) -> Colour:
     """Returns the same, each from 0 to 1."""
     red, green, blue = rgb(colour)
     return red / 255, green / 255, blue / 255

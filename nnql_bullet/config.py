@@ -146,6 +146,26 @@ def departures(values: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, 
     return found
 
 
+def dotted(values: Mapping[str, Any], table: str = "") -> dict[str, Any]:
+    """Returns nested values by their dotted names; `nested` is the inverse. An empty table leaves nothing."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        found |= dotted(value, f"{table}{key}.") if isinstance(value, Mapping) else {table + key: value}
+    return found
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns values by dotted names as nested tables."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        *tables, last = name.split(".")
+        table = found
+        for part in tables:
+            table = table.setdefault(part, {})
+        table[last] = value
+    return found
+
+
 def _same_kind(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return "kind" not in one or "kind" not in other or one["kind"] == other["kind"]
 

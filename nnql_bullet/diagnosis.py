@@ -19,7 +19,7 @@ from math import cos, hypot, sin
 from pathlib import Path
 
 from nnql_bullet.errors import UserError, failed_import
-from nnql_bullet.machine import allowed_cores
+from nnql_bullet.machine import allowed_cores, pybullet_package
 
 GIGABYTE = 1e9
 """[bytes]"""
@@ -46,17 +46,17 @@ def check_platform() -> Finding:
 
 
 def check_pybullet() -> Finding:
-    """Checks that one package alone brings PyBullet, and that it supports NumPy, which fast images need."""
-    from nnql_bullet.sim import bullet
-
-    packages = _packages("pybullet")
+    """Checks that one package alone brings PyBullet, and that it loads."""
+    packages, right = _packages("pybullet"), pybullet_package()
     found = f"{_listed(packages)}, numpy {version('numpy')}"
     if len(packages) > 1:
-        names = " ".join(packages)
-        return Finding(False, f"{found}: they overwrite each other; pip uninstall {names}, then pip install pybullet")
-    if not bullet.has_numpy():
-        return Finding(False, f"{found}: built without NumPy; reinstall it from its wheel: pip install pybullet")
-    return Finding(True, found)
+        remedy = f"pip uninstall {' '.join(packages)}, then pip install {right}"
+        return Finding(False, f"{found}: they overwrite each other; {remedy}")
+    try:
+        from nnql_bullet.sim import bullet
+    except UserError as error:
+        return Finding(False, str(error), needed=right is not None)
+    return Finding(True, found if bullet.has_numpy() else f"{found}; built without NumPy, so that pictures take longer")
 
 
 def check_drive() -> Finding:
@@ -177,7 +177,7 @@ def check_chromium() -> Finding:
 
 def check_renderer() -> Finding:
     """Checks that EGL or TinyRenderer draws a picture."""
-    from nnql_bullet.sim.bullet_scene import works
+    from nnql_bullet.sim.scene_trial import works
 
     if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")

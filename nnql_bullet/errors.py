@@ -1,4 +1,4 @@
-"""The exceptions that a caller is meant to catch, and what is said of libraries that cannot be imported."""
+"""The exceptions and warnings that a caller is meant to catch, and what is said of libraries that do not load."""
 
 import os
 import traceback
@@ -22,6 +22,10 @@ class WorkFailed(Exception):
 
 class WorkerDied(Exception):
     """Raised when a process that simulates vehicles is gone. The message names it."""
+
+
+class RobotWarning(UserWarning):
+    """A robot does not move in contact physics as mechanics says; the message is one line that names what is off."""
 
 
 def missing_library(library: str, extra: str) -> UserError:

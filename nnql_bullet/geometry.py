@@ -163,16 +163,17 @@ def _overlap_along_axes_of(a: Array, b: Array) -> bool:
 
 
 @njit()
-def clearance(footprint: Array, shapes: Array) -> float:
-    """Computes the distance from a shape to the nearest of several [m]: 0 if they overlap, infinite if there are none.
+def clearance(footprint: Array, shapes: Array, most: float = np.inf) -> float:
+    """Computes the distance from a shape to the nearest of several [m]: 0 if they overlap, `most` if none is nearer.
 
     Two disjoint convex polygons are closest at a corner of one of them; the separating-axis theorem finds the overlap.
 
     Args:
         footprint: One row (7,) of `as_rows`.
         shapes: Rows (n, 7) of `as_rows`.
+        most: Distance from which on shapes do not matter [m].
     """
-    closest = np.inf
+    closest = float(most)
     reach = np.hypot(footprint[2], footprint[3]) + footprint[6]
     for shape in shapes:
         centres = np.hypot(shape[0] - footprint[0], shape[1] - footprint[1])

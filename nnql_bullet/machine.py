@@ -1,8 +1,9 @@
-"""What this machine allows this process: processor cores, a folder for what may be lost, streams and variables."""
+"""What this machine allows this process: cores, a folder for what may be lost, streams, variables, wheels."""
 
 import multiprocessing
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -25,6 +26,13 @@ def allowed_cores(root: Path = Path("/")) -> int:
     except AttributeError:  # systems without affinities
         cores = float(os.cpu_count() or 1)  # noqa: TID251
     return max(ceil(min([cores, *_quotas(root)])), 1)
+
+
+def pybullet_package() -> str | None:
+    """The package on PyPI whose wheels bring the module `pybullet` to this Python; None if none does."""
+    if sys.version_info < (3, 12):
+        return "pybullet"
+    return "pybullet-arm64" if sys.version_info < (3, 14) else None  # whose wheels are not for ARM alone
 
 
 def may_start_processes() -> bool:
@@ -81,6 +89,20 @@ def private_folder() -> Path | None:
         return None
     own = stat.S_ISDIR(its.st_mode) and its.st_uid == user and not its.st_mode & 0o022
     return folder if own and os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def cache_folder() -> Path | None:
+    """The folder of this package in the user's cache, else `private_folder`; None if there can be none."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    folder = base / "nnql-bullet"
+    try:
+        if base.is_absolute():  # not so without a home
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK):
+                return folder
+    except OSError:
+        pass
+    return private_folder()
 
 
 @contextmanager

@@ -6,11 +6,9 @@ from typing import Any, get_args
 
 from nnql_bullet import paper
 from nnql_bullet.agents import RuleOptions
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
-from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.config import merged, parse, read_toml, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file

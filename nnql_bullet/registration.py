@@ -1,4 +1,4 @@
-"""Registers the environment with Gymnasium, as soon as somebody imports Gymnasium."""
+"""Registers the environments with Gymnasium, as soon as somebody imports Gymnasium."""
 
 import sys
 from collections.abc import Sequence
@@ -8,7 +8,16 @@ from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from types import ModuleType
 
-ENVIRONMENT = "nnql_bullet/Tricycle-v0"
+from nnql_bullet.paper import STEPS_PER_EPISODE
+
+VARIANTS: dict[str, dict[str, str]] = {
+    "nnql_bullet/Tricycle-v0": {},
+    "nnql_bullet/TricycleRays-v0": {"observation": "rays", "actions": "braking", "reward": "progress"},
+    "nnql_bullet/TricycleGoal-v0": {"observation": "goal", "reward": "sparse"},
+    "nnql_bullet/TricycleFrames-v0": {"observation": "frames", "reward": "progress"},
+    "nnql_bullet/TricycleContinuous-v0": {"observation": "rays", "actions": "continuous", "reward": "progress"},
+}
+"""The environments that Gymnasium knows, and the arguments of `make_env` in which they differ from its defaults."""
 _REGISTRATION = "gymnasium.envs.registration"
 
 
@@ -24,14 +33,17 @@ def register_lazily() -> None:
 
 
 def register() -> None:
-    """Makes `ENVIRONMENT` known to `gymnasium.make` and `gymnasium.make_vec`."""
+    """Makes the `VARIANTS` known to `gymnasium.make` and `gymnasium.make_vec`."""
     gymnasium = import_module(_REGISTRATION)
-    if ENVIRONMENT not in gymnasium.registry:
-        gymnasium.register(
-            id=ENVIRONMENT,
-            entry_point="nnql_bullet.gym_env:TricycleEnv",
-            vector_entry_point="nnql_bullet.gym_env:TricycleVectorEnv",
-        )
+    for name, arguments in VARIANTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                id=name,
+                entry_point="nnql_bullet.api.environment:make_env",
+                vector_entry_point="nnql_bullet.api.environment:make_vector_env",
+                max_episode_steps=STEPS_PER_EPISODE,
+                kwargs=dict(arguments),
+            )
 
 
 class _Waiting(MetaPathFinder):

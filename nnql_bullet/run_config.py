@@ -1,16 +1,19 @@
 """The configuration of a run: which vehicle, world, simulator, task and agent, and how it is trained."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
-from nnql_bullet.config import merged, options, parse, to_values
+from nnql_bullet.agents.learning.options import NnqlOptions
+from nnql_bullet.config import dotted, merged, options, parse, to_values
+from nnql_bullet.errors import UserError
+from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions
 from nnql_bullet.sim.domain_randomization import DomainRandomization
@@ -22,8 +25,10 @@ from nnql_bullet.types import Count, NonNegative, Number, Positive, Seed, Vehicl
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.worlds.source import WorldLike
+from nnql_bullet.vehicle.urdf import robot_name
+from nnql_bullet.worlds.source import Waypoints, WorldLike
 
+DEFAULT_ROBOT = "tricycle"
 SimulatorName = Literal[EngineName, "kinematic"]
 
 RENAMED_KEYS = {
@@ -79,13 +84,12 @@ class Conditions:
     @property
     def texts(self) -> dict[str, str]:
         """The values that differ from the defaults, as short texts."""
-        pairs = {name: value if isinstance(value, tuple) else (value,) for name, value in self.changes.items()}
-        return {name: "..".join(f"{one:g}" for one in values) for name, values in pairs.items()}
+        return key_texts(self.changes)
 
     @property
     def title(self) -> str:
         """The values that differ from the defaults, in words; empty if there are none."""
-        return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in self.texts.items())
+        return asked_title(self, ())
 
     def applied_to(self, vehicle: VehicleSpec) -> VehicleSpec:
         """The vehicle under these conditions."""
@@ -127,9 +131,11 @@ class RunConfig:
     """x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map; by default the world's own."""
     target: Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)] | None = None
     """x, y [m] of the target in that frame; by default its own."""
+    waypoints: Waypoints | None = None
+    """x, y [m] in that frame of several targets to reach in turn, in place of `target`: the last is the target."""
     allow_impassable: bool = False
     """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
-    robot: str = "tricycle"
+    robot: str = DEFAULT_ROBOT
     """A shipped robot or a path to a TOML file."""
     simulator: SimulatorName = "bullet"
     """Contact physics in one of two engines, or the kinematic model."""
@@ -142,6 +148,9 @@ class RunConfig:
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
+    plan: PlanOptions | None = None
+    """Plan of the way through the whole world, along which a vehicle is led; by default it is told the bearing of the
+    target alone."""
     shield: ShieldOptions | None = None
     """Shield around the policy; the agent learns without one."""
 
@@ -153,6 +162,65 @@ def changed(config: RunConfig, **changes: Any) -> RunConfig:
         UserError: If a key or value is wrong.
     """
     return parse(RunConfig, merged(to_values(config), changes), "configuration")
+
+
+def key_texts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Returns values by dotted names as short texts; a robot's is its name, wherever its file is."""
+    found = {}
+    for name, value in values.items():
+        its = value if isinstance(value, list | tuple) else (value,)
+        texts = [f"{one:g}" if isinstance(one, float) else str(one) for one in its]
+        found[name.removeprefix("drive.")] = Path(texts[0]).stem if name == "robot" else "..".join(texts)
+    return found
+
+
+DRIVING = ("robot", "drive", "shield", "plan", "task", "agent")
+"""The keys and tables of how a policy drives, besides the conditions."""
+
+
+def driving_with(
+    changes: Mapping[str, Any], robot: str | Path | VehicleSpec | None = None, speed: float | None = None
+) -> dict[str, Any]:
+    """Lays a robot and a speed over nested values of how a policy drives.
+
+    Args:
+        changes: Values in the tables of `DRIVING`.
+        robot: A shipped robot, a TOML file or a vehicle.
+        speed: [m/s]
+
+    Raises:
+        UserError: If a value is of something else, or the vehicle has no file.
+    """
+    others = [key for key in changes if key not in DRIVING]
+    if others:
+        raise UserError(f"changes: '{others[0]}' is not of how a policy drives; these are: {', '.join(DRIVING)}")
+    asked = {"robot": None if robot is None else robot_name(robot), "drive": {} if speed is None else {"speed": speed}}
+    return merged(changes, asked)
+
+
+Keys = tuple[tuple[str, Any], ...]
+"""Values by dotted names, as a record can hold them."""
+
+
+def frozen_keys(values: Mapping[str, Any]) -> Keys:
+    """Returns nested values as a record can hold them; `config.nested` is the inverse."""
+    plain = {name: tuple(its) if isinstance(its, list) else its for name, its in dotted(merged({}, values)).items()}
+    given = [(name, its) for name, its in plain.items() if its is not None]
+    return tuple(sorted(given, key=lambda pair: (DRIVING.index(pair[0].partition(".")[0]), pair[0])))
+
+
+def asked_title(conditions: Conditions | None, keys: Keys, robots: Iterable[str] = ()) -> str:
+    """Returns what is asked for in place of the policies' own, in words; empty if that is nothing.
+
+    Args:
+        conditions: What is asked for.
+        keys: What is asked for besides.
+        robots: Names of the vehicles that drive; the shipped one's is not worth a word.
+    """
+    own = sorted({*robots} - {DEFAULT_ROBOT, ""}) if "robot" not in dict(keys) else []
+    texts = {"robot": " and ".join(own)} if own else {}
+    texts |= key_texts(dict(keys)) | (conditions.texts if conditions else {})
+    return ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in texts.items())
 
 
 def conditions_of(values: Mapping[str, Any]) -> Conditions | None:

@@ -13,6 +13,7 @@
 
 import csv
 import io
+import logging
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -26,23 +27,25 @@ from nnql_bullet import __version__, assets
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom, Decider
 from nnql_bullet.arguments import checked
-from nnql_bullet.config import parse, read_toml, to_values, write_toml
+from nnql_bullet.config import dotted, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment
+from nnql_bullet.experiment import Experiment, refuse_speed
 from nnql_bullet.files import plain_file, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
-from nnql_bullet.sources import ROBOT, SOURCES, keep_sources, located
+from nnql_bullet.sources import ROBOT, SOURCES, changed_robots, changed_worlds, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
 from nnql_bullet.training.selection import Candidates, most_goals
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
 SELECTION, REPORT = "selection.csv", "report.html"
+_log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
 _UNDER_WAY, _CANDIDATE = "under_way/", "candidate/"
@@ -206,10 +209,10 @@ class LoadedPolicy:
         Raises:
             UserError: If a key or value is wrong.
         """
-        config, agent = changed(self.experiment.config, **changes), self.experiment.agent
+        config, agent = self.experiment.config, self.experiment.agent
         if isinstance(agent, Custom):
-            return LoadedPolicy(self.name, Experiment(config, agent), self.episodes)
-        experiment = Experiment(config)
+            return LoadedPolicy(self.name, _experiment(config, changes, agent), self.episodes)
+        experiment = _experiment(config, changes)
         if isinstance(self.experiment.agent, Trainable):
             experiment.trainable.load_state_dict(self.experiment.agent.state_dict())
         return LoadedPolicy(self.name, experiment, self.episodes)
@@ -243,10 +246,10 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
         return _own_policy(policy, changes)
     name, path = str(policy), Path(policy)
     if _is_configured(path):
-        config = changed(load_config(name, {}), **changes)
+        config = load_config(name, {})
         if config.agent.kind not in RULES:
             raise UserError(f"{name}: '{config.agent.kind}' has to learn first; train it with this configuration")
-        return LoadedPolicy(name, Experiment(config), 0)
+        return LoadedPolicy(name, _experiment(config, changes), 0)
     if path.suffix == ".py":
         raise UserError(f"{name}: a policy in Python is an object; give it to nnql_bullet.drive in a script")
     if not os.path.exists(path) and not _is_shipped(path):
@@ -255,9 +258,55 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
     file = path / POLICY if path.is_dir() else assets.policies()[name] if _is_shipped(path) else path
     weights = load_weights(file)
     config = located(parse(RunConfig, migrated(weights.config), str(file)), file.parent)
-    experiment = Experiment(changed(config, **changes))
+    experiment = _experiment(config, changes)
     experiment.trainable.load_state_dict(weights.arrays)
     return LoadedPolicy(name, experiment, weights.episodes)
+
+
+def _experiment(config: RunConfig, changes: Mapping[str, Any], agent: Policy | None = None) -> Experiment:
+    """Makes the objects of a configuration with nested values laid over it.
+
+    Raises:
+        UserError: If a key or value is wrong, or the vehicle does not reach the speed.
+    """
+    experiment = Experiment(changed(config, **changes), agent)
+    speed = dotted(changes).get("drive.speed")
+    if speed is not None and speed > experiment.config.drive.speed:
+        refuse_speed(experiment.vehicle, speed)
+    return experiment
+
+
+def tell_differences(policy: PolicyLike, robot: str | None, own_world: bool = False) -> None:
+    """Logs what is not as it was when a policy learned: its vehicle, or files that its run folder keeps.
+
+    Args:
+        policy: See `load_policy`.
+        robot: What it is to drive; None is what it learned with.
+        own_world: Whether it is to drive in the world in which it learned.
+
+    Raises:
+        UserError: If there is no such policy or robot.
+    """
+    name = policy.name if isinstance(policy, LoadedPolicy) else policy
+    if isinstance(name, str | Path) and os.path.exists(name) and not _is_configured(Path(name)):
+        folder = Path(name) if os.path.isdir(name) else Path(name).parent
+        changed_files = changed_robots(folder) if robot is None else {}
+        changed_files |= changed_worlds(folder) if own_world else {}
+        for file, difference in changed_files.items():
+            _log.warning(
+                "%s has changed since %s was trained (%s); it drives with its own copy, as it was then; name the file "
+                "to drive with what it says now",
+                *(file, name, difference),
+            )
+    if robot is None:
+        return
+    loaded, vehicle = load_policy(policy), load_vehicle(robot)
+    own = load_vehicle(loaded.experiment.config.robot)
+    if loaded.episodes and own.digest != vehicle.digest:
+        _log.info(
+            "%s was trained on the robot '%s' and drives '%s' here; the lengths that it goes by follow the vehicle",
+            *(loaded.name, own.name, vehicle.name),
+        )
 
 
 def _own_policy(policy: Policy | Decider, changes: Mapping[str, Any]) -> LoadedPolicy:
@@ -272,7 +321,7 @@ def _own_policy(policy: Policy | Decider, changes: Mapping[str, Any]) -> LoadedP
     if hasattr(policy, "initial_state") and lacking:
         raise UserError(f"{type(policy).__name__} has a memory but lacks: {', '.join(lacking)}; see rollout.Policy")
     agent = policy if isinstance(policy, Custom) else Custom(policy)
-    return LoadedPolicy(agent.name, Experiment(changed(RunConfig(), **changes), agent), 0)
+    return LoadedPolicy(agent.name, _experiment(RunConfig(), changes, agent), 0)
 
 
 def drives_folder(policy: Path) -> Path:

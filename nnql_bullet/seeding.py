@@ -1,11 +1,14 @@
 """Makes every generator of random numbers in the package."""
 
 import random
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from enum import IntEnum
 
 import numpy as np
+
+from nnql_bullet.errors import UserError
 
 
 class Stream(IntEnum):
@@ -51,23 +54,38 @@ def training_world_seed(seed: int, episode: int) -> int:
 
 @contextmanager
 def fenced(generator: np.random.Generator) -> Iterator[None]:
-    """Seeds the global generators of Python, NumPy and torch, and restores their states afterwards.
+    """Seeds the global generators of Python, NumPy and torch (if it is loaded), and restores their states afterwards.
 
     Some libraries draw from the global generators and accept no other; their calls belong inside.
 
     Args:
         generator: Gives the seed.
     """
-    import torch  # here because worker processes that only simulate import this module and need no torch
-
+    torch = sys.modules.get("torch")  # what has not loaded it draws nothing from it
     python, numpy = random.getstate(), np.random.get_state()
     seed = int(generator.integers(2**32))
     try:
-        with torch.random.fork_rng(devices=[]):
+        with torch.random.fork_rng(devices=[]) if torch else nullcontext():
             random.seed(seed)
             np.random.seed(seed)
-            torch.default_generator.manual_seed(seed)
+            if torch:
+                torch.default_generator.manual_seed(seed)
             yield
     finally:
         random.setstate(python)
         np.random.set_state(numpy)
+
+
+def as_seed(given: object) -> int | None:
+    """The seed that a caller gave as a whole number of Python or NumPy, or as a `SeedSequence`; None is none.
+
+    Raises:
+        UserError: If it is another thing, or negative.
+    """
+    if given is None:
+        return None
+    if isinstance(given, np.random.SeedSequence):
+        return int(given.generate_state(1, np.uint64)[0])
+    if isinstance(given, bool | np.bool_) or not isinstance(given, int | np.integer) or given < 0:
+        raise UserError(f"a seed must be a whole number from 0 on, a SeedSequence or None, not {given!r}")
+    return int(given)

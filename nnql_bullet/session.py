@@ -1,7 +1,7 @@
 """Runs a training from beginning to end: episodes, checkpoints, selection of the policy."""
 
 import logging
-import math
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -11,12 +11,10 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
 from nnql_bullet.agents import Trainable
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
-from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
 from nnql_bullet.experiment import Experiment
@@ -117,8 +115,12 @@ def resume(
     """
     run = load_run(folder, episodes)
     changed = changed_sources(folder)
-    for name in changed:
-        _log.warning("%s has changed since this run began; the run goes on with its own copy, as it was then", name)
+    for name, difference in changed.items():
+        _log.warning(
+            "%s has changed since this run began (%s); the run goes on with its own copy, as it was then; to train "
+            "with what the file says now, begin another run",
+            *(name, difference),
+        )
     if run.is_over:  # before anything is written
         with suppress(OSError), locked(folder):  # which removes what a killed process left
             pass
@@ -145,24 +147,6 @@ def check(config: RunConfig) -> None:
     refuse_beyond(learning + actions, "this training", remedy)
 
 
-def unreachable(experiment: Experiment) -> str:
-    """Says why no vehicle can reach its target in an episode, however it drives; empty if one may.
-
-    It compares the straight way to the edge of the target with the way that the steps of an episode allow.
-    """
-    c = experiment.config
-    way = c.task.max_steps * c.drive.decision_period * c.drive.speed
-    for world in experiment.training_sources:
-        straight = math.dist(world.start, world.target) - world.target_radius
-        if way < straight:
-            return (
-                f"world '{world.name}': {c.task.max_steps} steps of {c.drive.decision_period:g} s at "
-                f"{c.drive.speed:g} m/s are {way:g} m, and the target is {straight:.0f} m away: no episode can reach "
-                "it; raise 'task.max_steps' or 'drive.speed'"
-            )
-    return ""
-
-
 @dataclass(frozen=True)
 class _Session:
     """A training that runs until it is finished or stopped."""
@@ -183,7 +167,7 @@ class _Session:
         experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
         with _one_thread:
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
-                navigation = Navigation(simulator, experiment.task, self.reward)
+                navigation = experiment.new_navigation(simulator, self.reward)
                 _check_terms(run, navigation)
                 trainer = experiment.trainer(navigation)
                 if run.state:
@@ -191,7 +175,7 @@ class _Session:
                     trainer.load_state_dict(run.state.under_way)
                 prepare(run)
                 _log.info("training %s", _title(config))
-                hopeless = unreachable(experiment)
+                hopeless = next(filter(None, map(experiment.out_of_reach, experiment.training_sources)), "")
                 if hopeless:
                     _log.warning("%s", hopeless)
                 if len(run.episodes) < config.episodes:
@@ -302,26 +286,28 @@ def _title(config: RunConfig) -> str:
 
 
 class _OneThread:
-    """Limits torch to one thread while anything trains; the networks are so small that several would only wait.
+    """Limits torch, if it is loaded, to one thread while anything trains: the networks are so small that several wait.
 
     The limit is that of the process, so the last of several trainings in threads puts back what the first one found.
     """
 
     def __init__(self) -> None:
-        self._lock, self._trainings, self._before = Lock(), 0, 1
+        self._lock, self._trainings, self._before = Lock(), 0, 0
 
     def __enter__(self) -> None:
+        torch = sys.modules.get("torch")  # agents that need it have been built, and have loaded it
         with self._lock:
-            if not self._trainings:
-                self._before = torch.get_num_threads()
             self._trainings += 1
-            torch.set_num_threads(1)
+            if torch:
+                self._before = self._before or torch.get_num_threads()
+                torch.set_num_threads(1)
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._trainings -= 1
-            if not self._trainings:
-                torch.set_num_threads(self._before)
+            if self._before and not self._trainings:
+                sys.modules["torch"].set_num_threads(self._before)
+                self._before = 0
 
 
 _one_thread = _OneThread()

@@ -1,54 +1,101 @@
-"""The files that a run is made of: its folder keeps what they say, so that it can be driven anywhere.
+"""The files that a run or an evaluation is made of: its folder keeps what they say, so that it can go anywhere.
 
-`sources.json` has the worlds that were files, by the names that the configuration has for them, and names the copy of
-the robot's description in `robot/`, unless that is a shipped one.
+`sources.json` has the worlds that were files, by the names that they were given by, and names the copy of the robot's
+description in `robot/`, unless that is a shipped one.
 """
 
 import json
+import logging
+from collections.abc import Mapping, Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from nnql_bullet.config import options, to_values
+from nnql_bullet.config import dotted, options, read_toml, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, read_json, write_atomically, write_text
 from nnql_bullet.run_config import RunConfig, changed
-from nnql_bullet.vehicle.urdf import load_vehicle
+from nnql_bullet.vehicle.urdf import collision_meshes, load_vehicle
 from nnql_bullet.worlds.source import World
 
 SOURCES, ROBOT = "sources.json", "robot"
+NAMED, LONGEST = 3, 40
+"""Most values that a difference names, and the longest text of a value in it."""
+_log = logging.getLogger(__name__)
 
 
 @options
 class Sources:
-    """What files said when a run began."""
+    """What files said when a run began or an evaluation was made."""
 
     worlds: dict[str, World]
-    """Worlds by the names of their files in the configuration."""
+    """Worlds by the names of their files."""
     robots: dict[str, str]
-    """Copies in the run folder by the names of the robot's files in the configuration."""
+    """Copies in the folder by the names of the robot's files."""
+
+    def robot(self, name: str | None, folder: Path) -> str | None:
+        """Returns the path of the copy of a robot in their folder; None if there is none."""
+        return str(folder / self.robots[name]) if name in self.robots else None
 
 
 def keep_sources(config: RunConfig, folder: Path) -> None:
-    """Writes what the files of a configuration say into a run folder; nothing if it names no file.
+    """Writes what the files of a configuration say into a run folder; see `keep_files`."""
+    keep_files(_world_files(config), config.robot, folder)
+
+
+def keep_files(worlds: Sequence[str], robot: str | None, folder: Path) -> None:
+    """Writes what the files of worlds and of a robot say into a folder; nothing if none is a file.
 
     Raises:
         UserError: If a file cannot be read.
         OSError: If one cannot be written.
     """
-    worlds = {name: to_values(World.load(name)) for name in _world_files(config)}
-    robots = {}
-    if is_file(config.robot):
-        description, urdf = Path(config.robot), load_vehicle(config.robot).urdf
-        robots[config.robot] = f"{ROBOT}/{description.name}"
-        for file in (description, urdf):
-            copy = folder / ROBOT / file.relative_to(description.parent)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(copy, partial(Path.write_bytes, data=file.read_bytes()))
-    if worlds or robots:
-        write_text(folder / SOURCES, json.dumps({"worlds": worlds, "robots": robots}, indent=1, sort_keys=True) + "\n")
+    kept = {name: to_values(World.load(name)) for name in dict.fromkeys(worlds) if is_file(name)}
+    robots = {robot: _copied(robot, folder / ROBOT)} if robot and is_file(robot) else {}
+    if kept or robots:
+        write_text(folder / SOURCES, json.dumps({"worlds": kept, "robots": robots}, indent=1, sort_keys=True) + "\n")
+
+
+def _copied(robot: str, folder: Path) -> str:
+    """Copies the files of a robot that it drives by, and returns the name of the copy of its description.
+
+    A mesh that is elsewhere than below the description is copied to where it is looked for.
+    """
+    description, vehicle = Path(robot), load_vehicle(robot)
+    copies = {folder / file.relative_to(description.parent): file for file in (description, vehicle.urdf)}
+    beside = folder / vehicle.urdf.relative_to(description.parent).parent
+    for name, mesh in collision_meshes(vehicle.urdf).items():
+        inside = Path(name.rpartition("://")[2])
+        if not inside.is_absolute() and ".." not in inside.parts:
+            copies[beside / inside] = mesh
+    for copy, file in copies.items():
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(copy, partial(Path.write_bytes, data=file.read_bytes()))
+    if load_vehicle(folder / description.name).digest != vehicle.digest:
+        _log.warning(
+            "%s: its meshes cannot be kept with what is made of it; leave them where they are, or put them below the "
+            "folder of this file",
+            robot,
+        )
+    return f"{ROBOT}/{description.name}"
+
+
+def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
+    """Hashes what the files say that a configuration names, wherever they are; empty if it names none.
+
+    Args:
+        config: The configuration.
+        worlds: Further worlds.
+
+    Raises:
+        UserError: If a file cannot be read.
+    """
+    said = [to_values(World.load(name)) for name in _world_files(config, worlds)]
+    robot = load_vehicle(config.robot).digest if is_file(config.robot) else ""
+    return sha256(json.dumps([robot, said], sort_keys=True).encode()).hexdigest()[:16] if said or robot else ""
 
 
 def located(config: RunConfig, folder: Path) -> RunConfig:
@@ -57,9 +104,9 @@ def located(config: RunConfig, folder: Path) -> RunConfig:
     Raises:
         UserError: If what it keeps is damaged.
     """
-    sources = _read(folder)
-    robot = sources.robots.get(config.robot)
-    changes: dict[str, Any] = {"robot": str(folder / robot) if robot else None, "training": {}}
+    sources = read_sources(folder)
+    robot = sources.robot(config.robot, folder)
+    changes: dict[str, Any] = {"robot": robot, "training": {}}
     changes["world"] = _kept(config.world, sources)
     changes["training"]["worlds"] = [_kept(world, sources) for world in config.training.worlds]
     if config.training.selection:
@@ -68,39 +115,74 @@ def located(config: RunConfig, folder: Path) -> RunConfig:
     return changed(config, **changes) if sources.worlds or robot else config
 
 
-def changed_sources(folder: Path) -> list[str]:
-    """Files that say something else than when a run began; one that is gone does not matter, nor one never read."""
-    sources, found = _read(folder), []
-    for name, world in sources.worlds.items():
-        try:
-            found += [name] if is_file(name) and World.load(name) != world else []
-        except UserError:
-            found.append(name)
-    for name, copy in sources.robots.items():
-        pairs = [(Path(name).parent / file.relative_to(folder / ROBOT), file) for file in _files(folder / copy)]
-        found += [str(file) for file, its in pairs if is_file(file) and file.read_bytes() != its.read_bytes()]
+def changed_sources(folder: Path) -> dict[str, str]:
+    """Finds files that say something else than what a folder keeps, and what differs.
+
+    One that is gone does not matter, nor one never read.
+    """
+    return changed_worlds(folder) | changed_robots(folder)
+
+
+def changed_worlds(folder: Path) -> dict[str, str]:
+    """Finds such files of worlds."""
+    found = {}
+    for name, world in read_sources(folder).worlds.items():
+        if is_file(name):
+            try:
+                now = World.load(name)
+            except UserError as error:
+                found[name] = f"it cannot be read: {error}"
+            else:
+                found |= {name: _difference(to_values(now), to_values(world))} if now != world else {}
     return found
 
 
-def _files(robot: Path) -> list[Path]:
-    return sorted(path for path in robot.parent.rglob("*") if path.is_file())
+def changed_robots(folder: Path) -> dict[str, str]:
+    """Finds such files of robots."""
+    found = {}
+    for name, kept in read_sources(folder).robots.items():
+        for copy in sorted(path for path in (folder / kept).parent.rglob("*") if path.is_file()):
+            file = Path(name).parent / copy.relative_to(folder / ROBOT)
+            if is_file(file) and file.read_bytes() != copy.read_bytes():
+                toml = copy.suffix == ".toml"
+                found[str(file)] = _difference(read_toml(file), read_toml(copy)) if toml else "its text differs"
+    return found
 
 
-def _read(folder: Path) -> Sources:
+def _difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str:
+    """Says which values differ, and how."""
+    news, olds = dotted(now), dotted(then)
+    keys = [key for key in sorted(news.keys() | olds.keys()) if news.get(key) != olds.get(key)]
+    texts = [f"{key} was {_short(olds.get(key))}, is {_short(news.get(key))}" for key in keys[:NAMED]]
+    more = [f"{len(keys) - NAMED} more"] if len(keys) > NAMED else []
+    return "; ".join((*texts, *more)) or "its text differs"
+
+
+def _short(value: object) -> str:
+    text = "not set" if value is None else json.dumps(value, default=str)
+    return text if len(text) <= LONGEST else "another list" if isinstance(value, list) else f"{text[:LONGEST]}..."
+
+
+def read_sources(folder: Path) -> Sources:
+    """Reads what a folder keeps of files.
+
+    Raises:
+        UserError: If it is damaged.
+    """
     if not is_file(folder / SOURCES):
         return Sources(worlds={}, robots={})
     try:
         sources = TypeAdapter(Sources).validate_json(json.dumps(read_json(folder / SOURCES)))
     except ValidationError:
-        raise UserError(f"{folder / SOURCES}: damaged; train anew") from None
+        raise UserError(f"{folder / SOURCES}: damaged; make its folder anew") from None
     if any(copy != f"{ROBOT}/{Path(name).name}" for name, copy in sources.robots.items()):
-        raise UserError(f"{folder / SOURCES}: damaged: copies of robots are in {ROBOT}/; train anew")
+        raise UserError(f"{folder / SOURCES}: damaged: copies of robots are in {ROBOT}/; make its folder anew")
     return sources
 
 
-def _world_files(config: RunConfig) -> list[str]:
+def _world_files(config: RunConfig, worlds: Sequence[str] = ()) -> list[str]:
     selection = config.training.selection
-    named = (config.world, *config.training.worlds, *(selection.worlds if selection else ()))
+    named = (config.world, *config.training.worlds, *(selection.worlds if selection else ()), *worlds)
     return [name for name in dict.fromkeys(named) if isinstance(name, str) and is_file(name)]
 
 

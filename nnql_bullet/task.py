@@ -120,19 +120,19 @@ def is_safe(readings: Array, task: TaskOptions, previous: Properties = SAFE) -> 
 
 
 def state_property(
-    readings: Array, touching: Booleans, at_target: Booleans, task: TaskOptions, previous: Properties = SAFE
+    readings: Array, failed: Booleans, at_target: Booleans, task: TaskOptions, previous: Properties = SAFE
 ) -> NDArray[np.int64]:
     """`StateProperty` of states (...).
 
     Args:
         readings: The eight readings (..., 8) [m].
-        touching: Whether the vehicle touched an obstacle or wall on its way to the state (...).
+        failed: Whether the vehicle touched an obstacle or wall, or tipped over, on its way to the state (...).
         at_target: Whether it reached the target on its way to the state (...).
         task: The thresholds.
         previous: `StateProperty` of the states before (...); a start counts as coming from a safe state.
     """
     by_readings = np.where(is_safe(readings, task, previous), SAFE, NON_SAFE)
-    return np.where(touching, FAILURE, np.where(at_target, WINNING, by_readings))
+    return np.where(failed, FAILURE, np.where(at_target, WINNING, by_readings))
 
 
 # The reward (II.C)
@@ -263,9 +263,9 @@ def _got_closer(s_tm1: State, s_t: State, task: TaskOptions) -> NDArray[np.bool_
 
 # The end of an episode (IV.A)
 
-ENDINGS = ("goal", "collision", "timeout", "stuck")
+ENDINGS = ("goal", "collision", "timeout", "stuck", "overturned")
 """How an episode may end."""
-GOAL, COLLISION, TIMEOUT, STUCK = range(4)
+GOAL, COLLISION, TIMEOUT, STUCK, OVERTURNED = range(5)
 TRUNCATIONS = ("timeout", "stuck")
 """Endings that are no part of the task: the world would go on, and so would the discounted return. A vehicle that is
 stuck has not failed by the paper's rewards (II.C); it only wastes what is left of the time limit."""
@@ -279,7 +279,11 @@ def is_terminal(state_property: Properties) -> NDArray[np.bool_]:
 
 
 def ending(
-    state_property: Properties, steps: int | NDArray[np.int64], task: TaskOptions, staying: float | Array = 0.0
+    state_property: Properties,
+    steps: int | NDArray[np.int64],
+    task: TaskOptions,
+    staying: float | Array = 0.0,
+    overturned: Booleans = False,
 ) -> NDArray[np.int64]:
     """How episodes ended: indices into `ENDINGS` or `NO_ENDING` (...).
 
@@ -288,9 +292,10 @@ def ending(
         steps: Number of steps so far (...).
         task: The limits.
         staying: Time for which the vehicles have stayed about one place (...) [s].
+        overturned: Whether what failed is that they tipped over (...).
     """
     ends = np.where(np.greater_equal(steps, task.max_steps), TIMEOUT, NO_ENDING)
     if task.stuck_after > 0:
         ends = np.where(np.greater_equal(staying, task.stuck_after), STUCK, ends)
-    ends = np.where(np.equal(state_property, FAILURE), COLLISION, ends)
+    ends = np.where(np.equal(state_property, FAILURE), np.where(overturned, OVERTURNED, COLLISION), ends)
     return np.where(np.equal(state_property, WINNING), GOAL, ends)

@@ -36,7 +36,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
     from nnql_bullet.run_config import SimulatorName
-    from nnql_bullet.sim.bullet_scene import works
+    from nnql_bullet.sim.scene_trial import works
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (

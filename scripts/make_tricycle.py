@@ -1,11 +1,13 @@
-"""Writes robots/tricycle.urdf from a list of solid parts, and checks it against their geometry.
+"""Writes the URDFs of the shipped vehicles from lists of solid parts, and checks them against their geometry.
 
-Masses are given; inertia follows from each part's solid by trimesh (uniform density). The sizes stand between two
-industrial platforms: Neobotix MP-500 (two driven wheels and a caster, wheel diameter 0.26 m) and MiR250 (97 kg base,
-caster radius 0.0625 m, trail 0.038 m).
+Masses are given; inertia follows from each part's solid by trimesh (uniform density). The sizes of `tricycle` stand
+between two industrial platforms: Neobotix MP-500 (two driven wheels and a caster, wheel diameter 0.26 m) and MiR250
+(97 kg base, caster radius 0.0625 m, trail 0.038 m). `jackal_tricycle` is an own three-wheeler with the length, width,
+height, mass and top speed of Clearpath's Jackal (508 x 430 x 250 mm, 17 kg, 2 m/s by its public datasheet), which
+itself has four driven wheels; nothing else of it is taken.
 
     python scripts/make_tricycle.py            # regenerate
-    python scripts/make_tricycle.py --check    # exit 1 if the committed file differs
+    python scripts/make_tricycle.py --check    # exit 1 if a committed file differs
 """
 
 import argparse
@@ -18,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-URDF = Path(__file__).resolve().parent.parent / "robots" / "tricycle.urdf"
+FOLDER = Path(__file__).resolve().parent.parent / "robots"
 
 TRACK, WHEELBASE = 0.60, 0.70
 WHEEL_RADIUS, WHEEL_WIDTH = 0.125, 0.05
@@ -105,8 +107,8 @@ def post(radius: float, height: float, at: Vector, colour: str = "") -> Solid:
     return Solid("cylinder", (radius, height), at, colour=colour)
 
 
-def vehicle() -> tuple[list[Link], list[Joint]]:
-    """The parts. The chassis frame is the centre of the rear axle, at wheel height."""
+def tricycle() -> tuple[list[Link], list[Joint]]:
+    """The parts of the industrial vehicle. The chassis frame is the centre of the rear axle, at wheel height."""
     r = WHEEL_RADIUS
     middle = WHEELBASE / 2
     swivel = WHEELBASE + CASTER_TRAIL
@@ -170,6 +172,69 @@ def vehicle() -> tuple[list[Link], list[Joint]]:
     return [chassis, *wheels, fork, caster], joints
 
 
+def jackal_tricycle() -> tuple[list[Link], list[Joint]]:
+    """The parts of the three-wheeler with a Jackal's footprint, in the same frame."""
+    length, width, height, floor = 0.508, 0.430, 0.250, 0.10
+    r, tyre, track = 0.098, 0.04, 0.39
+    caster_radius, trail, swivel = 0.045, 0.03, 0.26
+    middle = 0.09  # of its length, ahead of the axle
+    chassis = Link(
+        "chassis",
+        15.2,
+        # Battery and drives, low between the wheels.
+        box((0.36, 0.28, 0.10), (0.045, 0.0, 0.115 - r)),
+        visuals=(
+            box((0.48, 0.31, 0.09), (middle, 0.0, 0.155 - r), "deck"),
+            box((length, width, 0.03), (middle, 0.0, 0.215 - r), "body"),
+            box((0.40, 0.30, 0.02), (middle, 0.0, 0.240 - r), "deck"),
+            box((0.02, width, 0.05), (middle + length / 2 - 0.01, 0.0, 0.175 - r), "deck"),
+            box((0.01, 0.06, 0.02), (middle + length / 2 - 0.005, 0.14, 0.215 - r), "light"),
+            box((0.01, 0.06, 0.02), (middle + length / 2 - 0.005, -0.14, 0.215 - r), "light"),
+            post(0.045, 0.06, (middle, 0.0, 0.28 - r), "sensor"),
+        ),
+        collisions=(box((length, width, height - floor), (middle, 0.0, (floor + height) / 2 - r)),),
+    )
+    wheels = [
+        Link(
+            f"{side}_wheel",
+            0.6,
+            disc(r, tyre),
+            visuals=(disc(r, tyre, colour="tyre"), disc(0.055, tyre + 0.004, colour="metal")),
+            collisions=(Solid("sphere", (r,)),),
+        )
+        for side in ("left", "right")
+    ]
+    fork = Link(
+        "fork",
+        0.3,
+        box((0.05, 0.05, 0.05), (-0.01, 0.0, 0.03)),
+        visuals=(
+            post(0.02, 0.012, (0.0, 0.0, 0.056), "metal"),
+            box((0.06, 0.05, 0.006), (-0.012, 0.0, 0.05), "metal"),
+            box((0.02, 0.005, 0.06), (-trail, 0.02, 0.02), "metal"),
+            box((0.02, 0.005, 0.06), (-trail, -0.02, 0.02), "metal"),
+        ),
+    )
+    caster = Link(
+        "caster_wheel",
+        0.3,
+        disc(caster_radius, 0.025),
+        visuals=(disc(caster_radius, 0.025, colour="tyre"), disc(0.02, 0.028, colour="metal")),
+        collisions=(Solid("sphere", (caster_radius,)),),
+    )
+    joints = [
+        Joint("left_drive", "chassis", "left_wheel", (0.0, track / 2, 0.0), effort=5.0),
+        Joint("right_drive", "chassis", "right_wheel", (0.0, -track / 2, 0.0), effort=5.0),
+        Joint("swivel", "chassis", "fork", (swivel, 0.0, caster_radius - r), (0.0, 0.0, 1.0)),
+        Joint("caster_roll", "fork", "caster_wheel", (-trail, 0.0, 0.0)),
+    ]
+    return [chassis, *wheels, fork, caster], joints
+
+
+VEHICLES = {"tricycle": tricycle, "jackal_tricycle": jackal_tricycle}
+"""What makes the parts of each."""
+
+
 def numbers(values: tuple[float, ...] | np.ndarray) -> str:
     """Numbers as URDF writes them."""
     return " ".join(f"{round(float(value), 9):.9g}" for value in values)
@@ -215,12 +280,12 @@ def add_joint(robot: ET.Element, joint: Joint) -> None:
         ET.SubElement(element, "limit", effort=numbers((joint.effort,)), velocity="100")
 
 
-def urdf() -> str:
-    """The whole file."""
-    links, joints = vehicle()
-    robot = ET.Element("robot", name="tricycle")
-    for name, rgba in COLOURS.items():
-        ET.SubElement(ET.SubElement(robot, "material", name=name), "color", rgba=rgba)
+def urdf(name: str = "tricycle") -> str:
+    """The whole file of a vehicle."""
+    links, joints = VEHICLES[name]()
+    robot = ET.Element("robot", name=name)
+    for colour, rgba in COLOURS.items():
+        ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
     for link in links:
         add_link(robot, link)
     for joint in joints:
@@ -231,18 +296,20 @@ def urdf() -> str:
 
 
 def main() -> int:
-    """Writes or checks the file."""
+    """Writes or checks the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if the committed file differs")
-    arguments = parser.parse_args()
-    text = urdf()
-    if arguments.check:
-        same = URDF.read_text(encoding="utf-8") == text
-        print(f"{URDF.name} {'is' if same else 'is NOT'} what the parts give")
-        return 0 if same else 1
-    URDF.write_text(text, encoding="utf-8")
-    print(f"wrote {URDF.name}: {sum(link.mass for link in vehicle()[0]):g} kg")
-    return 0
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a committed file differs")
+    check, differs = parser.parse_args().check, False
+    for name, parts in VEHICLES.items():
+        file, text = FOLDER / f"{name}.urdf", urdf(name)
+        if check:
+            same = file.read_text(encoding="utf-8") == text
+            print(f"{file.name} {'is' if same else 'is NOT'} what the parts give")
+            differs |= not same
+        else:
+            file.write_text(text, encoding="utf-8")
+            print(f"wrote {file.name}: {sum(link.mass for link in parts()[0]):g} kg")
+    return int(differs)
 
 
 if __name__ == "__main__":

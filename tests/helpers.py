@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any
 
@@ -57,9 +57,8 @@ class Alone(AbstractContextManager["Alone"]):
 
 def row(motion: Motion, vehicle: int) -> VehicleMotion:
     """The motion of one of several vehicles."""
-    names = ("yaw_rate", "speed", "duration", "path_length", "clearance", "heading_error", "touching", "at_target")
-    pose = Pose(*motion.pose[vehicle].tolist())
-    return VehicleMotion(pose, *(getattr(motion, name)[vehicle].item() for name in names))
+    values = {field.name: getattr(motion, field.name)[vehicle] for field in fields(Motion)}
+    return VehicleMotion(Pose(*values.pop("pose").tolist()), **{name: value.item() for name, value in values.items()})
 
 
 def begun(navigation: Navigation, world: WorldSpec) -> Observation:

@@ -31,6 +31,7 @@ KEYS = {
     "smallest_clearance",
     "seed",
     "world",
+    "robot",
     "recording",
     "picture",
 }
@@ -120,7 +121,7 @@ class TestDrive:
     def test_it_drives_and_leaves_recording_and_picture(self, run_cli: Cli, tiny_run: Path, here: Path) -> None:
         code, out, err = run_cli("drive", tiny_run, "--seed", 3, "--out", "drive")
         assert (code, err) == (0, "")
-        assert re.search(r"^(goal|collision|timeout|stuck) in world 'small', seed 3: \d+ steps", out)
+        assert re.search(r"^(goal|collision|timeout|stuck|overturned) in world 'small', seed 3: \d+ steps", out)
         assert {path.name for path in (here / "drive").iterdir()} == {"trajectory.npz", "trajectory.png"}
         assert (here / "drive" / "trajectory.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pydantic import Field
 
 from nnql_bullet.agents import NnqlOptions
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.cli.flags import parse as parse_flags
 from nnql_bullet.cli.train import train
 from nnql_bullet.commands import train_arguments

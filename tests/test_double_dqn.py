@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.learning.double_dqn import (
     DoubleDqn,
-    DoubleDqnOptions,
     DuelingNetwork,
     double_q_targets,
     soft_update,
     td_errors,
 )
 from nnql_bullet.agents.learning.frames import FrameMaker, as_bytes
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Replay
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
 from nnql_bullet.config import parse

@@ -239,13 +239,17 @@ def env() -> Iterator[gymnasium.Env[Any, Any]]:
     made.close()
 
 
+def plain(info: dict[str, Any]) -> dict[str, Any]:
+    return {**info, "pose": info["pose"].tolist()}
+
+
 def episode(env: gymnasium.Env[Any, Any], seed: int, steps: int = 40) -> list[Any]:
     observation, info = env.reset(seed=seed)
     generator = np.random.default_rng(seed)
-    seen: list[Any] = [observation.tolist(), info]
+    seen: list[Any] = [observation.tolist(), plain(info)]
     for _ in range(steps):
         observation, reward, terminated, truncated, info = env.step(generator.integers(6))
-        seen.append((observation.tolist(), reward, terminated, truncated, info))
+        seen.append((observation.tolist(), reward, terminated, truncated, plain(info)))
         if terminated or truncated:
             break
     return seen
@@ -284,13 +288,14 @@ class TestGymnasium:
 
     def test_info_names_ending_property_and_terms(self, env: gymnasium.Env[Any, Any]) -> None:
         _, info = env.reset(seed=0)
-        assert info.keys() == {"world_seed"}
+        assert info.keys() == {"world_seed", "pose", "clearance"}
         _, reward, terminated, truncated, info = env.step(0)
         assert (terminated, truncated) == (False, False)
         terms = {name: value for name, value in info.items() if name.startswith("reward/")}
         assert len(terms) == 6
         assert sum(terms.values()) == reward
-        assert info.keys() - terms.keys() == {"ending", "state_property", "heading_error"}
+        others = {"ending", "is_success", "state_property", "heading_error", "pose", "clearance"}
+        assert info.keys() - terms.keys() == others
         assert info["state_property"] in ("SS", "NS")
 
     def test_the_same_seed_gives_the_same_episode(self, env: gymnasium.Env[Any, Any]) -> None:
@@ -316,8 +321,8 @@ class TestGymnasium:
     def test_an_option_names_the_world(self, env: gymnasium.Env[Any, Any]) -> None:
         def readings(world: int, **reset: Any) -> list[list[float]]:
             observation, info = env.reset(options={"world_seed": world}, **reset)
-            assert info == {"world_seed": world}
-            return [observation.tolist(), *(env.step(5)[0].tolist() for _ in range(20))]
+            assert info["world_seed"] == world
+            return [observation.tolist(), *(env.step(1)[0].tolist() for _ in range(20))]
 
         first = readings(123)
         assert readings(123, seed=5) == first != readings(124, seed=5)
@@ -359,5 +364,7 @@ class TestGymnasium:
         assert (info["ending"], info["state_property"], reward) == ("goal", "WS", 1.0)
 
     def test_unknown_options_are_refused_in_one_line(self) -> None:
-        with pytest.raises(UserError, match=r"unknown key 'gravity'; valid keys: .*world"):
+        with pytest.raises(TypeError, match="unexpected keyword argument 'gravity'"):
             gymnasium.make("nnql_bullet/Tricycle-v0", gravity=1.6)
+        with pytest.raises(UserError, match=r"unknown key 'conditions.wheels'; valid keys: .*payload"):
+            gymnasium.make("nnql_bullet/Tricycle-v0", conditions={"wheels": 4})

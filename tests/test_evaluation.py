@@ -48,7 +48,7 @@ def tier(name: str, worlds: int, cover: float | None = None) -> Tier:
 
 def evaluation_of(endings: dict[tuple[str, str], str], methods: dict[str, str]) -> Evaluation:
     """From the first letters of endings, by policy and tier; the shortest path is 80 m everywhere."""
-    names = {"g": "goal", "c": "collision", "t": "timeout", "s": "stuck"}
+    names = {"g": "goal", "c": "collision", "t": "timeout", "s": "stuck", "o": "overturned"}
     tiers = {name: tier(name, len(letters)) for (_, name), letters in endings.items()}
     return Evaluation(
         asked=list(tiers),

@@ -19,7 +19,8 @@ from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
 Cli = Callable[..., tuple[int, str, str]]
 
 NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot"), ("what",)) | {
-    "worlds": ("list",)
+    "worlds": ("list",),
+    "barn": ("what", "what"),
 }
 """Arguments without which a verb is not called."""
 RAISED = {

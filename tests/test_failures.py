@@ -257,6 +257,7 @@ MADE = {
     "circling": recording(circle(60.0, 60.0, 4.0, 250.0, -1), "timeout"),
     "trapped": recording(along(PACING), "timeout"),
     "wandering": recording(along(ZIGZAG), "timeout"),
+    "overturned": recording(circle(60.0, 60.0, 4.0, 20.0), "overturned"),
     "stuck": recording(circle(60.0, 60.0, 0.1, 30.0), "stuck", target=(61.0, 60.0)),
 }
 """Drives that belong to a group by the way they are made."""

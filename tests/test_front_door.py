@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import nnql_bullet as nb
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import REWARD_TERMS, RewardTerm, TaskOptions, paper_reward
@@ -367,13 +368,13 @@ def test_an_agent_of_ones_own_learns(here: Path) -> None:
 class TestVehicle:
     def test_stands_where_its_file_may(self) -> None:
         vehicle = nb.Vehicle.load("tricycle")
-        by_name = nb.drive("straight", vehicle="tricycle", simulator="kinematic", world="empty")
-        assert nb.drive("straight", vehicle=vehicle, simulator="kinematic", world="empty").summary == by_name.summary
+        by_name = nb.drive("straight", robot="tricycle", simulator="kinematic", world="empty")
+        assert nb.drive("straight", robot=vehicle, simulator="kinematic", world="empty").summary == by_name.summary
 
     def test_changed_in_code_is_refused(self) -> None:
         slippery = nb.Vehicle.load("tricycle").gripping(0.1)
         with pytest.raises(nb.UserError, match="differs from its file"):
-            nb.drive("straight", vehicle=slippery, simulator="kinematic")
+            nb.drive("straight", robot=slippery, simulator="kinematic")
 
 
 def test_a_policy_that_learned_on_is_loaded_again(here: Path) -> None:

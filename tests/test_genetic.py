@@ -24,7 +24,8 @@ from nnql_bullet.agents.learning.genetic import (
     layers,
     network_outputs,
 )
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError, WorkerDied

@@ -17,6 +17,7 @@ from nnql_bullet.vehicle.limits import (
     followed_limits,
     grip_acceleration,
     quasi_steady,
+    side_grip,
     static_rear_load,
     tip_acceleration,
     tip_angle,
@@ -275,6 +276,14 @@ def test_what_a_vehicle_follows_is_what_a_drive_wheel_can_push(
         assert apart == pytest.approx(left, rel=1e-6)
     else:
         assert apart >= left - 1e-6
+
+
+def test_braking_leaves_the_grip_for_a_turn_that_the_friction_ellipse_has(vehicle: VehicleSpec) -> None:
+    all_of_it, locked = grip_acceleration(vehicle), braking(vehicle).by_grip
+    assert side_grip(vehicle, 0.0) == all_of_it
+    for angle in np.linspace(0.1, 1.5, 5):
+        assert side_grip(vehicle, locked * sin(angle)) == pytest.approx(all_of_it * cos(angle))
+    assert side_grip(vehicle, locked) == side_grip(vehicle, 2 * locked) == 0.0
 
 
 def test_the_shipped_vehicle_follows_all_that_its_drive_asks_for_at_speed(vehicle: VehicleSpec) -> None:

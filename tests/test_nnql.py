@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.special import softmax
 
 from nnql_bullet.agents import NnqlOptions
-from nnql_bullet.agents.learning.nnql import Nnql, encode
-from nnql_bullet.agents.learning.q_learning import boltzmann
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.q_learning import boltzmann, encode
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.sensing import RAYS
@@ -43,6 +43,7 @@ def transition(action=1, reward=0.4, discount=1.0, before=None, after=None):
         terms=np.zeros((1, len(REWARD_TERMS))),
         ending=np.array([NO_ENDING]),
         heading_command=np.zeros(1),
+        speed_command=np.ones(1),
         motion=no_motion(1),
         active=np.ones(1, np.bool_),
     )

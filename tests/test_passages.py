@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Circle, OrientedBox, Pose, Shape, as_rows
 from nnql_bullet.worlds import passages
-from nnql_bullet.worlds.passages import Passage, narrowest_passage
+from nnql_bullet.worlds.passages import ROUNDING, Passage, narrowest_passage
 from nnql_bullet.worlds.spec import WorldSpec
 
 CLOSE = 0.005
@@ -47,6 +47,8 @@ def test_a_disc_passes_exactly_if_it_is_no_wider(seed: int) -> None:
     found = narrowest_passage(world.solids, (world.start.x, world.start.y), world.target)
     assert not passes(world, found.width / 2 + CLOSE)
     assert found.width <= 2 * CLOSE or passes(world, found.width / 2 - CLOSE)
+    for width in (0.0, 0.75, found.width - 1e-6, found.width, found.width + ROUNDING / 2, found.width + 1e-6, 9.0):
+        assert world.admits(width) == found.admits(width)
 
 
 @pytest.mark.parametrize(("gap", "yaw"), [(2.2, 0.0), (0.72, 0.3), (0.05, 1.2)])

@@ -60,6 +60,7 @@ def steps(
         terms=np.zeros((n, len(REWARD_TERMS))),
         ending=np.full(n, NO_ENDING),
         heading_command=np.zeros(n),
+        speed_command=np.ones(n),
         motion=no_motion(n),
         active=np.ones(n, np.bool_),
     )

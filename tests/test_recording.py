@@ -14,7 +14,8 @@ import pytest
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import OrientedBox, Pose

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nnql_bullet import colours, diagnosis
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.env import STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
@@ -26,7 +27,7 @@ from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
-from nnql_bullet.render.film import Film, Studio, frame_times, frames
+from nnql_bullet.render.film import Film, frame_times, frames, studio_of
 from nnql_bullet.render.painter import Painter, tint
 from nnql_bullet.render.renderers import best_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
@@ -36,8 +37,9 @@ from nnql_bullet.render.video import write_pictures, write_video
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sim.bullet import bullet
-from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link, works
+from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link
 from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.sim.scene_trial import works
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import deck_load, loaded
@@ -369,7 +371,7 @@ def has(picture: NDArray[np.uint8], colour: str) -> int:
 
 
 def test_the_overlay_tells_values_states_and_the_ending(drive_file: Path) -> None:
-    studio = Studio(Film(drive_file, "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(drive_file, "chase", 640, 360, "tiny"))
     recording = load_recording(drive_file)
     asked = int(np.flatnonzero(np.isfinite(recording.q_values).all(axis=1))[0])
     before, during = studio.frame(0.1), studio.frame(float(recording.state_time[asked]) + 0.2)
@@ -387,7 +389,7 @@ def test_the_overlay_tells_values_states_and_the_ending(drive_file: Path) -> Non
 
 
 def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) -> None:
-    studio = Studio(Film(drive_file, "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(drive_file, "chase", 640, 360, "tiny"))
     timeline = Timeline(load_recording(drive_file))
     moment = timeline.at(timeline.duration)
     camera = PATHS["chase"](timeline, 640, 360)(moment)
@@ -404,7 +406,7 @@ def test_a_sensor_off_the_middle_is_where_it_is(
     ahead, left, yaw = 1.0, 2.5, drive.state_pose[0, 2]
     vehicle = {**drive.about["vehicle"], "sensor": [ahead, left, 0.4]}
     replace(drive, about={**drive.about, "vehicle": vehicle}).save(tmp_path / "aside.npz")
-    studio = Studio(Film(tmp_path / "aside.npz", "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(tmp_path / "aside.npz", "chase", 640, 360, "tiny"))
     moment = studio._timeline.at(0.0)
     sensor = drive.state_pose[0, :2] + (ahead * cos(yaw) - left * sin(yaw), ahead * sin(yaw) + left * cos(yaw))
     assert studio._painter._ground(moment).scan == pytest.approx((*sensor, yaw))
@@ -439,7 +441,7 @@ def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
     drive.save(alone)
     decided = np.arange(len(drive.action)) >= 4
     replace(drive, overridden=decided, action=np.where(decided, drive.action + STOP, drive.action)).save(overridden)
-    one, other = (Studio(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overridden))
+    one, other = (studio_of(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overridden))
     assert (one.frame(1.9) == other.frame(1.9)).all()
     rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
     assert rows.min() > 200

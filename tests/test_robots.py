@@ -409,18 +409,19 @@ def test_a_turned_box_touches_the_wall_where_it_is(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_vehicle_on_its_roof_has_touched(vehicle: VehicleSpec, empty_world: WorldSpec, engine: EngineName) -> None:
+def test_a_vehicle_on_its_roof_has_overturned(vehicle: VehicleSpec, empty_world: WorldSpec, engine: EngineName) -> None:
     held = contact_engine(engine, "fast", vehicle, DriveOptions())
     held.reset(empty_world)
-    assert not held.advance(0.0).touching
+    assert not held.advance(0.0).overturned
     if engine == "bullet":
         bullet.resetBasePositionAndOrientation(held.body, [100.0, 100.0, 0.5], [1.0, 0.0, 0.0, 0.0], held.client)
     else:
         held._position[3:7] = 0.0, 1.0, 0.0, 0.0
     motion = held.advance(0.0)
-    assert (motion.touching, motion.at_target, motion.clearance) == (True, False, 0.0)
+    assert (motion.overturned, motion.touching, motion.at_target) == (True, False, False)
+    assert motion.duration == pytest.approx(1 / 30)
     held.reset(empty_world)
-    assert not held.advance(0.0).touching
+    assert not held.advance(0.0).overturned
     held.close()
 
 

@@ -16,7 +16,8 @@ import torch
 from helpers import same
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, Sb3DqnOptions, inputs
+from nnql_bullet.agents.learning.options import Sb3DqnOptions
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
 from nnql_bullet.errors import UserError, WorkerDied
@@ -93,7 +94,7 @@ class TestNetwork:
     def test_it_sees_the_environments_numbers(self, small_world: Path) -> None:
         with closing(gymnasium.make("nnql_bullet/Tricycle-v0", simulator="kinematic", world=str(small_world))) as env:
             observation, _ = env.reset(seed=3)
-            seen = env.unwrapped._navigation.observation  # type: ignore[attr-defined]
+            seen = env.unwrapped._fleet.navigation.observation  # type: ignore[attr-defined]
             assert inputs(seen, 1.0)[0] == pytest.approx(observation / np.array(SCALE), abs=1e-6)
 
     def test_all_six_actions_are_open_in_any_state(self) -> None:

@@ -13,7 +13,8 @@ import pytest
 from helpers import same
 from safetensors.numpy import load_file
 
-from nnql_bullet.agents.learning.nnql import Nnql, NnqlOptions
+from nnql_bullet.agents.learning.nnql import Nnql
+from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.cli import main
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Navigation

@@ -44,15 +44,7 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, Sensor, ray_angles
 from nnql_bullet.shield.courses import drives_then_stops
 from nnql_bullet.shield.lengths import ShieldOptions
-from nnql_bullet.shield.recovery import (
-    FARTHEST,
-    FIRST_GAIN,
-    FIRST_LIMIT,
-    GAIN_GROWTH,
-    LIMIT_GROWTH,
-    STUCK_AFTER,
-    Recovery,
-)
+from nnql_bullet.shield.recovery import FIRST_GAIN, GAIN_GROWTH, STUCK_AFTER, Recovery
 from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
@@ -619,61 +611,52 @@ class TestSectorFaults:
 
 
 class TestEscape:
-    SEES = np.array([5.0, 6.0, 10.0, 10.0, 10.0, 10.0, 10.0, 4.0])
-
-    def after(self, recovery: Recovery, *distances: float) -> Recovery:
-        """A decision at each of these distances from the target."""
-        for distance in distances:
-            recovery = recovery.updated(distance, self.SEES, 0, 0.5, 1.0)
+    def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> Recovery:
+        for _ in range(round(seconds / 0.5)):
+            recovery = recovery.updated(distance, 0.5, 1.0)
         return recovery
 
-    def waiting(self, recovery: Recovery, seconds: float, distance: float = 50.0) -> Recovery:
-        return self.after(recovery, *[distance] * round(seconds / 0.5))
-
-    def test_it_begins_after_some_time_without_progress_to_the_more_open_side(self) -> None:
-        recovery = self.waiting(Recovery(), STUCK_AFTER)
-        assert recovery.side == 0
-        recovery = self.waiting(recovery, 1.0)
-        assert recovery.side == 1
+    def test_it_leads_after_some_time_without_progress_until_it_is_nearer_than_ever(self) -> None:
+        recovery = self.waiting(Recovery(), STUCK_AFTER + 0.5)
+        assert not recovery.leads(50.0)
+        recovery = self.waiting(recovery, 0.5)
         assert recovery.leads(50.0)
-
-    def test_it_ends_nearer_than_ever_and_leads_on_for_a_while(self) -> None:
-        recovery = self.waiting(Recovery(), STUCK_AFTER + 1)
-        recovery = self.after(recovery, 49.0)
-        assert recovery.side == 0
+        assert recovery.leads(90.0)
         assert recovery.leads(50.0 - FIRST_GAIN + 0.1)
         assert not recovery.leads(50.0 - FIRST_GAIN - 0.1)
 
-    def test_one_that_comes_to_nothing_is_tried_the_other_way_round_for_longer(self) -> None:
-        recovery, begun = Recovery(), []
-        for _ in range(round(10 * FIRST_LIMIT / 0.5)):
-            before = recovery.side
-            recovery = self.after(recovery, 50.0)
-            if recovery.side and not before:
-                begun.append((recovery.side, recovery.left))
-        assert [side for side, _ in begun[:3]] == [1, -1, 1]
-        assert [left for _, left in begun[:3]] == pytest.approx([FIRST_LIMIT * LIMIT_GROWTH**k for k in range(3)])
-        assert recovery.guided_until == pytest.approx(50.0 - FIRST_GAIN * GAIN_GROWTH ** (recovery.recoveries - 1))
+    def test_each_leads_farther_than_the_one_before(self) -> None:
+        recovery, distance = Recovery(), 1000.0
+        for count in range(1, 4):
+            recovery = self.waiting(recovery, STUCK_AFTER + 1.0, distance)
+            assert recovery.recoveries == count
+            assert recovery.led_until == pytest.approx(distance - FIRST_GAIN * GAIN_GROWTH ** (count - 1))
+            recovery = self.waiting(recovery, 2 * STUCK_AFTER, distance)
+            assert recovery.recoveries == count
+            distance = recovery.led_until - 1.0
 
-    def test_one_that_leads_far_away_comes_to_nothing(self) -> None:
-        recovery = self.waiting(Recovery(), STUCK_AFTER + 1)
-        recovery = self.after(recovery, 50.0 + FARTHEST - 0.1)
-        assert recovery.side == 1
-        recovery = self.after(recovery, 50.0 + FARTHEST + 0.1)
-        assert (recovery.side, recovery.swap) == (0, True)
-
-    def test_it_keeps_a_wall_on_its_other_side(self) -> None:
-        recovery = Recovery(side=1)
-        wall = OrientedBox(MIDDLE.x, MIDDLE.y - 1.2 - 0.5, 50.0, 0.5)
-        assert recovery.heading(0.0, rays_from(MIDDLE, wall), MOUNTED, 1.0) == pytest.approx(0.0, abs=0.02)
-        nearer = rays_from(replace(MIDDLE, y=99.7), wall)
-        assert recovery.heading(0.0, nearer, MOUNTED, 1.0) > 0.05
-        farther = rays_from(replace(MIDDLE, y=101.0), wall)
-        assert recovery.heading(0.0, farther, MOUNTED, 1.0) < -0.3
-        assert Recovery(side=-1).heading(0.0, rays_from(replace(MIDDLE, yaw=pi), wall), MOUNTED, 1.0) == pytest.approx(
-            0.0, abs=0.02
-        )
-        assert Recovery().heading(0.7, nearer, MOUNTED, 1.0) == 0.7
+    @pytest.mark.parametrize(("width", "place"), [(1.0, 0.0), (1.0, -2.0), (1.3, -4.05), (2.0, -3.7)])
+    def test_it_finds_the_only_way_out_of_a_room(
+        self,
+        kinematic: KinematicSimulator,
+        around: Callable[..., Shield],
+        world_of: WorldOf,
+        width: float,
+        place: float,
+    ) -> None:
+        """A door behind the vehicle, in the middle or in a corner, hardly wider than its width and margins."""
+        front = OrientedBox(MIDDLE.x + 5.0, MIDDLE.y, 0.3, 5.3)
+        sides = [OrientedBox(MIDDLE.x, MIDDLE.y + side * 5.0, 5.0, 0.3) for side in (1, -1)]
+        back = [(-4.7, place - width / 2), (place + width / 2, 4.7)]
+        behind = [
+            OrientedBox(MIDDLE.x - 5.0, MIDDLE.y + (low + high) / 2, 0.3, (high - low) / 2)
+            for low, high in back
+            if high > low + 1e-6
+        ]
+        world = world_of(front, *behind, *sides, target=(125.0, 100.0))
+        summary, _, _ = drive(kinematic, world, around(always(TOWARD_TARGET)), steps=300)
+        assert summary.ending == "goal"
+        assert summary.clearance > 0.03
 
 
 class TestRecords:

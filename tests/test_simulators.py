@@ -386,7 +386,8 @@ class TestSeveralVehicles:
         for field in fields(Motion):
             values = getattr(motions, field.name)
             assert values.shape == ((SIZE, 3) if field.name == "pose" else (SIZE,)), field.name
-            assert values.dtype == (np.bool_ if field.name in ("touching", "at_target") else np.float64), field.name
+            kind = np.bool_ if field.name in ("touching", "at_target", "overturned") else np.float64
+            assert values.dtype == kind, field.name
 
 
 class TestManyKinematicVehicles:

@@ -24,9 +24,9 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.render.video import write_video
 from nnql_bullet.reports.drawing import picture
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine, bullet
-from nnql_bullet.sim.bullet_scene import works
 from nnql_bullet.sim.c_library import silenced
 from nnql_bullet.sim.contact import VehicleMotion
+from nnql_bullet.sim.scene_trial import works
 from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -400,3 +400,24 @@ def test_a_daemonic_process_which_may_have_no_children_does_all_itself(tmp_path:
     assert not egl
     first, second = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("daemon", "here"))
     assert first == second
+
+
+WITHOUT = """
+import sys
+for name in ("torch", "pybullet"):
+    sys.modules[name] = None  # importing it raises an ImportError
+import nnql_bullet as nb
+assert nb.drive("straight", world="empty", simulator="kinematic").summary.ending == "goal"
+for policy, simulator, named in (("paper", "kinematic", "PyTorch"), ("straight", "bullet", "PyBullet")):
+    try:
+        nb.drive(policy, world="empty", simulator=simulator)
+    except nb.UserError as error:
+        assert named in str(error), error
+    else:
+        raise SystemExit(f"{policy} drove in {simulator}")
+"""
+
+
+def test_a_rule_in_the_kinematic_model_needs_neither_torch_nor_pybullet() -> None:
+    done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr

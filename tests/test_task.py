@@ -267,6 +267,14 @@ def test_who_stays_about_one_place_for_long_is_stuck(after, steps, staying, expe
         assert (None if index == NO_ENDING else ENDINGS[index]) == end
 
 
+@pytest.mark.parametrize("after", [SS, WS, FS])
+def test_who_tips_over_has_overturned_in_place_of_a_collision(after):
+    expected = "overturned" if after == FS else ended(after, 70)
+    index = int(ending(after, 70, DEFAULT, overturned=True))
+    assert (None if index == NO_ENDING else ENDINGS[index]) == expected
+    assert ENDINGS[3:] == ("stuck", "overturned")
+
+
 def test_steps_of_an_episode_are_an_option():
     task = TaskOptions(max_steps=3)
     assert [ended(SS, steps, task) for steps in (2, 3)] == [None, "timeout"]

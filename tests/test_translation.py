@@ -56,7 +56,18 @@ def caster(name: str, x: float, y: float, trail: float = -0.04) -> list[str]:
     ]
 
 
+NAMED = [part.replace('"left"', '"left_wheel"').replace('"right"', '"right_wheel"') for part in WHEELS]
+STEERED = [
+    link("yoke", 0.2, '<box size="0.02 0.02 0.02"/>', 1e-4),
+    link("front", 0.5, CYLINDER),
+    joint("steer", "yoke", "-0.2 0 0.1", "revolute"),
+    joint("front", "front", "0 0 0", "continuous", rpy="1.5708 0 0", on="yoke"),
+]
+BALLAST = [link("ballast", 10.0, '<box size="0.1 0.1 0.1"/>', 0.05), joint("w", "ballast", "0.4 0 0.2")]
+FRONT = [link("front_ball", 0.1, '<sphere radius="0.05"/>', 1e-4), joint("a", "front_ball", "0.4 0 0.05")]
+BACK = [link("back_ball", 0.1, '<sphere radius="0.05"/>', 1e-4), joint("b", "back_ball", "0 0 0.05")]
 KINDS = {
+    "ball ahead, ball behind, weight on the axle": BALLAST + FRONT + BACK,
     "ball behind": BALL,
     "swivel behind": caster("c", -0.2, 0.0),
     "swivel behind that points ahead": caster("c", -0.2, 0.0, 0.04),
@@ -118,7 +129,11 @@ def test_what_is_written_is_read_as_the_same_vehicle(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        (WHEELS, "no caster: nothing but its two drive wheels"),
+        (WHEELS, "no caster, and would fall over: only its drive wheels touch the ground$"),
+        (
+            [*WHEELS, BALL[0], joint("b", "ball", "-0.2 0 0.12")],
+            r"only its drive wheels touch the ground; 'ball' ends 0\.07 m above the ground$",
+        ),
         (WHEELS + caster("c", 0.45, 0.0), r"would tip over: its centre of mass is at x = -0\.1\d+"),
         (
             [
@@ -133,12 +148,58 @@ def test_what_is_written_is_read_as_the_same_vehicle(tmp_path: Path) -> None:
             "not on one axle",
         ),
         (WHEELS + caster("c", -0.2, 0.0, -0.3), "not under its swivel 'c_swivel'"),
-        ([part.replace("continuous", "fixed") for part in WHEELS] + BALL, "no two wheels on fixed axles"),
+        (
+            [part.replace("continuous", "fixed") for part in NAMED] + BALL,
+            r"but: 'l', which is fixed, 'r', which is fixed;",
+        ),
+        (
+            [part.replace("continuous", "revolute") for part in NAMED] + BALL,
+            r"but: 'l', which is revolute within limits, 'r', which is revolute within limits;",
+        ),
+        (
+            [part.replace("-1.5708", "-1.4") for part in WHEELS] + BALL,
+            r"but: 'l', whose axis is 10 degrees off the level",
+        ),
+        ([*WHEELS, *STEERED], r"mine\.urdf: wheel joint 'front' is steered by 'steer', which turns within limits"),
     ],
 )
 def test_what_cannot_be_driven_rightly_is_refused_by_its_reason(tmp_path: Path, parts: list[str], message: str) -> None:
     with pytest.raises(UserError, match=message):
         read_robot(written(tmp_path, parts))
+
+
+def test_all_that_is_wrong_is_in_one_list(tmp_path: Path) -> None:
+    light = WHEELS[0].replace('mass value="0.5"', 'mass value="0"')
+    small = WHEELS[1].replace('radius="0.1"', 'radius="0.09"')
+    false = link("mast", 3.0, '<box size="0.1 0.1 0.1"/>', -1.0)
+    parts = [light, small, *WHEELS[2:], false, joint("m", "mast", "0 0 0.3"), *caster("c", -0.2, 0.0, -0.3)]
+    with pytest.raises(UserError) as told:
+        read_robot(written(tmp_path, parts))
+    text = str(told.value)
+    assert "4 things are wrong: (1) link 'mast' has an inertia that is not positive" in text
+    assert "(2) the drive wheels differ in radius: 0.1 and 0.09 m; (3) link 'left', which joint 'l' moves" in text
+    assert "(4) the caster wheel of joint 'c_roll' is not under its swivel 'c_swivel'" in text
+
+
+def as_seen(part: str) -> str:
+    return part.replace("collision>", "visual>")
+
+
+def test_where_nothing_collides_wheels_casters_and_body_are_what_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "seen.urdf"
+    seen = [as_seen(part) for part in (BASE, *WHEELS, BALL[0].replace("ball", "caster"))]
+    path.write_text(f"<robot name='m'>{''.join(seen)}{joint('b', 'caster', '-0.2 0 0.05')}</robot>")
+    vehicle = read_robot(path).vehicle
+    assert [(its.x, its.radius) for its in vehicle.casters] == [(pytest.approx(-0.4), 0.05)]
+    assert (vehicle.wheel_radius, vehicle.length) == pytest.approx((0.1, 0.6), abs=1e-5)
+
+
+def test_a_capsule_is_a_cylinder_with_round_ends(tmp_path: Path) -> None:
+    path = written(tmp_path, WHEELS + BALL)
+    path.write_text(path.read_text().replace('<box size="0.6 0.4 0.2"/>', '<capsule radius="0.3" length="0.1"/>'))
+    found = read_robot(path)
+    assert (found.vehicle.length, found.vehicle.width) == pytest.approx((0.6, 0.6), abs=1e-6)
+    assert 2 * found.mechanism.box[1][2] == pytest.approx(0.7)
 
 
 def test_latin_1_is_read(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import nnql_bullet  # noqa: F401 (makes the environment known)
+from nnql_bullet.api.environment import make_vector_env
 from nnql_bullet.errors import UserError
-from nnql_bullet.gym_env import TricycleVectorEnv
+from nnql_bullet.gym_env.vector import TricycleVectorEnv
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import TaskOptions
 
@@ -155,12 +156,12 @@ class TestWhatItIs:
 
     def test_no_vehicle_is_refused(self) -> None:
         with pytest.raises(UserError):
-            TricycleVectorEnv(0, simulator="kinematic")
+            make_vector_env(0, simulator="kinematic")
 
-    @pytest.mark.parametrize("changes", [{"world": "nowhere"}, {"simulator": "unity"}, {"wheels": 4}])
+    @pytest.mark.parametrize("changes", [{"world": "nowhere"}, {"simulator": "unity"}, {"robot": "bicycle"}])
     def test_a_wrong_configuration_is_refused(self, changes: dict[str, Any]) -> None:
         with pytest.raises(UserError):
-            TricycleVectorEnv(2, **changes)
+            make_vector_env(2, **changes)
 
 
 class TestActions:
@@ -178,7 +179,7 @@ class TestActions:
                 env.unwrapped.step(action)
 
     def test_with_manoeuvres_it_may_stop_and_reverse(self) -> None:
-        options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "manoeuvres": True}
+        options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "actions": "manoeuvres"}
         with closing(gymnasium.make(NAME, **options)) as env, closing(gymnasium.make_vec(NAME, 2, **options)) as envs:
             assert env.action_space == envs.single_action_space == gymnasium.spaces.Discrete(24)
             assert envs.action_space == gymnasium.spaces.MultiDiscrete([24, 24])
@@ -192,7 +193,7 @@ class TestActions:
 
     def test_one_that_stands_is_truncated_as_stuck(self) -> None:
         task = {"stuck_after": 3.0}
-        options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "manoeuvres": True, "task": task}
+        options: dict[str, Any] = {"simulator": "kinematic", "world": "empty", "actions": "manoeuvres", "task": task}
         with closing(gymnasium.make_vec(NAME, 2, **options)) as envs:
             envs.reset(seed=0)
             for _ in range(7):

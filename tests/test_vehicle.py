@@ -62,20 +62,35 @@ def link_places():
     return places
 
 
-def test_committed_urdf_is_what_the_script_gives(script):
-    assert script.urdf() == URDF
+@pytest.mark.parametrize("name", ["tricycle", "jackal_tricycle"])
+def test_committed_urdf_is_what_the_script_gives(script, name):
+    assert script.urdf(name) == (ROBOTS / f"{name}.urdf").read_text(encoding="utf-8")
+
+
+def test_the_jackal_sized_vehicle_has_the_sizes_of_the_datasheet():
+    """Clearpath's Jackal: 508 x 430 mm, 17 kg, 2 m/s. It stands on its wheels, and nothing sticks out of its body."""
+    vehicle = load_vehicle("jackal_tricycle")
+    assert (vehicle.length, vehicle.width) == pytest.approx((0.508, 0.430))
+    assert (vehicle.mass, vehicle.limits.speed) == (pytest.approx(17.0), 2.0)
+    (caster,) = vehicle.casters
+    reach = caster.x + 2 * caster.trail + caster.radius  # when it trails ahead
+    assert reach < vehicle.footprint.x + vehicle.footprint.half_length
+    assert 0 < vehicle.com_ahead < caster.x
 
 
 def test_script_finds_the_committed_file_up_to_date_and_a_changed_one_not(script, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["make_tricycle.py", "--check"])
     assert script.main() == 0
-    monkeypatch.setattr(script, "URDF", tmp_path / "tricycle.urdf")
-    script.URDF.write_text(URDF.replace("104.5", "104.6"), encoding="utf-8")
+    monkeypatch.setattr(script, "FOLDER", tmp_path)
+    for name in script.VEHICLES:
+        (tmp_path / f"{name}.urdf").write_text(script.urdf(name).replace("104.5", "104.6"), encoding="utf-8")
     assert script.main() == 1
     monkeypatch.setattr(sys, "argv", ["make_tricycle.py"])
     assert script.main() == 0
-    assert script.URDF.read_text(encoding="utf-8") == URDF
-    assert "120 kg" in capsys.readouterr().out
+    assert (tmp_path / "tricycle.urdf").read_text(encoding="utf-8") == URDF
+    out = capsys.readouterr().out
+    assert "tricycle.urdf: 120 kg" in out
+    assert "jackal_tricycle.urdf: 17 kg" in out
 
 
 def test_masses_are_those_of_the_table():
@@ -129,7 +144,7 @@ def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
     """Trimesh adds up the parts as one body, an oracle that shares no formula with the package."""
     places = link_places()
     scene = trimesh.Scene()
-    for link in script.vehicle()[0]:
+    for link in script.tricycle()[0]:
         mesh = link.solid.mesh()
         mesh.density = link.mass / mesh.volume
         scene.add_geometry(mesh, transform=trimesh.transformations.translation_matrix(places[link.name]))
@@ -137,7 +152,7 @@ def test_composite_yaw_inertia_is_that_of_the_solids_together(script, vehicle):
 
 
 def test_inertia_is_that_of_the_links_solid(script):
-    for part in script.vehicle()[0]:
+    for part in script.tricycle()[0]:
         if part.solid.shape == "box":
             exact = trimesh.primitives.Box(extents=part.solid.size)
         else:
@@ -168,8 +183,8 @@ def test_inertia_of_a_wheel_is_that_of_the_tyre_that_is_seen_and_it_touches_the_
 
 def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script):
     """What lies between `low` and `high` spreads about `c` by at most (high - c)(c - low): Bhatia and Davis, 2000."""
-    assert {part.name for part in script.vehicle()[0]} == set(LINKS)
-    for part in script.vehicle()[0]:
+    assert {part.name for part in script.tricycle()[0]} == set(LINKS)
+    for part in script.tricycle()[0]:
         low, high = trimesh.util.concatenate([solid.mesh() for solid in part.visuals]).bounds
         principal = np.linalg.eigvalsh(inertia_of(part.name))
         assert principal[0] > 0
@@ -183,7 +198,7 @@ def test_inertia_is_one_that_mass_within_the_seen_link_can_have(script):
 def test_footprint_covers_everything_that_is_seen_within_a_centimetre(script, vehicle):
     places = link_places()
     meshes = []
-    for link in script.vehicle()[0]:
+    for link in script.tricycle()[0]:
         for solid in link.visuals:
             meshes.append(solid.mesh().apply_translation(places[link.name]))
     low, high = trimesh.util.concatenate(meshes).bounds
@@ -354,7 +369,7 @@ def test_missing_urdf_is_refused(robot):
 
 
 def test_unknown_robot_lists_the_shipped_ones():
-    with pytest.raises(UserError, match=r"robots: there is no file 'rover'; .* one of: tricycle$"):
+    with pytest.raises(UserError, match=r"robots: there is no file 'rover'; .* one of: jackal_tricycle, tricycle$"):
         load_vehicle("rover")
 
 

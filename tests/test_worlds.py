@@ -1,5 +1,6 @@
 from dataclasses import replace
 from math import pi
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import shapely
 from scipy.stats import kstest, uniform
 from shapely import affinity
 
+import nnql_bullet as nb
 from nnql_bullet import assets, paper
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
@@ -294,7 +296,7 @@ def test_the_papers_worlds_differ_in_their_cover_alone():
         assert world.cover == pytest.approx(float(name[6:]) / 100 if asked is None else asked, abs=0.006)
 
 
-RANGES = {"cells": 1.35, "cluttered": 1.35, "poles": 1.35, "rooms": 1.1}
+RANGES = {"cells": 1.35, "cluttered": 3.35, "poles": 4.35, "rooms": 2.6}
 """Kinds that are drawn over a range of bottlenecks, and how much wider than the vehicle the widest is [m]."""
 
 
@@ -357,6 +359,20 @@ def test_a_layout_that_cannot_be_dense_enough_is_refused_at_once():
         UserError, match=r"layout: as dense as it can be, its bottleneck is \d\.\d\d m and not 0\.\d\d m"
     ):
         source.draw(0, 0.65)
+
+
+@pytest.mark.parametrize("simulator", ["kinematic", "bullet"])
+def test_a_drive_measures_no_bottleneck_and_no_path(simulator, monkeypatch):
+    """They take seconds among 20 000 shapes; reports, pictures and refusals measure them."""
+    monkeypatch.setattr("nnql_bullet.worlds.spec.narrowest_passage", Mock(side_effect=AssertionError))
+    monkeypatch.setattr("nnql_bullet.worlds.paths.shortest_path", Mock(side_effect=AssertionError))
+    recording = nb.drive("straight", world="cover_10", seed=1, simulator=simulator, shield=True)
+    assert recording.summary.duration > 1.0
+    with nb.make_env(simulator=simulator, world="cover_10") as env:
+        env.reset(seed=1)
+        env.step(0)
+    with pytest.raises(AssertionError):
+        load_world("cover_10").draw(1).bottleneck  # noqa: B018
 
 
 def test_every_shipped_world_is_tested():

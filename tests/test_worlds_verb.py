@@ -151,7 +151,7 @@ class TestOtherVerbs:
         assert run_cli("train", *kinematic, "--episodes", 1, "--out", "run")[0] == 0
         config = load_run(Path("run")).config
         assert (config.start, config.target, config.world) == ((-4.0, -2.0, 0.5), (4.0, 2.0), hall)
-        assert changed_sources(Path("run")) == []
+        assert changed_sources(Path("run")) == {}
         code, _, err = run_cli("evaluate", "run", "straight", *kinematic, "--workers", 1, "--out", "e")
         assert code == 0, err
         values = json.loads(Path("e/results.json").read_text())
@@ -163,4 +163,4 @@ class TestOtherVerbs:
         pixels = np.full((80, 120), 254, np.uint8)
         pixels[40, 60] = 0
         Image.fromarray(pixels).save("hall.pgm")
-        assert changed_sources(Path("run")) == [hall]
+        assert list(changed_sources(Path("run"))) == [hall]

@@ -7,11 +7,9 @@ from typing import Annotated, TypeAlias, get_args
 
 from pydantic import Field
 
-from nnql_bullet.agents.learning.double_dqn import DoubleDqnOptions
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.nnql import NnqlOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
-from nnql_bullet.agents.learning.sb3_dqn import Sb3DqnOptions
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.look_ahead import LookAheadOptions

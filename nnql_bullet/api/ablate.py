@@ -1,24 +1,29 @@
 """`ablate`: the evidence for every factor of a preset."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet.arguments import checked
+from nnql_bullet.config import dotted, merged
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.ablation import Budget, Counts, Entry, entries, task_of, train_and_test
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.studies import STUDIES, Study
 from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.reports import ablation as report
 from nnql_bullet.reports.tables import text_table
-from nnql_bullet.run_config import SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, asked_title, driving_with, frozen_keys
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress
+from nnql_bullet.worlds.source import World
 
 MOST_SEEDS = 1000
 """Most trainings of each variant."""
@@ -64,6 +69,12 @@ def ablate(
     only: Sequence[str] | None = None,
     seeds: int | None = None,
     simulator: SimulatorName = "kinematic",
+    worlds: Sequence[str | Path] | None = None,
+    robot: str | Path | VehicleSpec | None = None,
+    speed: float | None = None,
+    conditions: Conditions | None = None,
+    shield: bool = False,
+    changes: Mapping[str, Any] = MappingProxyType({}),
     episodes: int | None = None,
     vehicles: int = 64,
     n_worlds: int = 300,
@@ -71,6 +82,7 @@ def ablate(
     workers: int | None = 1,
     address: str | None = None,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> AblationResults:
     """Trains every variant of every factor of a preset from several seeds, and tests them on validation worlds.
@@ -86,6 +98,12 @@ def ablate(
         only: Names of some factors; all of them if it is not given.
         seeds: Trainings of each variant; by default as the study says.
         simulator: Where policies are trained and tested.
+        worlds: Shipped worlds or files in place of the study's, to train and to test in.
+        robot: A shipped robot, a TOML file or a `Vehicle` in place of the preset's.
+        speed: Speed in place of the preset's [m/s].
+        conditions: Conditions of trainings and tests.
+        shield: Whether each policy is tested in a shield.
+        changes: Nested values laid over the tables drive, shield, task and agent of the preset.
         episodes: Episodes of each training; by default as the study says.
         vehicles: Vehicles that each training learns from at once.
         n_worlds: Validation worlds of each kind.
@@ -94,6 +112,7 @@ def ablate(
         address: HOST:PORT of a running Ray cluster.
         out: Folder for the report; finished trainings are kept there, so that the same call continues after an
             interrupt. Without it nothing is written.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -103,7 +122,8 @@ def ablate(
     split_seeds("validation", n_worlds)
     if seeds is not None and not 1 <= seeds <= MOST_SEEDS:
         raise UserError(f"seeds must be from 1 to {MOST_SEEDS}, not {seeds}")
-    study = _study(preset, only)
+    asked = driving_with(merged({"shield": {}}, changes) if shield else changes, robot, speed)
+    study = _with_asked(_study(preset, only), asked, conditions, worlds)
     budget = Budget(
         simulator=simulator,
         seeds=seeds or study.seeds,
@@ -112,6 +132,8 @@ def ablate(
         worlds=n_worlds,
     )
     where = make_executor(executor, workers, address)
+    if check and "robot" in asked:
+        check_at_first_use(asked["robot"], simulator, "reference", on_progress)
     trials = [
         (factor.name, variant.label, task_of(study, variant, seed, budget))
         for seed in range(budget.seeds)
@@ -129,6 +151,28 @@ def ablate(
         if folder:
             results.save(folder)
     return results
+
+
+def _with_asked(
+    study: Study, asked: Mapping[str, Any], conditions: Conditions | None, worlds: Sequence[str | Path] | None
+) -> Study:
+    """The study with what is asked for in all of its trainings.
+
+    Raises:
+        UserError: If a value is asked for that a factor varies, or there is no such world.
+    """
+    words = filter(None, ("in a shield" if "shield" in asked else "", asked_title(conditions, frozen_keys(asked))))
+    base = {**asked, "conditions": conditions}
+    if worlds:
+        names = [str(world) for world in worlds]
+        study = replace(study, tiers={name: World.load(name).name for name in names})
+        base |= {"world": names[0], "training": {"worlds": names if len(names) > 1 else []}}
+    for factor in study.factors:
+        varied = {key for variant in factor.variants for key in dotted(variant.changes)}
+        both = sorted(varied & dotted(base).keys())
+        if both:
+            raise UserError(f"'{both[0]}' is what the factor '{factor.name}' varies; leave that out, or name others")
+    return replace(study, base=merged(study.base, base), asked=", ".join(words))
 
 
 def _study(preset: str, only: Sequence[str] | None) -> Study:

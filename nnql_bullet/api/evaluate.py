@@ -1,10 +1,11 @@
 """`evaluate`: policies through the same worlds, with intervals."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet.arguments import checked
@@ -13,6 +14,7 @@ from nnql_bullet.evaluation.drives import (
     FilmTask,
     Setting,
     Tier,
+    WorldFiles,
     check_setting,
     draw_tiers,
     drive,
@@ -25,8 +27,9 @@ from nnql_bullet.evaluation.drives import (
 from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
-from nnql_bullet.evaluation.splits import SplitName, choose_draws
+from nnql_bullet.evaluation.splits import Draws, SplitName, choose_draws
 from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import Recording
@@ -36,12 +39,15 @@ from nnql_bullet.reports import evaluation as report
 from nnql_bullet.reports.failures import FILES
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.rollout import EpisodeSummary
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.sources import SOURCES, keep_files
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 WORLDS = ("paper", "cover_10", "cover_15")
 """Worlds that policies are evaluated in by default."""
@@ -49,7 +55,7 @@ CLIP = 12.0
 """Length of a clip of a failure [s]."""
 CLIP_SIZE = (960, 540)
 """Size of a clip [pixels]."""
-_OLD = ("cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
+_OLD = (SOURCES, "cover.png", "failures.png", "clips/*.mp4", *(f"failures/{pattern}" for pattern in FILES))
 """Files of an older report that a new one may be without."""
 
 
@@ -120,6 +126,8 @@ class EvaluationResults:
             for task in tasks[:clips]:
                 (out / "clips").mkdir(exist_ok=True)
                 render_ending(failures / task.name, out / "clips" / f"{Path(task.name).stem}.mp4", CLIP, CLIP_SIZE)
+            files = [world.file for tier in e.tiers for world in tier.worlds if not tier.given]
+            keep_files(files, e.setting.robot, out)
             write_text(out / "results.json", json.dumps(values, indent=1) + "\n")
         return values
 
@@ -134,16 +142,22 @@ def evaluate(
     seeds: range | None = None,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
+    robot: str | Path | VehicleSpec | None = None,
+    speed: float | None = None,
     conditions: Conditions | None = None,
     shield: bool = False,
+    changes: Mapping[str, Any] = MappingProxyType({}),
     allow_impassable: bool = False,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
+    plan: bool = False,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     address: str | None = None,
     out: Path | str | None = None,
     clips: int = 0,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
@@ -167,11 +181,18 @@ def evaluate(
         seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
         simulator: "bullet", "mujoco" or "kinematic".
         physics: Solver settings of contact physics.
+        robot: A shipped robot, a TOML file or a `Vehicle` in place of each policy's own.
+        speed: Speed in place of each policy's own [m/s].
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
+        changes: Nested values laid over the tables drive, shield, plan, task and agent of each policy's configuration;
+            those of a shield hold for policies in a shield.
         allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
+            file of them (see `waypoints.read_waypoints`).
+        plan: Whether a plan of the way through the whole world leads each policy.
         executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
             more. A script that starts processes needs `if __name__ == "__main__":`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
@@ -179,6 +200,7 @@ def evaluate(
         out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
         clips: Most videos of failures in `out`.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -191,27 +213,67 @@ def evaluate(
     if out is not None and clips:
         check_encoder()
     first, last = (None if place is None else tuple(place) for place in (start, target))
-    setting = Setting(simulator, physics, conditions, allow_impassable, first, last)
-    opened = open_policies(policies, shield)
+    keys = frozen_keys(driving_with(changes, robot, speed))
+    between, plan = None if waypoints is None else as_waypoints(waypoints), plan or "plan" in changes
+    setting = Setting(simulator, physics, conditions, allow_impassable, first, last, between, plan, keys)
+    opened = open_policies(policies, shield or "shield" in changes, setting.robot)
     where = executor_for(opened, executor, workers, address)
-    if out is not None and Path(out).exists() and not Path(out).is_dir():
-        raise UserError(f"{out}: is a file; give a folder")
     if not worlds:
         raise UserError("give a world")
-    for policy in opened:
-        check_setting(policy, setting)
-    tiers, refused = draw_tiers(worlds, draws, setting, opened)
     asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
+
+    def save(evaluation: Evaluation, folder: Path) -> None:
+        EvaluationResults(evaluation).save(folder, clips, where, on_progress)
+
+    evaluation = run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress, check)
+    return EvaluationResults(evaluation)
+
+
+def run_evaluation(
+    policies: Sequence[Policy],
+    worlds: Sequence[str | Path | World | WorldFiles],
+    asked: Sequence[str],
+    draws: Draws,
+    setting: Setting,
+    executor: Executor,
+    out: Path | str | None,
+    save: Callable[[Evaluation, Path], object],
+    on_progress: OnProgress | None,
+    check: bool,
+) -> Evaluation:
+    """Drives policies through worlds, and saves what comes of it into a folder that no other process writes to.
+
+    Args:
+        policies: The policies.
+        worlds: The worlds.
+        asked: What the worlds are called on a command line.
+        draws: Which worlds of each kind.
+        setting: The setting.
+        executor: Where pieces run.
+        out: The folder, where finished pieces are kept too; without it nothing is kept or saved.
+        save: Writes the report into the folder.
+        on_progress: Receives the progress.
+        check: Whether a robot that is not shipped is checked when it is first driven in contact physics.
+
+    Raises:
+        UserError: See `evaluate`.
+        WorkFailed: If a piece of work fails.
+    """
+    if out is not None and Path(out).exists() and not Path(out).is_dir():
+        raise UserError(f"{out}: is a file; give a folder")
+    robots = [check_setting(policy, setting) for policy in policies]
+    tiers, refused = draw_tiers(worlds, draws, setting, policies)
     folder = None if out is None else Path(out)
     with locked(folder):
+        for its in dict.fromkeys(robots if check else ()):
+            check_at_first_use(its, setting.simulator, setting.physics, on_progress)
         parts = Parts(folder / "parts" if folder else None)
-        difficulties, drives = _driven(where, opened, tiers, setting, parts, on_progress)
-        random = frozenset(its.name for its in opened if its.custom is None and has_chance(its, setting.changes))
-        evaluation = Evaluation(asked, draws, setting, opened, tiers, difficulties, drives, refused, random)
-        results = EvaluationResults(evaluation)
+        difficulties, drives = _driven(executor, policies, tiers, setting, parts, on_progress)
+        random = frozenset(p.name for p in policies if p.custom is None and has_chance(p, setting.changes(p)))
+        evaluation = Evaluation(asked, draws, setting, policies, tiers, difficulties, drives, refused, random)
         if folder:
-            results.save(folder, clips, where, on_progress)
-    return results
+            save(evaluation, folder)
+    return evaluation
 
 
 def _driven(

@@ -1,6 +1,7 @@
 """`failures`: failed drives of an evaluation, driven again and sorted."""
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,10 @@ from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.reports import failures as report
 from nnql_bullet.reports.tables import text_table
+from nnql_bullet.sources import changed_sources
 from nnql_bullet.work import OnProgress, run_all
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,12 @@ def failures(
         evaluation = finished(results.evaluation)
     else:
         evaluation = open_evaluation(Path(results))
+        for name, difference in changed_sources(Path(results)).items():
+            _log.warning(
+                "%s has changed since the evaluation (%s); the drives are repeated with its own copy, as it was then; "
+                "with what the file says now: %s",
+                *(name, difference, evaluation.command),
+            )
     chosen = choose(evaluation.failed, most)
     where = executor_for([one.film.policy for one in chosen], executor, workers)
     check_policies(evaluation, chosen)

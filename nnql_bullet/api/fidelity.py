@@ -9,6 +9,7 @@ from typing import Any
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.experiment import refuse_speed
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
 from nnql_bullet.fidelity.probe import Bench
@@ -21,6 +22,7 @@ from nnql_bullet.reports import fidelity as report
 from nnql_bullet.reports import stopping as stopping_report
 from nnql_bullet.reports.fidelity import Fidelity
 from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.vehicle.controller import own_speed
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.work import OnProgress, Progress, run_all, silent
@@ -64,6 +66,7 @@ class FidelityResults:
 def check_fidelity(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
+    speed: float | None = None,
     simulator: EngineName = "bullet",
     physics: PhysicsName = "reference",
     out: Path | str | None = None,
@@ -81,6 +84,7 @@ def check_fidelity(
 
     Args:
         vehicle: A shipped robot, a TOML file or a `Vehicle`.
+        speed: Speed at which it drives [m/s]; by default its own.
         simulator: An engine of contact physics.
         physics: Its solver settings.
         out: Folder for the report; without it nothing is written.
@@ -89,7 +93,7 @@ def check_fidelity(
     Raises:
         UserError: If the vehicle cannot be read, the engine is not installed, or another process writes to `out`.
     """
-    spec, report_to = load_vehicle(vehicle), on_progress or silent
+    spec, report_to = _at_speed(load_vehicle(vehicle), speed), on_progress or silent
     bench = Bench(spec, simulator, physics)
     with bench.open_engine() as engine:  # an engine that is not installed shows here
         time_step = engine.time_step
@@ -99,6 +103,17 @@ def check_fidelity(
         if folder:
             results.save(folder)
     return results
+
+
+def _at_speed(vehicle: VehicleSpec, speed: float | None) -> VehicleSpec:
+    """The vehicle with a speed of its own.
+
+    Raises:
+        UserError: If it does not reach it.
+    """
+    if speed is not None and not 0 < speed <= own_speed(vehicle):
+        refuse_speed(vehicle, speed)
+    return vehicle.driving_at(speed)
 
 
 def _measured(bench: Bench, time_step: float, report_to: OnProgress) -> Fidelity:
@@ -168,6 +183,7 @@ class EnvelopeResults:
 def envelope(
     vehicle: str | Path | VehicleSpec = "tricycle",
     *,
+    speed: float | None = None,
     simulator: EngineName = "bullet",
     physics: PhysicsName = "reference",
     executor: ExecutorKind | None = None,
@@ -179,6 +195,7 @@ def envelope(
 
     Args:
         vehicle: A shipped robot, a TOML file or a `Vehicle`.
+        speed: Speed at which it drives [m/s]; by default its own.
         simulator: An engine of contact physics.
         physics: Its solver settings.
         executor: See `evaluate`.
@@ -190,7 +207,7 @@ def envelope(
         UserError: If the vehicle cannot be read, the engine is not installed, or another process writes to `out`.
         WorkFailed: If a measurement fails.
     """
-    spec = load_vehicle(vehicle)
+    spec = _at_speed(load_vehicle(vehicle), speed)
     bench = Bench(spec, simulator, physics)
     with bench.open_engine():  # an engine that is not installed shows here
         pass

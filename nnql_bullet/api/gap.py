@@ -1,9 +1,11 @@
 """`gap`: the same policies, worlds and seeds in two simulators."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from nnql_bullet.arguments import checked
@@ -15,13 +17,15 @@ from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import RECORDINGS
 from nnql_bullet.reports import gap as report
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike, load_policy
 from nnql_bullet.sim.engines import EngineName, PhysicsName
+from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.source import World
 
@@ -75,11 +79,16 @@ def gap(
     seeds: range | None = None,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    robot: str | Path | VehicleSpec | None = None,
+    speed: float | None = None,
     conditions: Conditions | None = None,
+    shield: bool = False,
+    changes: Mapping[str, Any] = MappingProxyType({}),
     faults: bool = True,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     out: Path | str | None = None,
+    check: bool = True,
     on_progress: OnProgress | None = None,
 ) -> GapResults:
     """Measures the sim-to-sim gap: the same policies, worlds and seeds in two simulators, drive by drive.
@@ -102,11 +111,16 @@ def gap(
         seeds: Seeds of the worlds, in place of `split` and `n_worlds`.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        robot: A shipped robot, a TOML file or a `Vehicle` in place of each policy's own.
+        speed: Speed in place of each policy's own [m/s].
         conditions: Conditions in place of each policy's own.
+        shield: Whether each policy drives in a shield.
+        changes: Nested values laid over the tables drive, shield, task and agent of each policy's configuration.
         faults: Whether policies drive with a series of faults too, which takes some twelve times as long.
         executor: See `evaluate`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
 
     Raises:
@@ -122,16 +136,19 @@ def gap(
             raise UserError("start and target are places in a world: give one")
         world = World.load(world).between(start, target)
     first, second = Side(against, physics), Side(simulator, physics)
-    opened = open_policies(policies)
+    in_shield, keys = shield or "shield" in changes, frozen_keys(driving_with(changes, robot, speed))
+    robot = dict(keys).get("robot")
+    opened = [its for its in open_policies(policies, in_shield, robot, world is None) if its.shielded == in_shield]
     where = executor_for(opened, executor, workers)
-    for policy in opened:
-        measure.check(PairTask(policy, world, draws.seeds, first, second, conditions))
-    changes = {"world": world, "conditions": conditions}
-    experiment = load_policy(opened[0].source, changes).experiment
-    chances = [has_chance(policy, changes) for policy in opened]
+    ours = [measure.check(PairTask(policy, world, draws.seeds, first, second, conditions, keys)) for policy in opened]
+    for its, side in product(dict.fromkeys(ours if check else ()), (against, simulator)):
+        check_at_first_use(its, side, physics, on_progress)
+    asked = [{"world": world, "conditions": conditions} | policy.changes(keys) for policy in opened]
+    experiment = load_policy(opened[0].source, asked[0]).experiment
+    chances = [has_chance(policy, its) for policy, its in zip(opened, asked, strict=True)]
     numbers = {one: len(distinct(experiment, experiment.worlds, draws.seeds, one)) for one in set(chances)}
     driven = [draws.seeds[: numbers[one]] for one in chances]
-    tasks = measure.tasks(opened, world, driven, first, second, conditions, faults)
+    tasks = measure.tasks(opened, world, driven, first, second, conditions, faults, keys)
     pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
     drives = [drive for piece in pieces for drive in piece]
     pairs = [drive for drive in drives if isinstance(drive, Pair)]
@@ -139,7 +156,10 @@ def gap(
     prints = tuple(policy.fingerprint for policy in opened)
     names = tuple(policy.path for policy in opened)
     ends = tuple(flags({"start": start, "target": target}))
-    results = GapResults(Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends))
+    robots = tuple(policy.robot for policy in opened)
+    results = GapResults(
+        Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends, keys, in_shield, robots)
+    )
     if out is not None:
         with locked(Path(out)):
             results.save(out)

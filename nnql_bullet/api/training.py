@@ -7,6 +7,7 @@ from typing import Any
 from nnql_bullet import session
 from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
+from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.rollout import Policy
@@ -29,6 +30,7 @@ def train(
     reward: Reward | None = None,
     workers: int | None = 1,
     overwrite: bool = False,
+    check: bool = True,
     on_progress: OnProgress | None = None,
     stop: Callable[[], bool] = never,
     **changes: Any,
@@ -51,6 +53,7 @@ def train(
         workers: Processes (contact physics) or threads (kinematic model) that share the vehicles; None takes one a
             core. The result does not depend on it.
         overwrite: Whether to start anew in a folder that holds a run already.
+        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress after every episode.
         stop: Asked after every episode; True ends the training with a checkpoint to resume from.
         **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, world, simulator, physics,
@@ -66,6 +69,8 @@ def train(
         changes["training"] = {"worlds": [], **changes.get("training", {})}
     asked = {key: str(value) if isinstance(value, Path) else value for key, value in changes.items()}
     resolved = changed(config, **asked) if isinstance(config, RunConfig) else load_config(str(config), asked)
+    if check:
+        check_at_first_use(resolved.robot, resolved.simulator, resolved.physics, on_progress)
     name = "run" if isinstance(config, RunConfig) else Path(config).stem
     folder = Path("runs") / f"{name}-{resolved.seed}" if out is None else Path(out)
     return _with_curve(

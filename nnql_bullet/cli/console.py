@@ -16,15 +16,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import RobotWarning, UserError
 from nnql_bullet.files import is_file
 from nnql_bullet.machine import open_streams
 from nnql_bullet.text import one_line, printable
 from nnql_bullet.work import OnProgress, Progress
 
 UNSUPPORTED = (
-    f"CPython 3.10 or 3.11 is needed, not {sys.version.split()[0]}: PyBullet has no wheels for it"
-    if not (3, 10) <= sys.version_info < (3, 12)
+    f"CPython 3.10 or a newer one is needed, not {sys.version.split()[0]}"
+    if sys.version_info < (3, 10)
     else "Windows is not supported; run it in the Windows Subsystem for Linux (WSL 2)"
     if os.name == "nt"
     else ""
@@ -108,10 +108,11 @@ class _Telling(logging.Handler):
 
 @contextmanager
 def messages() -> Iterator[None]:
-    """Prints what the library logs for information, and warnings of others, in lines on standard error."""
+    """Prints in lines on standard error what the library logs, and warnings; standard output is for results."""
 
-    def warn(message: Warning | str, *_: object) -> None:
-        tell(one_line(str(message).strip().partition("\n")[0]))
+    def warn(message: Warning | str, category: type[Warning], *_: object) -> None:
+        text = str(message).strip()
+        tell(f"nnql-bullet: {one_line(text)}" if issubclass(category, RobotWarning) else text.partition("\n")[0])
 
     logger, handler = logging.getLogger("nnql_bullet"), _Telling()
     before = logger.level
@@ -119,6 +120,7 @@ def messages() -> Iterator[None]:
     logger.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("always", RobotWarning)
             warnings.showwarning = warn  # type: ignore[assignment]  # takes what it does not say
             yield
     finally:

@@ -1,23 +1,21 @@
 """`nnql-bullet drive`."""
 
-from collections.abc import Mapping
 from json import dumps
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
-from nnql_bullet.config import merged
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
 from nnql_bullet.render.video import check_encoder
 from nnql_bullet.render.window import check_window, watch
-from nnql_bullet.run_config import Conditions, RunConfig, SimulatorName, conditions_of
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.sim.engines import PhysicsName
 
 BEST = Path("double_dqn")
@@ -30,21 +28,19 @@ def drive(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
+    waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None,
+    plan: bool = False,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
-    robot: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
-    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None,
     shield: bool = False,
     allow_impassable: bool = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     video: bool = False,
     gui: bool = False,
     json: bool = False,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
-    keys: Annotated[
-        Mapping[str, Any], KeyFlags(RunConfig, ("drive", "task", "agent", "shield"), shown=lambda name: False)
-    ] = MappingProxyType({}),
+    check: bool = True,
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive a policy through a world that it has not seen, and leave a recording and a picture.
 
@@ -52,15 +48,11 @@ def drive(
     A rule has nothing to learn: straight (at the target), random (turns where something is near), hand_rule,
     potential_field, fuzzy, vfh (VFH+) or look_ahead.
 
-    In place of the policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
-    --sensor-range [m], --blind-arc FROM TO [degrees]. Keys that begin with agent, drive, shield or task are flags
-    too, such as --shield.margin. To list them: nnql-bullet keys
-
     For example:
 
         nnql-bullet drive --world traps --video
         nnql-bullet drive runs/paper-0 --world cover_10 --seed 4 --json
+        nnql-bullet drive --world office.yaml --start 2,3,0 --waypoints "8,3;8,12" --plan --shield
         nnql-bullet drive vfh --shield --agent.window 6 --conditions.payload 80
 
     Args:
@@ -70,11 +62,13 @@ def drive(
             `nnql-bullet worlds` reads; default that of the training (rules: paper).
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
+        waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
+        plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.
+            For goals beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m],
+            --plan.room [m], --plan.caution.
         seed: Seed of the world.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
-        robot: Shipped robot or TOML file (see `nnql-bullet robot`); default that of the training.
-        speed: Speed [m/s]; default that of the policy, or the robot's own if that is less.
         shield: Take the best action that leaves room to stop; else brake, and turn on the spot.
         allow_impassable: Drive even if the vehicle is too wide for every path to the target.
         out: Folder for trajectory.npz and .png; films of another drive in it are removed. Default
@@ -82,30 +76,33 @@ def drive(
         video: Leave trajectory.mp4 as well; `render` draws others from the recording.
         gui: Show the drive in PyBullet's window, in real time. It needs a display.
         json: Print one JSON object instead of text.
-        conditions: Conditions in place of the policy's own.
-        keys: Other keys of the configuration.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
+        keys: Values in place of the policy's own.
     """
-    asked, in_shield = conditions_of(conditions), shield or "shield" in keys
+    asked, in_shield, planned = asked_for(keys), shield or "shield" in keys, plan or "plan" in keys
     if video:
         check_encoder()
     if gui:
         check_window()
-    tell_warnings([world], start, target)
-    recording = driving.drive(
-        policy,
-        world=world,
-        start=start,
-        target=target,
-        seed=seed,
-        simulator=sim,
-        physics=physics,
-        vehicle=robot,
-        shield=in_shield,
-        allow_impassable=allow_impassable,
-        conditions=asked,
-        changes=merged(keys, {"drive": {"speed": speed}}) if speed is not None else keys,
-    )
-    files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, asked))
+    tell_warnings([world], start, waypoints[-1] if waypoints else target)
+    with progress() as show:
+        recording = driving.drive(
+            policy,
+            world=world,
+            start=start,
+            target=target,
+            waypoints=waypoints,
+            plan=planned,
+            seed=seed,
+            simulator=sim,
+            physics=physics,
+            shield=in_shield,
+            allow_impassable=allow_impassable,
+            check=check,
+            on_progress=show,
+            **asked,
+        )
+    files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, planned, **asked))
     if video:
         files["video"] = files["recording"].with_suffix(".mp4")
         with progress() as show:
@@ -121,6 +118,8 @@ def drive(
         "smallest_clearance": summary.clearance,
         "seed": seed,
         "world": recording.world.name,
+        **({"waypoint_times": summary.waypoint_times} if recording.world.waypoints else {}),
+        "robot": recording.about["vehicle"]["name"],
     }
     if json:
         say(dumps(result | {what: str(path) for what, path in files.items()}))
@@ -129,6 +128,9 @@ def drive(
         f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
         f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
     )
+    times = [f"{number} after {time:.1f} s" for number, time in enumerate(summary.waypoint_times, 1)]
+    if recording.world.waypoints:
+        say(", ".join([f"way points: {len(times)} of {len(recording.world.waypoints)} reached", *times]))
     for what, path in files.items():
         say(f"{what}: {path}")
     return 0

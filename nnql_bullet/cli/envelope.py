@@ -13,6 +13,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 
 def envelope(
     robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tricycle",
+    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None,
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
@@ -34,16 +35,25 @@ def envelope(
 
     Args:
         robot: Shipped robot or TOML file.
+        speed: Speed in the middle of those that are measured; default its own.
         sim: Engine of contact physics.
         physics: Its solver settings.
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/envelope/ROBOT-ENGINE-PHYSICS.
     """
     vehicle = load_vehicle(robot)
-    folder = out or Path("runs") / "envelope" / f"{vehicle.name}-{sim}-{physics}"
+    at = "" if speed is None else f"-{speed:g}"
+    folder = out or Path("runs") / "envelope" / f"{vehicle.name}{at}-{sim}-{physics}"
     with progress() as show:
         results = api.envelope(
-            vehicle, simulator=sim, physics=physics, executor="processes", workers=workers, out=folder, on_progress=show
+            vehicle,
+            speed=speed,
+            simulator=sim,
+            physics=physics,
+            executor="processes",
+            workers=workers,
+            out=folder,
+            on_progress=show,
         )
     say(results.table())
     say(f"reports: {folder / 'envelope.md'}, {folder / 'stopping.md'}")

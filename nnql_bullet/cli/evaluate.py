@@ -1,21 +1,20 @@
 """`nnql-bullet evaluate`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.reports import evaluation as report
-from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.sim.engines import PhysicsName
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
@@ -32,6 +31,8 @@ def evaluate(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE|DIR,...")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
+    waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None,
+    plan: bool = False,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
@@ -42,17 +43,14 @@ def evaluate(
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
     json: bool = False,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
+    check: bool = True,
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Drive policies through the same worlds; say how good each is and how sure that is.
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
     evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. The same inputs give
     the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command goes on.
-
-    In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
-    --sensor-range [m], --blind-arc FROM TO [degrees]. To read more: nnql-bullet keys conditions
 
     For example:
 
@@ -70,6 +68,10 @@ def evaluate(
             reads, or folders of such files, each counted as one kind.
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
+        waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
+        plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.
+            For goals beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m],
+            --plan.room [m], --plan.caution.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
@@ -80,10 +82,11 @@ def evaluate(
         clips: Most videos of failures, in DIR/clips.
         out: Folder of the report.
         json: Print results.json instead of the table.
-        conditions: Conditions in place of each policy's own.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
+        keys: Values in place of each policy's own.
     """
     files = _files(cover, world)
-    tell_warnings(files, start, target)
+    tell_warnings(files, start, waypoints[-1] if waypoints else target)
     try:
         with progress() as show:
             results = api.evaluate(
@@ -94,16 +97,19 @@ def evaluate(
                 seeds=seed_range(seeds),
                 simulator=sim,
                 physics=physics,
-                conditions=conditions_of(conditions),
                 shield=shield,
+                **asked_for(keys),
                 allow_impassable=allow_impassable,
                 start=start,
                 target=target,
+                waypoints=waypoints,
+                plan=plan,
                 executor=executor,
                 workers=workers,
                 address=address,
                 out=out,
                 clips=clips,
+                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

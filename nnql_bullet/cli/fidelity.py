@@ -13,6 +13,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 
 def fidelity(
     robot: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "tricycle",
+    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None,
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
@@ -31,14 +32,16 @@ def fidelity(
 
     Args:
         robot: Shipped robot or TOML file.
+        speed: Speed at which it drives; default its own.
         sim: Engine of contact physics.
         physics: Its solver settings.
         out: Folder of the report; default runs/fidelity/ROBOT-ENGINE-PHYSICS.
     """
     vehicle = load_vehicle(robot)
-    folder = out or Path("runs") / "fidelity" / f"{vehicle.name}-{sim}-{physics}"
+    at = "" if speed is None else f"-{speed:g}"
+    folder = out or Path("runs") / "fidelity" / f"{vehicle.name}{at}-{sim}-{physics}"
     with progress() as show:
-        results = api.check_fidelity(vehicle, simulator=sim, physics=physics, out=folder, on_progress=show)
+        results = api.check_fidelity(vehicle, speed=speed, simulator=sim, physics=physics, out=folder, on_progress=show)
     say(results.table())
     say(f"report: {folder / 'fidelity.md'}")
     return 0 if results.ok else 1

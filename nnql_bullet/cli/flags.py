@@ -3,7 +3,7 @@
 import functools
 import shutil
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from inspect import Parameter, getdoc, signature
 from itertools import takewhile
@@ -14,9 +14,10 @@ from tyro import _errors as tyro_errors
 
 from nnql_bullet.cli.console import say
 from nnql_bullet.commands import flag
-from nnql_bullet.config import Key, abouts_of, keys, nearest
+from nnql_bullet.config import Key, abouts_of, keys, nearest, nested
 from nnql_bullet.errors import UserError
-from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS
+from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, conditions_of
+from nnql_bullet.worlds.waypoints import read_waypoints
 
 RENAMED_FLAGS = {
     "--friction": "--conditions.wheel-friction",
@@ -26,9 +27,15 @@ RENAMED_FLAGS = {
     **{flag(old): flag(new) for old, new in RENAMED_KEYS.items()},
 }
 """Flags of version 0.1, and their names now."""
-SHORT_FLAGS = {"rays": "--rays", "sensor_range": "--sensor-range", "blind_arc_degrees": "--blind-arc"}
-"""Short flags of some keys of the conditions."""
+SHORT_FLAGS = {
+    "drive.speed": "--speed",
+    "conditions.rays": "--rays",
+    "conditions.sensor_range": "--sensor-range",
+    "conditions.blind_arc_degrees": "--blind-arc",
+}
+"""Short flags of some keys of a configuration."""
 GROUPS = {
+    "goal": ("start", "target", "waypoints", "plan"),
     "simulation": ("sim", "against", "physics", "shield", "faults"),
     "picture": ("camera", "size", "fps", "speed", "begin", "end", "renderer"),
     "output": ("out", "video", "gui", "clips", "format", "frames", "sheet", "json"),
@@ -53,6 +60,16 @@ NUMBERS = tyro.constructors.PrimitiveConstructorSpec[tuple[float, ...]](
     str_from_instance=lambda its: [] if its is None else [",".join(map(str, its))],
 )
 """Annotates numbers with commas or spaces between them."""
+WAYPOINTS = tyro.constructors.PrimitiveConstructorSpec[tuple[tuple[float, float], ...]](
+    nargs=1,
+    metavar="FILE|X,Y;...",
+    instance_from_str=lambda words: read_waypoints(words[0]),
+    is_instance=lambda its: isinstance(its, tuple),
+    str_from_instance=lambda its: [";".join(f"{x},{y}" for x, y in its)],
+)
+"""Annotates way points, which may be in a file."""
+Waypoints = Annotated[tuple[tuple[float, float], ...] | None, WAYPOINTS]
+"""The places to reach in turn."""
 Place = Annotated[tuple[float, ...] | None, NUMBERS]
 """The numbers of a start or target."""
 _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
@@ -62,21 +79,62 @@ _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
 class KeyFlags:
     """Annotates a parameter of a verb that takes nested values: each key of an options class is a flag."""
 
-    cls: type
-    tables: tuple[str, ...] = ()
-    """Only keys in these tables; all by default."""
-    shown: Callable[[str], bool] = lambda name: True
-    """Whether `--help` shows a key."""
-
-    def table(self, parameter: str) -> str:
-        """The table that the keys are in, with a dot: the parameter's name where it names the options class."""
-        return f"{parameter}." if self.cls.__name__.lower() == parameter else ""
+    cls: type = RunConfig
+    names: tuple[str, ...] = ()
+    """Only keys that begin like this; all by default."""
+    shown: tuple[str, ...] = ()
+    """Keys that `--help` shows; by default those that are in no table."""
+    title: str = "configuration"
+    """Title of their group in `--help`."""
+    defaults: bool = True
+    """Whether they take the place of the defaults, which `--help` then shows."""
+    about: str = ""
+    """A paragraph of `--help` about the keys that it does not show."""
 
     def keys(self, for_help: bool) -> list[Key]:
         """The keys that have a flag."""
-        tables = tuple(f"{table}." for table in self.tables)
-        found = [key for key in keys(self.cls) if key.name.startswith(tables or "")]
-        return [key for key in found if not for_help or self.shown(key.name)]
+        found = [key for key in keys(self.cls) if not self.names or key.name.startswith(self.names)]
+        if not for_help:
+            return found
+        if not self.shown:
+            return [key for key in found if "." not in key.name]
+        return [key for name in self.shown for key in found if key.name == name]
+
+
+DriveKeys = Annotated[
+    Mapping[str, Any],
+    KeyFlags(
+        names=("robot", "conditions.", "drive.", "shield.", "plan.", "task.", "agent."),
+        shown=("robot", *SHORT_FLAGS),
+        title="vehicle",
+        defaults=False,
+        about=(
+            "Conditions are flags too: --conditions.wheel-friction, --conditions.payload [kg], "
+            "--conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). So is "
+            "every key that begins with agent, drive, plan, shield or task, such as --shield.margin, which asks for a "
+            "shield as --shield does. To list them: nnql-bullet keys shield"
+        ),
+    ),
+]
+"""Values of a verb that drives, in place of each policy's own."""
+OF_DRIVES = ("--world", "--seed", "--seeds", "--start", "--target", "--sim", "--shield", "--robot", "--speed", "--rays")
+"""Flags of drives that people may look for where nothing is driven."""
+ELSEWHERE = {
+    "failures": "the drives are those of the evaluation; give it to `evaluate`",
+    "view": "a recording is shown as it was driven; give it to `drive`",
+    "report": "it shows what there is; give it to `train`, `evaluate` or `gap`",
+}
+"""What verbs that drive nothing of their own say of flags of drives."""
+
+
+def asked_for(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Sorts the values of `DriveKeys` into arguments of the library's functions.
+
+    Raises:
+        UserError: If a value is wrong.
+    """
+    changes = {key: value for key, value in given.items() if key != "conditions"}
+    return {"conditions": conditions_of(given.get("conditions", {})), "changes": changes}
 
 
 def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Callable[[], int]:
@@ -97,7 +155,8 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
     for_help = not {"-h", "--help"}.isdisjoint(arguments)
     about, _, examples = (getdoc(verb) or "").partition("\n\nArgs:")[0].partition("For example:\n")
     if for_help:
-        say(_wrapped(about))
+        marks = filter(None, map(_mark, get_type_hints(verb, include_extras=True).values()))
+        say(_wrapped("\n\n".join((about.strip(), *(mark.about for mark in marks)))))
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
         raise UserError(f"{_mistake(event, verb, arguments)}; see: {prog} --help")
@@ -127,8 +186,9 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
         return functools.partial(verb, *args, **single, **grouped)
 
     hints, abouts = get_type_hints(verb, include_extras=True), abouts_of(verb)
+    taken = frozenset(map(flag, hints))
     parameters = [
-        _parameter(its, hints[its.name], abouts.get(its.name, ""), for_help)
+        _parameter(its, hints[its.name], abouts.get(its.name, ""), for_help, taken)
         for its in signature(verb).parameters.values()
     ]
     if len(parameters) >= GROUPED_FROM:
@@ -141,12 +201,12 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
     return note
 
 
-def _parameter(its: Parameter, hint: Any, about: str, for_help: bool) -> Parameter:
+def _parameter(its: Parameter, hint: Any, about: str, for_help: bool, taken: frozenset[str]) -> Parameter:
     """A parameter of a verb as tyro takes it."""
     mark = _mark(hint)
     if mark:
-        constructor, table = _flags_class(tuple(mark.keys(for_help))), mark.table(its.name).rstrip(".")
-        return _nested(its.name, table or "configuration", constructor, prefixed=bool(table))
+        constructor = _flags_class(tuple(mark.keys(for_help)), taken, mark.defaults, for_help)
+        return _nested(its.name, mark.title, constructor)
     choices = _choices(hint)
     told = tyro.conf.arg(help=about, help_behavior_hint=functools.partial(_hint, choices))
     named = (tyro.conf.arg(metavar="NAME"),) if choices else ()
@@ -156,12 +216,12 @@ def _parameter(its: Parameter, hint: Any, about: str, for_help: bool) -> Paramet
 def _grouped(title: str, group: Sequence[Parameter]) -> Parameter:
     """One parameter in place of several, which `--help` shows together."""
     parts = [(its.name, its.annotation, its.default) for its in group]
-    return _nested(title.replace(" ", "_"), title, make_dataclass("Group", parts, frozen=True), prefixed=False)
+    return _nested(title.replace(" ", "_"), title, make_dataclass("Group", parts, frozen=True))
 
 
-def _nested(name: str, title: str, cls: type, prefixed: bool) -> Parameter:
+def _nested(name: str, title: str, cls: type) -> Parameter:
     """A parameter that takes a dataclass, with a flag for each of its fields."""
-    marks = (tyro.conf.arg(name=title, constructor=cls), *(() if prefixed else (tyro.conf.OmitArgPrefixes,)))
+    marks = (tyro.conf.arg(name=title, constructor=cls), tyro.conf.OmitArgPrefixes)
     return Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=Annotated[(Any, *marks)])
 
 
@@ -179,8 +239,15 @@ def _hint(choices: Sequence[str], default: object) -> str:
 
 
 @functools.cache
-def _flags_class(found: tuple[Key, ...]) -> type:
-    """A dataclass with a field for each key, None unless its flag is given."""
+def _flags_class(found: tuple[Key, ...], taken: frozenset[str], defaults: bool, for_help: bool) -> type:
+    """A dataclass with a field for each key, None unless its flag is given.
+
+    Args:
+        found: The keys.
+        taken: Flags of the verb's own, which are no short flags of keys.
+        defaults: Whether `--help` shows the defaults of the keys.
+        for_help: Whether each key has its first flag alone.
+    """
     by_name: dict[str, list[Key]] = {}
     for key in found:
         by_name.setdefault(key.name, []).append(key)
@@ -190,11 +257,11 @@ def _flags_class(found: tuple[Key, ...]) -> type:
             Annotated[
                 _joined([key.type for key in its]) | None,
                 tyro.conf.arg(
-                    name=flag(name).removeprefix("--"),
-                    aliases=_short_flags(name),
+                    name=_flags_of_key(name, taken)[0].removeprefix("--"),
+                    aliases=() if for_help else _flags_of_key(name, taken)[1:],
                     help=its[0].about,
                     metavar=_metavar(its[0].type),
-                    help_behavior_hint=_hint(_choices(its[0].type), its[0].default),
+                    help_behavior_hint=_hint(_choices(its[0].type), its[0].default if defaults else None),
                 ),
             ],
             None,
@@ -204,10 +271,10 @@ def _flags_class(found: tuple[Key, ...]) -> type:
     return make_dataclass("KeysGiven", parts, frozen=True)
 
 
-def _short_flags(name: str) -> tuple[str, ...]:
-    """The other flags of a key, of the conditions' own table or of a configuration."""
-    short = SHORT_FLAGS.get(name.removeprefix("conditions."))
-    return (short,) if short else ()
+def _flags_of_key(name: str, taken: Collection[str]) -> tuple[str, ...]:
+    """The flags of a key, the short one first."""
+    short = SHORT_FLAGS.get(name, "")
+    return (short, flag(name)) if short and short not in taken else (flag(name),)
 
 
 def _joined(types: Sequence[Any]) -> Any:
@@ -215,6 +282,8 @@ def _joined(types: Sequence[Any]) -> Any:
     literals = [value for its in types if get_origin(its) is Literal for value in get_args(its)]
     if literals:
         return Literal[tuple(dict.fromkeys(literals))]
+    if get_origin(types[0]) is tuple and get_origin(get_args(types[0])[0]) is tuple:
+        return Annotated[types[0], WAYPOINTS]
     if all(get_origin(its) is tuple and get_args(its)[0] is float for its in types):
         return Annotated[tuple[float, ...], NUMBERS]
     return Union[tuple(Literal["true", "false"] if its is bool else its for its in types)]  # noqa: UP007
@@ -230,21 +299,15 @@ def _given(value: object) -> object:
     """What was given of the flags of a class made by `_flags_class`, nested; any other value as it is."""
     if not _is(value, "KeysGiven"):
         return value
-    found: dict[str, Any] = {}
-    for field in fields(value):  # type: ignore[arg-type]
-        its = getattr(value, field.name)
-        if its is not None:
-            *tables, last = field.name.split("__")
-            table = found
-            for name in tables:
-                table = table.setdefault(name, {})
-            table[last] = {"true": True, "false": False}.get(its, its) if isinstance(its, str) else its
-    return found
+    given = {field.name.replace("__", "."): getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
+    words: dict[Any, Any] = {"true": True, "false": False}
+    return nested({name: words.get(its, its) for name, its in given.items() if its is not None})
 
 
 def _is(value: object, cls: str) -> bool:
     """Whether a value is of a dataclass that this module made."""
-    return type(value).__module__ == "types" and type(value).__name__ == cls
+    its = type(value)
+    return its.__name__ == cls and its.__module__ in ("types", __name__)  # the second from CPython 3.12 on
 
 
 def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], arguments: Sequence[str]) -> str:
@@ -277,17 +340,21 @@ def _unknown(token: str, verb: Callable[..., int]) -> str:
             return f"{name} is now {new}{name.removeprefix(old)}"
     if not token.startswith("-"):
         return f"unexpected argument '{token}'"
+    if name in OF_DRIVES and verb.__name__ in ELSEWHERE:
+        return f"{name}: {ELSEWHERE[verb.__name__]}"
     known = {its.replace("-", "_").lstrip("_"): its for its in _flags_of(verb)}
     close = [known[one] for one in nearest(name.replace("-", "_").lstrip("_"), known)]
     return f"unknown flag '{name}'" + (f" (did you mean {' or '.join(close)}?)" if close else "")
 
 
 def _flags_of(verb: Callable[..., int]) -> Iterator[str]:
-    for name, hint in get_type_hints(verb, include_extras=True).items():
+    hints = get_type_hints(verb, include_extras=True)
+    taken = set(map(flag, hints))
+    for name, hint in hints.items():
         mark = _mark(hint)
         if mark:
             for key in mark.keys(for_help=False):
-                yield from (flag(mark.table(name) + key.name), *_short_flags(key.name))
+                yield from _flags_of_key(key.name, taken)
         elif name != "return" and signature(verb).parameters[name].kind is not Parameter.POSITIONAL_ONLY:
             yield flag(name)
 

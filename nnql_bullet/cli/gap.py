@@ -1,18 +1,17 @@
 """`nnql-bullet gap`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import gap as api
 from nnql_bullet.cli.console import progress, say, seed_range
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.run_config import Conditions, SimulatorName, conditions_of
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 
 
@@ -22,6 +21,7 @@ def gap(
     against: SimulatorName = "kinematic",
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
+    shield: bool = False,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
@@ -31,17 +31,14 @@ def gap(
     faults: bool = True,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
-    conditions: Annotated[Mapping[str, Any], KeyFlags(Conditions, shown=lambda name: False)] = MappingProxyType({}),
+    check: bool = True,
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Measure what physics costs a policy: the same policy, worlds and seeds in two simulators.
 
     Prints how drives ended on both sides, and leaves gap.md, gap.json, episodes.csv and pictures: outcomes, how drives
     come apart, and success by fault (friction, payload, sensor noise, a dead sector). Each drive that ended differently
     has its cause and the command that replays it.
-
-    In place of each policy's own conditions: --conditions.wheel-friction, --conditions.payload [kg],
-    --conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), --rays N,
-    --sensor-range [m], --blind-arc FROM TO [degrees]. To read more: nnql-bullet keys conditions
 
     For example:
 
@@ -53,6 +50,7 @@ def gap(
         against: First simulator.
         sim: Second simulator, an engine of contact physics.
         physics: Solver settings of contact physics.
+        shield: Drive each policy in a shield.
         world: Shipped world (paper, cover_10, ...), TOML file, ROS map, or other file that `nnql-bullet worlds` reads;
             default that of the training.
         start: Start in the frame of the world's map [m, radians], in place of its own.
@@ -63,7 +61,8 @@ def gap(
         faults: Leave out the drives with faults, which take some twelve times as long as the rest.
         workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/gap.
-        conditions: Conditions in place of each policy's own.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
+        keys: Values in place of each policy's own.
     """
     tell_warnings([world], start, target)
     folder = out or Path("runs") / "gap"
@@ -79,11 +78,13 @@ def gap(
             split=split,
             n_worlds=worlds,
             seeds=seed_range(seeds),
-            conditions=conditions_of(conditions),
+            shield=shield,
+            **asked_for(keys),
             faults=faults,
             executor="processes",
             workers=workers,
             out=folder,
+            check=check,
             on_progress=show,
         )
     say(results.table())

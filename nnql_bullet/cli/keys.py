@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from nnql_bullet.cli.console import say
-from nnql_bullet.config import Key, to_values
+from nnql_bullet.config import Key, dotted, to_values
 from nnql_bullet.config import keys as keys_of
 from nnql_bullet.errors import UserError
 from nnql_bullet.presets import load_config
@@ -22,8 +22,8 @@ def keys(
     """List the keys of a configuration: type, value and meaning.
 
     Each is a key of a TOML file and a flag of `nnql-bullet train`: agent.discount is --agent.discount there. Those that
-    begin with agent, conditions, drive, shield or task are flags of `nnql-bullet drive` too, and those that begin with
-    conditions of `evaluate` and `gap`.
+    begin with agent, conditions, drive, shield or task are flags of `drive`, `evaluate`, `gap`, `ablate` and `render`
+    too.
 
     For example:
 
@@ -36,20 +36,14 @@ def keys(
         config: Preset or TOML file whose values are shown.
     """
     resolved = load_config(config, {})
-    kind, values = resolved.agent.kind, _flat(to_values(resolved))
+    kind = resolved.agent.kind
+    values = {name: json.dumps(value) for name, value in dotted(to_values(resolved)).items()}
     shown = [key for key in keys_of(RunConfig) if key.kind in ("", kind) and key.name.startswith(table)]
     if not shown:
         raise UserError(f"no key begins with '{table}'")
     rows = [(key.name, key.type_text, values.get(key.name, _value(key)), key.about) for key in shown]
     say(text_table(("key", "type", config, "meaning"), rows))
     return 0
-
-
-def _flat(values: dict[str, object], table: str = "") -> dict[str, str]:
-    found: dict[str, str] = {}
-    for key, value in values.items():
-        found |= _flat(value, f"{table}{key}.") if isinstance(value, dict) else {table + key: json.dumps(value)}
-    return found
 
 
 def _value(key: Key) -> str:

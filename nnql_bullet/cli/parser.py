@@ -19,6 +19,7 @@ VERBS = (
     "render",
     "view",
     "evaluate",
+    "barn",
     "failures",
     "ablate",
     "gap",

@@ -1,12 +1,16 @@
 """`nnql-bullet render`."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
+from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.render import filming
 from nnql_bullet.render.camera import CameraName
@@ -19,6 +23,8 @@ def render(
     recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING|RUN|RULE")],
     /,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
+    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
+    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
     seed: Annotated[int | None, tyro.conf.arg(metavar="S")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     camera: CameraName = "chase",
@@ -32,6 +38,7 @@ def render(
     frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    keys: DriveKeys = MappingProxyType({}),
 ) -> int:
     """Draw a recorded drive as a video; nothing is simulated again.
 
@@ -47,6 +54,8 @@ def render(
     Args:
         recording: A trajectory.npz, or a policy as `drive` takes it, which is then driven and recorded first.
         world: World of that drive; see `drive`.
+        start: Start in the frame of that world's map [m, radians], in place of its own.
+        target: Target in that frame, in place of its own.
         seed: Seed of that drive's world; default 0.
         out: The video; default beside the recording. With --frames or --sheet alone there is none.
         camera: Behind the vehicle, over the whole arena, round the vehicle, or two views side by side.
@@ -61,6 +70,7 @@ def render(
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.
         workers: Processes that draw; default one a core. They do not change the result.
+        keys: Values of that drive in place of the policy's own; its speed is --drive.speed here.
     """
     picture = _size(size)
     filming.check_pictures(picture, fps, speed)
@@ -69,11 +79,12 @@ def render(
     if out or not (frames or sheet):
         check_encoder()
     if recording.suffix == ".npz":
-        if world is not None or seed is not None:
-            raise UserError("--world and --seed are for a policy that is to be driven; this is a recording")
+        given = flags({"world": world, "start": start, "target": target, "seed": seed, **keys})
+        if given:
+            raise UserError(f"{given[0]} is for a policy that is to be driven; this is a recording")
         path = recording
     else:
-        path = _driven(recording, world, seed or 0)
+        path = _driven(recording, world, seed or 0, {"start": start, "target": target}, keys)
     video = out or (None if frames or sheet else path.with_suffix(f".{kind}"))
     with progress() as show:
         filming.render(
@@ -98,12 +109,13 @@ def render(
     return 0
 
 
-def _driven(policy: Path, world: str | None, seed: int) -> Path:
+def _driven(policy: Path, world: str | None, seed: int, ends: Mapping[str, Any], keys: Mapping[str, Any]) -> Path:
     """Drives a policy as the verb `drive` does; returns the file of the recording."""
     from nnql_bullet.driving import drive, drive_folder, keep  # all that drives; to draw, none of it is needed
 
-    recording = drive(policy, world=world, seed=seed)
-    return keep(recording, drive_folder(policy, recording.world.name, seed))["recording"]
+    asked, shield = asked_for(keys), "shield" in keys
+    recording = drive(policy, world=world, seed=seed, shield=shield, **ends, **asked)
+    return keep(recording, drive_folder(policy, recording.world.name, seed, shield=shield, **asked))["recording"]
 
 
 def _size(text: str) -> tuple[int, int]:

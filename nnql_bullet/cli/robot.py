@@ -8,12 +8,14 @@ from typing import Annotated
 import tyro
 
 from nnql_bullet.cli.console import say
+from nnql_bullet.errors import UserError
 from nnql_bullet.vehicle.translation import read_robot
 
 
 def robot(
     file: Annotated[Path, tyro.conf.arg(metavar="FILE.urdf|.xacro")],
     /,
+    arg: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME:=VALUE ...")] = (),
     write: Annotated[Path | None, tyro.conf.arg(metavar="robot.toml")] = None,
     json: bool = False,
 ) -> int:
@@ -29,10 +31,14 @@ def robot(
 
     Args:
         file: The description as it is; meshes need not be there.
+        arg: Arguments of a xacro in place of its own values, such as arm:=false.
         write: TOML to write; the URDF that it names, NAME.vehicle.urdf, is written beside it.
         json: Print one JSON object instead of text.
     """
-    found = read_robot(file)
+    given = dict(one.partition(":=")[::2] for one in arg)
+    if wrong := [one for one in arg if not one.partition(":=")[1]]:
+        raise UserError(f"--arg: give NAME:=VALUE, not '{wrong[0]}'")
+    found = read_robot(file, given)
     if write:
         toml, urdf = found.save(write)
     if json:

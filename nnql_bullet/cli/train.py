@@ -15,7 +15,6 @@ from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.presets import load_config
-from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
 from nnql_bullet.text import shell_line
 from nnql_bullet.work import Progress
@@ -27,7 +26,8 @@ def train(
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     overwrite: bool = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    keys: Annotated[Mapping[str, Any], KeyFlags(RunConfig, shown=lambda name: "." not in name)] = MappingProxyType({}),
+    check: bool = True,
+    keys: Annotated[Mapping[str, Any], KeyFlags()] = MappingProxyType({}),
 ) -> int:
     """Train the vehicle, headless, and leave a run folder.
 
@@ -40,8 +40,8 @@ def train(
     step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
     model.
 
-    Every key of the configuration is a flag, such as --agent.discount, --conditions.payload or --rays; to list them:
-    nnql-bullet keys --config double_dqn
+    Every key of the configuration is a flag, such as --agent.discount, --speed, --conditions.payload or --rays; to list
+    them: nnql-bullet keys --config double_dqn
 
     For example:
 
@@ -55,6 +55,7 @@ def train(
         resume: Continue the run in this folder as if it had never stopped (sb3_dqn redoes it first).
         overwrite: Start anew in a folder that holds a run already.
         workers: Processes (kinematic: threads); default one a core. They do not change the result.
+        check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Keys of the configuration.
     """
     if resume is not None:
@@ -95,7 +96,15 @@ def train(
             if resume is not None:
                 api.resume(folder, total, workers=workers, on_progress=shown, stop=stop)
             else:
-                api.train(resolved, out=folder, workers=workers, overwrite=overwrite, on_progress=shown, stop=stop)
+                api.train(
+                    resolved,
+                    out=folder,
+                    workers=workers,
+                    overwrite=overwrite,
+                    check=check,
+                    on_progress=shown,
+                    stop=stop,
+                )
         except WorkerDied as error:
             died = error
     run = load_run(folder)

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from nnql_bullet.config import merged, parse, to_values
-from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.statistics import Estimate, mean_interval, success_over_seeds
@@ -25,6 +24,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import RunConfig, SimulatorName, changed
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sources import files_digest
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
 
@@ -46,6 +46,8 @@ class AblationTask:
     """World files of the test."""
     worlds: int
     """Number of validation worlds in each tier."""
+    files: str = ""
+    """Hash of what the files say that the configuration names."""
 
     @property
     def size(self) -> int:
@@ -55,7 +57,7 @@ class AblationTask:
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("ablation", self.config, self.worlds, *self.tiers)
+        return part_name("ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,12 @@ class Counts:
     collision: int
     timeout: int
     stuck: int = 0
+    overturned: int = 0
+
+    @property
+    def drives(self) -> int:
+        """Number of all drives."""
+        return self.goal + self.collision + self.timeout + self.stuck + self.overturned
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +92,8 @@ def task_of(study: Study, variant: Variant, seed: int, budget: Budget) -> Ablati
     """Makes the task of one variant and training seed."""
     spent = {"simulator": budget.simulator, "vehicles": budget.vehicles, "episodes": budget.episodes, "seed": seed}
     config = load_config(study.preset, merged(merged(spent, study.base), variant.changes))
-    return AblationTask(json.dumps(to_values(config), sort_keys=True), seed, tuple(study.tiers), budget.worlds)
+    tiers, text = tuple(study.tiers), json.dumps(to_values(config), sort_keys=True)
+    return AblationTask(text, seed, tiers, budget.worlds, files_digest(config, tiers))
 
 
 def train_and_test(task: AblationTask) -> list[Counts]:
@@ -92,7 +101,7 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
     with closing(experiment.new_training_simulator(workers=1)) as simulator:
-        training = experiment.trainer(Navigation(simulator, experiment.task))
+        training = experiment.trainer(experiment.new_navigation(simulator))
         agent, selection = experiment.trainable, config.training.selection
         candidates: Candidates = {}
         for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
@@ -105,9 +114,10 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     for world in task.tiers:
         vehicles = task.worlds if config.simulator == "kinematic" else min(task.worlds, CONTACT_VEHICLES)
         test = Experiment(changed(config, world=world, vehicles=vehicles))
-        worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds)]
+        differ = test.worlds.is_random or config.conditions.sensor_noise > 0
+        worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds if differ else 1)]
         with closing(test.new_simulator(workers=1)) as simulator:
-            summaries = run_episodes(Navigation(simulator, experiment.task), worlds, experiment.agent)
+            summaries = run_episodes(experiment.new_navigation(simulator), worlds, experiment.policy)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found
@@ -160,7 +170,7 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
 
 def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     """Computes the success of each training seed in each tier (tiers, seeds)."""
-    return np.array([[t.goal / (t.goal + t.collision + t.timeout + t.stuck) for t in its] for its in trainings]).T
+    return np.array([[t.goal / t.drives for t in its] for its in trainings]).T
 
 
 def _difference(differences: Array) -> Estimate:

@@ -1,7 +1,9 @@
 """Drives policies through worlds, in pieces of work."""
 
+import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -11,7 +13,7 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
-from nnql_bullet.env import Navigation
+from nnql_bullet.config import merged, nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -20,15 +22,21 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.importers import READERS
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
+
+_log = logging.getLogger(__name__)
+
+MOST_KEPT = 400
+"""Number of drawn worlds that a process keeps: reading the files of others takes longer than to drive through them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +50,10 @@ class Drawn:
     """Its hash."""
 
 
+_kept: OrderedDict[Drawn, WorldSpec] = OrderedDict()
+"""Worlds that this process has drawn, the last used at the end; their hashes say that they are the same."""
+
+
 @dataclass(frozen=True, slots=True)
 class Refused:
     """A world file that nothing drives through."""
@@ -49,6 +61,14 @@ class Refused:
     file: str
     reason: str
     """What is wrong with it, in one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldFiles:
+    """World files that are counted together."""
+
+    name: str
+    files: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +83,8 @@ class Tier:
     worlds: tuple[Drawn, ...]
     frozen: bool
     """Whether the check against the frozen worlds was possible; it passed then."""
-    given: World | None = None
-    """The world, if it was made in code."""
+    given: tuple[tuple[str, World], ...] = ()
+    """Worlds in place of what files say, by the names of the files: made in code, or kept by an earlier evaluation."""
 
     @property
     def title(self) -> str:
@@ -78,7 +98,7 @@ class Tier:
 
     def kind(self, world: Drawn) -> str | World:
         """Returns the value of a configuration's key `world` for a world of the tier."""
-        return self.given or world.file
+        return dict(self.given).get(world.file, world.file)
 
     def block(self, first: int) -> tuple[Drawn, ...]:
         """Returns the worlds of a piece of work that begins with world number `first` of the tier."""
@@ -104,40 +124,59 @@ class Setting:
     """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
     target: tuple[float, ...] | None = None
     """In place of each world's own [m]."""
+    waypoints: tuple[Point, ...] | None = None
+    """Places to reach in turn, in place of each world's own target [m]; the last is the target."""
+    plan: bool = False
+    """Whether a plan leads each policy."""
+    keys: Keys = ()
+    """What else each policy drives with in place of its own configuration: robot, speed, keys of the shield, ..."""
 
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes to a policy's configuration."""
+    def changes(self, policy: Policy) -> dict[str, Any]:
+        """Returns changes to a policy's configuration."""
         return {
             "simulator": self.simulator,
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
+            **merged({"plan": {}} if self.plan else {}, policy.changes(self.keys)),
         }
 
     @property
-    def title(self) -> str:
-        """Title for people."""
+    def ends(self) -> dict[str, Any]:
+        """What each world has in place of its own ends, by the keys of a configuration."""
+        return {"start": self.start, "target": self.target, "waypoints": self.waypoints}
+
+    def title(self, robots: Iterable[str] = ()) -> str:
+        """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        conditions = [self.conditions.title] if self.conditions else []
-        return ", ".join((where, *conditions))
+        plan = "with a plan" if self.plan else ""
+        return ", ".join(filter(None, (where, plan, asked_title(self.conditions, self.keys, robots))))
+
+    @property
+    def robot(self) -> str | None:
+        """What all policies drive; None if each drives its own vehicle."""
+        robot: str | None = dict(self.keys).get("robot")
+        return robot
 
     @property
     def flags(self) -> list[str]:
         """Flags of the setting on a command line."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
-        changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
-        return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
+        plan = ["--plan"] if self.plan else []
+        changes = {**self.ends, "conditions": self.conditions, **nested(dict(self.keys))}
+        return ["--sim", self.simulator, *physics, *impassable, *plan, *flags(changes)]
 
 
-def check_setting(policy: Policy, setting: Setting) -> None:
-    """Checks an evaluation's setting before the drives, by making a simulator.
+def check_setting(policy: Policy, setting: Setting) -> str:
+    """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    load_policy(policy.source, setting.changes).experiment.simulator.close()
+    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment.simulator.close()
+    return experiment.config.robot
 
 
 def has_chance(policy: Policy, changes: Mapping[str, Any]) -> bool:
@@ -184,12 +223,12 @@ def _cover_of(world: World) -> float | None:
 
 
 def draw_tiers(
-    given: Sequence[str | Path | World], draws: Draws, setting: Setting, policies: Sequence[Policy]
+    given: Sequence[str | Path | World | WorldFiles], draws: Draws, setting: Setting, policies: Sequence[Policy]
 ) -> tuple[list[Tier], list[Refused]]:
     """Draws and checks worlds of each kind; of a fixed world one, as all drives are the same.
 
     Args:
-        given: Shipped worlds, files, folders of files, or worlds made in code.
+        given: Shipped worlds, files, folders of files, files that are counted together, or worlds made in code.
         draws: Which worlds of each kind.
         setting: The setting.
         policies: The policies; the vehicle of the first gives the width of the free path.
@@ -200,11 +239,11 @@ def draw_tiers(
     Raises:
         UserError: If there is no such world, one is given twice or is not the frozen one, or all files are refused.
     """
-    chance = any([has_chance(policy, setting.changes) for policy in policies])
+    chance = any([has_chance(policy, setting.changes(policy)) for policy in policies])
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
-    for one in [one if isinstance(one, World) else str(one) for one in given]:
+    for one in [str(one) if isinstance(one, str | Path) else one for one in given]:
         files = _files(one)
         worlds: list[Drawn] = []
         experiment: Experiment | None = None
@@ -221,20 +260,26 @@ def draw_tiers(
                 worlds += [Drawn(shown, seed, digest) for seed, digest in digests.items()]
         if experiment is None or not worlds:
             continue
+        hopeless = experiment.out_of_reach(kind)
+        if hopeless:
+            _log.warning("%s: %s", policies[0].name, hopeless)
         of_folder = files != [one]
-        name = Path(one).resolve().name if of_folder and isinstance(one, str) else kind.name
+        name = kind.name
+        if of_folder:
+            name = one.name if isinstance(one, WorldFiles) else Path(str(one)).resolve().name
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
-            not (setting.allow_impassable or setting.start or setting.target)
+            not (setting.allow_impassable or any(setting.ends.values()))
             and draws.split is not None
             and isinstance(one, str)
             and check_frozen(
                 one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
             )
         )
-        cover, code = None if of_folder else _cover_of(kind), one if isinstance(one, World) else None
-        shown = one.name if isinstance(one, World) else one
+        cover = None if of_folder else _cover_of(kind)
+        shown = one if isinstance(one, str) else one.name
+        code = ((shown, one),) if isinstance(one, World) else ()
         tiers.append(Tier(shown, name, cover, tuple(worlds), checked, code))
     if not tiers:
         if len(errors) == 1:
@@ -243,14 +288,16 @@ def draw_tiers(
     return tiers, refused
 
 
-def _files(given: str | World) -> Sequence[str | World]:
-    """The world files of a folder in the order of their names; any other world as it is.
+def _files(given: str | World | WorldFiles) -> Sequence[str | World]:
+    """The world files of a folder in the order of their names, files that are given; any other world as it is.
 
     Raises:
         UserError: If there is no such world, or a folder has none.
     """
     if isinstance(given, World):
         return [given]
+    if isinstance(given, WorldFiles):
+        return given.files
     if not os.path.isdir(given) or is_file(assets.folder("worlds") / f"{given}.toml"):
         assets.find("worlds", given)
         return [given]
@@ -285,8 +332,14 @@ class DriveTask(_BlockTask):
         """See `parts.Piece`."""
         if self.policy.custom:
             return ""
-        where = self.setting.simulator, self.setting.physics, *flags({"conditions": self.setting.conditions})
-        return part_name("drives", self.policy.fingerprint, *where, *self.tier.part(self.first))
+        policy, setting = self.policy, self.setting
+        where = setting.simulator, setting.physics, *flags({"conditions": setting.conditions})
+        how = (
+            policy.vehicle,
+            *(["plan"] if setting.plan else []),
+            *(its for its in policy.holding(setting.keys) if its[0] != "robot"),
+        )
+        return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -304,17 +357,25 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.task)
+            navigation = experiment.new_navigation(simulator)
             return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
     experiment = _experiment(task.policy, task.tier, task.setting, 1)
     return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)
 
 
 def _drawn(experiment: Experiment, task: _BlockTask) -> list[WorldSpec]:
-    """Draws the worlds of a piece."""
+    """Draws the worlds of a piece, or takes them as this process has drawn them before."""
     block = task.tier.block(task.first)
-    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in block}
-    return [experiment.draw(kinds[world.file], world.seed) for world in block]
+    new = [world for world in block if world not in _kept]
+    kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in new}
+    drawn = {world: _kept[world] for world in block if world in _kept}
+    drawn |= {world: experiment.draw(kinds[world.file], world.seed) for world in new}
+    for world in block:
+        _kept[world] = drawn[world]
+        _kept.move_to_end(world)
+    while len(_kept) > MOST_KEPT:
+        _kept.popitem(last=False)
+    return [drawn[world] for world in block]
 
 
 class SurveyTask(_BlockTask):
@@ -363,7 +424,8 @@ class FilmTask:
         """Command line that repeats the drive."""
         where = ["--world", self.world.file, "--seed", str(self.world.seed)]
         shield = ["--shield"] if self.policy.shielded else []
-        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *self.setting.flags)
+        setting = replace(self.setting, keys=self.policy.holding(self.setting.keys))
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *setting.flags)
 
 
 def film(task: FilmTask) -> Recording:
@@ -384,6 +446,5 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
-    ends = {"start": setting.start, "target": setting.target}
-    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes, **policy.changes}
+    changes = {"world": world, "vehicles": vehicles, **setting.ends, **setting.changes(policy)}
     return load_policy(policy.source, changes).experiment

@@ -16,13 +16,23 @@ from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.worlds.spec import track_velocities
 
 Group = Literal[
-    "struck", "flank", "dithering", "head-on", "stuck", "target circling", "circling", "trapped", "wandering"
+    "struck",
+    "flank",
+    "dithering",
+    "head-on",
+    "overturned",
+    "stuck",
+    "target circling",
+    "circling",
+    "trapped",
+    "wandering",
 ]
 GROUPS: dict[Group, str] = {
     "struck": "A moving box ran into the vehicle: most of the speed at which they met was the box's.",
     "flank": "It grazed something: with its side, or with a corner at a small angle.",
     "dithering": "It turned to one side, the other and back again, and so went straight on into what was ahead.",
     "head-on": "It ran into something ahead.",
+    "overturned": "It tipped over, on its side, nose or roof.",
     "stuck": "It stayed about one place, turning or to and fro, until the episode was ended.",
     "target circling": "Time ran out near the target: round it, or past it again and again.",
     "circling": "Time ran out while it turned the same way, round after round.",
@@ -81,9 +91,8 @@ class Contact:
 class Timeout:
     """The last part of a drive that neither arrived nor collided, `LAST_PART` long."""
 
-    stuck: bool
-    """Whether it ended because the vehicle stayed about one place."""
-
+    ending: str
+    """How it ended, one of `task.ENDINGS`."""
     extent: float
     """Longer side of the rectangle, parallel to the walls, around the path [m]."""
     rounds: float
@@ -137,7 +146,9 @@ def _group_of_contact(contact: Contact) -> Group:
 
 
 def _group_of_timeout(late: Timeout) -> Group:
-    if late.stuck:
+    if late.ending == "overturned":
+        return "overturned"
+    if late.ending == "stuck":
         return "stuck"
     if late.farthest <= NEAR_TARGET * late.scale:
         return "target circling"
@@ -229,7 +240,7 @@ def _timeout(recording: Recording, away: Array) -> Timeout:
     x, y, yaw = recording.sample_pose[late].T
     turned = np.unwrap(yaw)
     return Timeout(
-        stuck=recording.about["ending"] == "stuck",
+        ending=recording.about["ending"],
         extent=float(max(np.ptp(x), np.ptp(y))),
         rounds=float(turned[-1] - turned[0]) / (2 * pi),
         revisited=_revisited(recording),

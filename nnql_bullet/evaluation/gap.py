@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import __version__
 from nnql_bullet.commands import flags
+from nnql_bullet.config import nested
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import Draws
@@ -18,7 +19,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
-from nnql_bullet.run_config import Conditions, SimulatorName
+from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
@@ -71,6 +72,8 @@ class PairTask:
     second: Side
     conditions: Conditions | None
     """In place of the policy's own; None leaves those."""
+    keys: Keys = ()
+    """What else it drives with in place of its own configuration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,7 @@ class Pair:
 
 def drive_pairs(task: PairTask) -> list[Pair]:
     """Drives both sides through each world, and compares them."""
-    sides = [_experiment(task.policy, task.world, side, task.conditions) for side in (task.first, task.second)]
+    sides = [_experiment(task, side) for side in (task.first, task.second)]
     pairs = []
     for seed in task.seeds:
         drives = [_drive(experiment, seed) for experiment in sides]
@@ -133,6 +136,8 @@ class FaultTask:
     """A key of `FAULTS`."""
     conditions: Conditions
     """The fault, and what holds beside it."""
+    keys: Keys = ()
+    """See `PairTask`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +152,7 @@ class Trial:
 
 def drive_faulty(task: FaultTask) -> list[Trial]:
     """Drives through each world with the fault."""
-    experiment = _experiment(task.policy, task.world, task.side, task.conditions)
+    experiment = _experiment(task, task.side)
     trials = []
     for seed in task.seeds:
         summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy)
@@ -155,10 +160,16 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
     return trials
 
 
+def _experiment(task: PairTask | FaultTask, side: Side) -> Experiment:
+    return _kept_experiment(task.policy, task.world, side, task.conditions, task.keys)
+
+
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _experiment(policy: Policy, world: str | World | None, side: Side, conditions: Conditions | None) -> Experiment:
+def _kept_experiment(
+    policy: Policy, world: str | World | None, side: Side, conditions: Conditions | None, keys: Keys
+) -> Experiment:
     changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
-    return load_policy(policy.source, changes).experiment
+    return load_policy(policy.source, changes | policy.changes(keys)).experiment
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
@@ -188,6 +199,12 @@ class Gap:
     """In place of each policy's own; None leaves those."""
     ends: tuple[str, ...] = ()
     """Flags of a start and a target in place of the world's own."""
+    keys: Keys = ()
+    """What else each policy drives with in place of its own configuration."""
+    shield: bool = False
+    """Whether each policy drives in a shield."""
+    robots: tuple[str, ...] = ()
+    """Names of the vehicles that drive."""
 
     @property
     def flips(self) -> list[Pair]:
@@ -196,10 +213,14 @@ class Gap:
 
     @property
     def title(self) -> str:
-        """The world and the conditions in words; empty if they are the policies' own."""
-        return ", ".join(
-            [*([f"world {self.world}"] if self.world else []), *([self.conditions.title] if self.conditions else [])]
-        )
+        """The world, and what is asked for in place of the policies' own, in words; empty if that is nothing."""
+        return ", ".join(filter(None, (f"world {self.world}" if self.world else "", self.asked)))
+
+    @property
+    def asked(self) -> str:
+        """What is asked for in place of the policies' own, besides the world."""
+        shield = "in a shield" if self.shield else ""
+        return ", ".join(filter(None, (shield, asked_title(self.conditions, self.keys, self.robots))))
 
     @property
     def command(self) -> str:
@@ -207,32 +228,35 @@ class Gap:
         world = ["--world", self.world, *self.ends] if self.world else []
         sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
         faults = [] if self.trials else ["--no-faults"]
-        return shell_line(
-            "nnql-bullet", "gap", *self.runs, *world, *self.draws.flags, *sides, *faults, *self._conditions
-        )
+        return shell_line("nnql-bullet", "gap", *self.runs, *world, *self.draws.flags, *sides, *faults, *self._asked)
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
         world = ["--world", self.world, *self.ends] if self.world else []
         physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
-        where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._conditions]
+        where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._asked]
         return shell_line("nnql-bullet", "drive", pair.run, *world, *where)
 
     @property
-    def _conditions(self) -> list[str]:
-        return flags({"conditions": self.conditions})
+    def _asked(self) -> list[str]:
+        shield = ["--shield"] if self.shield else []
+        return [*shield, *flags({"conditions": self.conditions, **nested(dict(self.keys))})]
 
 
-def check(task: PairTask) -> None:
+def check(task: PairTask) -> str:
     """Makes each simulator and a world once, so that what is wrong with them shows before anything is driven.
+
+    Returns:
+        The robot that will drive.
 
     Raises:
         UserError: If a simulator or the world cannot be made, or a condition is impossible.
     """
     for side in (task.first, task.second):
-        experiment = _experiment.__wrapped__(task.policy, task.world, side, task.conditions)
+        experiment = _kept_experiment.__wrapped__(task.policy, task.world, side, task.conditions, task.keys)
         experiment.simulator.close()
         experiment.world(task.seeds[0])
+    return experiment.config.robot
 
 
 WORLDS_AT_A_TIME = 5
@@ -246,6 +270,7 @@ def tasks(
     second: Side,
     conditions: Conditions | None,
     faults: bool,
+    keys: Keys = (),
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
@@ -257,14 +282,14 @@ def tasks(
         for policy, its in zip(policies, seeds, strict=True)
         for k in range(0, len(its), WORLDS_AT_A_TIME)
     ]
-    pairs = [PairTask(policy, world, chunk, first, second, conditions) for policy, chunk in shares]
+    pairs = [PairTask(policy, world, chunk, first, second, conditions, keys) for policy, chunk in shares]
     wrong = [
         (side, fault, replace(conditions or Conditions(), **its.changes))
         for fault, its in FAULTS.items()
         for side in (first, second)
         if faults and side.notices(fault)
     ]
-    return [*pairs, *(FaultTask(policy, world, chunk, *its) for its in wrong for policy, chunk in shares)]
+    return [*pairs, *(FaultTask(policy, world, chunk, *its, keys) for its in wrong for policy, chunk in shares)]
 
 
 def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
@@ -273,7 +298,7 @@ def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:
 
 
 def outcome_matrix(pairs: Sequence[Pair]) -> NDArray[np.int64]:
-    """How many drives ended how, (4, 4) in the order of `task.ENDINGS`: rows the first side, columns the second."""
+    """How many drives ended how, (5, 5) in the order of `task.ENDINGS`: rows the first side, columns the second."""
     matrix = np.zeros((len(ENDINGS), len(ENDINGS)), np.int64)
     for pair in pairs:
         matrix[ENDINGS.index(pair.first.ending), ENDINGS.index(pair.second.ending)] += 1

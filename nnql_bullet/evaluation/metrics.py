@@ -44,7 +44,7 @@ class Evaluation:
     @property
     def title(self) -> str:
         """Worlds, simulator and conditions, for people."""
-        return f"{self.draws.title}, {self.setting.title}"
+        return f"{self.draws.title}, {self.setting.title(policy.robot for policy in self.policies)}"
 
     @property
     def methods(self) -> list[str]:
@@ -133,6 +133,8 @@ class Row:
     """Share of decisions to drive backwards."""
     standing: float
     """Time at a standstill in a drive, mean over all drives [s]."""
+    waypoints: float
+    """Number of way points that were reached, mean over all drives."""
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
@@ -173,6 +175,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         stops=sum(summary.stop_steps for summary in summaries) / steps,
         reverses=sum(summary.reverse_steps for summary in summaries) / steps,
         standing=_mean([summary.standing_time for summary in summaries]),
+        waypoints=_mean([len(summary.waypoint_times) for summary in summaries]),
     )
 
 
@@ -199,13 +202,8 @@ def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
     """
     e, found = evaluation, []
     for tier in e.tiers:
-        surveyed = zip(tier.worlds, e.difficulties[tier.name], strict=True)
-        by_digest = {world.digest: its.bottleneck for world, its in surveyed}
-        digests, widths = np.array(list(by_digest)), np.array(list(by_digest.values()))
-        if len(widths) < 4 or np.ptp(widths) == 0.0:
-            continue
-        for quarter in np.array_split(np.argsort(widths, kind="stable"), 4):
-            its_worlds, success = set(digests[quarter].tolist()), {}
+        for narrowest, widest, its_worlds in quarters(e, tier):
+            success = {}
             for method in e.methods:
                 endings = [
                     e.drives[policy.name, tier.name][place].ending
@@ -214,9 +212,24 @@ def by_bottleneck(evaluation: Evaluation) -> list[Quarter]:
                     if tier.worlds[place].digest in its_worlds
                 ]
                 success[method] = proportion(endings.count("goal"), len(endings))
-            narrowest, widest = widths[quarter[[0, -1]]].tolist()
-            found.append(Quarter(tier.name, narrowest, widest, len(quarter), success))
+            found.append(Quarter(tier.name, narrowest, widest, len(its_worlds), success))
     return found
+
+
+def quarters(evaluation: Evaluation, tier: Tier) -> list[tuple[float, float, frozenset[str]]]:
+    """Splits the worlds of a tier into quarters, from the narrowest bottlenecks to the widest.
+
+    Returns:
+        The smallest and largest bottleneck [m] and the hashes of the worlds of each quarter; none if there are fewer
+        than four worlds, or all have the same bottleneck. Equal worlds count once.
+    """
+    surveyed = zip(tier.worlds, evaluation.difficulties[tier.name], strict=True)
+    by_digest = {world.digest: its.bottleneck for world, its in surveyed}
+    digests, widths = np.array(list(by_digest)), np.array(list(by_digest.values()))
+    if len(widths) < 4 or np.ptp(widths) == 0.0:
+        return []
+    parts = np.array_split(np.argsort(widths, kind="stable"), 4)
+    return [(*widths[part[[0, -1]]].tolist(), frozenset(digests[part].tolist())) for part in parts]
 
 
 def _success(e: Evaluation, policy: Policy, tier: Tier) -> float:

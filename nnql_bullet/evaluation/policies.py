@@ -14,12 +14,15 @@ import numpy as np
 from nnql_bullet import assets, rollout
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom
-from nnql_bullet.config import to_values
+from nnql_bullet.config import merged, nested, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import Executor, ExecutorKind, make_executor
 from nnql_bullet.experiment import Experiment
+from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array
-from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy
+from nnql_bullet.run_config import Keys, RunConfig
+from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy, tell_differences
+from nnql_bullet.vehicle.urdf import load_vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +46,17 @@ class Policy:
     about: str
     """One sentence about the agent."""
     vehicle_width: float
-    """Width of its vehicle [m]."""
+    """Width of the vehicle that it drives [m]."""
     fingerprint: str
-    """Hash of the learned values and of the configuration for driving."""
+    """Hash of the learned values and of the policy's own configuration for driving."""
     shielded: bool = False
     """Whether the evaluation adds a shield that the policy's own configuration lacks."""
+    own_shield: bool = False
+    """Whether the policy's own configuration has a shield."""
+    robot: str = ""
+    """Name of the vehicle that it drives."""
+    vehicle: str = ""
+    """Hash of that vehicle (`VehicleSpec.digest`)."""
     custom: Custom | None = None
     """The policy's object, if it is an object of this process; the fingerprint is then empty."""
 
@@ -61,18 +70,29 @@ class Policy:
         """The fields that JSON can represent."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "custom"}
 
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Changes to the policy's own configuration."""
-        return {"shield": {}} if self.shielded else {}
+    def holding(self, keys: Keys) -> Keys:
+        """Returns those values that hold for it: a shield's only if it drives in one."""
+        in_shield = self.shielded or self.own_shield
+        return keys if in_shield else tuple(its for its in keys if not its[0].startswith("shield."))
+
+    def changes(self, keys: Keys) -> dict[str, Any]:
+        """Returns changes to the policy's own configuration: its shield, and what else is asked for."""
+        return merged(nested(dict(self.holding(keys))), {"shield": {}} if self.shielded else {})
 
 
-def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = False) -> list[Policy]:
+def open_policies(
+    policies: PolicyLike | Sequence[PolicyLike],
+    shield: bool = False,
+    robot: str | None = None,
+    own_world: bool = False,
+) -> list[Policy]:
     """Reads policies and groups them by method.
 
     Args:
         policies: One policy or several.
         shield: Whether each policy is also evaluated in a shield.
+        robot: What they drive in place of each policy's own vehicle.
+        own_world: Whether each drives in the world in which it learned. What is not as it was then is logged.
 
     Raises:
         UserError: If there is no policy, one cannot be read, is given twice or has changed since it was loaded, or
@@ -91,9 +111,10 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
     for policy, experiment in zip(several, experiments, strict=True):
         if isinstance(policy, LoadedPolicy) and fingerprint(experiment) != fingerprint(policy.experiment):
             raise UserError(f"{policy.name}: is not what is saved there; load it again, without changes")
-    odd = [
-        path for path, its in zip(given, experiments, strict=True) if its.vehicle.width != experiments[0].vehicle.width
-    ]
+    for policy in several:
+        tell_differences(policy, robot, own_world)
+    vehicles = [load_vehicle(robot or experiment.config.robot) for experiment in experiments]
+    odd = [path for path, its in zip(given, vehicles, strict=True) if its.width != vehicles[0].width]
     if odd:
         raise UserError(
             f"{given[0]} and {odd[0]} drive vehicles of different size, so worlds differ; evaluate them apart"
@@ -118,12 +139,15 @@ def open_policies(policies: PolicyLike | Sequence[PolicyLike], shield: bool = Fa
             episodes=its.episodes,
             learned=sum(values.size for values in _learned(agent).values()),
             about=(getdoc(type(agent.given if isinstance(agent, Custom) else agent)) or "").partition("\n")[0],
-            vehicle_width=experiment.vehicle.width,
+            vehicle_width=vehicle.width,
             fingerprint=fingerprint(experiment),
+            own_shield=experiment.config.shield is not None,
+            robot=vehicle.name,
+            vehicle=vehicle.digest,
             custom=agent if isinstance(agent, Custom) else None,
         )
-        for path, name, recipe, agent, its, experiment in zip(
-            given, names, recipes, agents, opened, experiments, strict=True
+        for path, name, recipe, agent, its, experiment, vehicle in zip(
+            given, names, recipes, agents, opened, experiments, vehicles, strict=True
         )
     ]
     return [policy for one in bare for policy in ((one, _shielded(one)) if shield else (one,))]
@@ -197,7 +221,12 @@ def _learned(agent: rollout.Policy) -> dict[str, Array]:
 def _recipe(experiment: Experiment) -> str:
     """Writes a configuration without its training seed as text."""
     config = experiment.config
-    return json.dumps(to_values(config) | {"seed": 0, "robot": Path(config.robot).stem}, sort_keys=True)
+    return json.dumps(to_values(config) | {"seed": 0, "robot": _robot(config)}, sort_keys=True)
+
+
+def _robot(config: RunConfig) -> str:
+    """Returns what a robot is, wherever its files are: the name of a shipped one, else a hash."""
+    return load_vehicle(config.robot).digest if is_file(config.robot) else config.robot
 
 
 def fingerprint(experiment: Experiment) -> str:
@@ -208,7 +237,7 @@ def fingerprint(experiment: Experiment) -> str:
     if isinstance(experiment.agent, Custom):
         return ""
     values = to_values(experiment.config)
-    values["robot"] = Path(values["robot"]).stem  # wherever its files are
+    values["robot"] = _robot(experiment.config)
     tables = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
     driving = {key: values[key] for key in tables if key in values}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())

@@ -2,9 +2,10 @@
 
 import csv
 from collections import Counter
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
@@ -14,8 +15,10 @@ from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
-from nnql_bullet.run_config import Conditions
+from nnql_bullet.run_config import Conditions, frozen_keys
+from nnql_bullet.sources import read_sources
 from nnql_bullet.text import shell_line
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +69,16 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         values = read_json(folder / "results.json")
         conditions = None if values["conditions"] is None else parse(Conditions, values["conditions"], "conditions")
         impassable = bool(values.get("allow_impassable", False))
-        ends = [None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")]
-        setting = Setting(values["simulator"], values["physics"], conditions, impassable, *ends)
+        start, target = (
+            None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")
+        )
+        places = values.get("waypoints")
+        waypoints, plan = None if places is None else as_waypoints(places), bool(values.get("plan", False))
+        sources, keys = read_sources(folder), values.get("keys", {})
+        robot = sources.robot(keys.get("robot"), folder)
+        keys = frozen_keys(keys | ({"robot": robot} if robot else {}))
+        where = values["simulator"], values["physics"], conditions, impassable
+        setting = Setting(*where, start, target, waypoints, plan, keys)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(
@@ -78,6 +89,7 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
                     Drawn(world.get("file", tier["file"]), world["seed"], world["digest"]) for world in tier["worlds"]
                 ),
                 frozen=tier["frozen"],
+                given=tuple((file, its) for file, its in sources.worlds.items() if file in _files(tier)),
             )
             for tier in values["tiers"]
         }
@@ -94,6 +106,10 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, csv.Error) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise UserError(f"{folder}: results are damaged ({reason}); make them again: nnql-bullet evaluate") from None
+
+
+def _files(tier: Mapping[str, Any]) -> set[str]:
+    return {world.get("file", tier["file"]) for world in tier["worlds"]}
 
 
 def finished(evaluation: Evaluation) -> FinishedEvaluation:
@@ -138,10 +154,16 @@ def check_policies(evaluation: FinishedEvaluation, failed: Sequence[FailedDrive]
     Raises:
         UserError: If one has changed or cannot be read.
     """
-    for policy in dict.fromkeys(one.film.policy for one in failed):
-        (now,) = open_policies([policy.source], policy.shielded)[-1:]
+    robots = {one.film.policy: one.film.setting.robot for one in failed}
+    for policy in robots:
+        (now,) = open_policies([policy.source], policy.shielded, robots[policy])[-1:]
         if now.fingerprint != policy.fingerprint:
             raise UserError(f"{policy.path}: is not what was evaluated; evaluate anew: {evaluation.command}")
+        if policy.vehicle not in ("", now.vehicle):  # older evaluations do not say it
+            raise UserError(
+                f"the robot '{policy.robot}' is not what it was when {policy.path} was evaluated; put its files back, "
+                f"or evaluate anew: {evaluation.command}"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,12 @@
-"""Computes estimates with intervals, and a test of paired trials, with SciPy."""
+"""Computes estimates with intervals, and a test of paired trials, with SciPy.
+
+scipy.stats takes long to load, so each function imports what it needs.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap, trim_mean
 
 from nnql_bullet.geometry import Array
 
@@ -30,6 +32,8 @@ def proportion(count: int, total: int) -> Estimate:
     Raises:
         ValueError: If there is no trial.
     """
+    from scipy.stats import binomtest
+
     interval = binomtest(count, total).proportion_ci(method="wilson")
     return Estimate(count / total, float(interval.low), float(interval.high))
 
@@ -41,12 +45,16 @@ def mcnemar(only_first: int, only_second: int) -> float:
         only_first: Trials in which only the first method succeeded.
         only_second: Trials in which only the second method succeeded.
     """
+    from scipy.stats import binomtest
+
     discordant = only_first + only_second
     return float(binomtest(only_first, discordant).pvalue) if discordant else 1.0
 
 
 def interquartile_mean(scores: Array) -> float:
     """Computes the mean of the middle half of scores (n,); of all scores if there are fewer than four."""
+    from scipy.stats import trim_mean
+
     return float(trim_mean(scores, 0.25))
 
 
@@ -63,6 +71,8 @@ def success_over_seeds(scores: Sequence[Array], generator: np.random.Generator) 
     Returns:
         None for a single seed, which has no spread.
     """
+    from scipy.stats import bootstrap, trim_mean
+
     if min(map(len, scores)) < 2:
         return None
     value = interquartile_mean(np.concatenate(scores))
@@ -89,5 +99,7 @@ def mean_interval(scores: Array, generator: np.random.Generator) -> tuple[Array,
     Returns:
         Lower and upper ends of the intervals (), or (m,).
     """
+    from scipy.stats import bootstrap
+
     result = bootstrap((scores,), np.mean, n_resamples=RESAMPLES, batch=100, method="percentile", rng=generator)
     return np.asarray(result.confidence_interval.low), np.asarray(result.confidence_interval.high)

@@ -51,6 +51,8 @@ class Study:
     """Default number of trainings of each variant."""
     base: Mapping[str, Any] = field(default_factory=dict)
     """Changes to the preset that all trainings share."""
+    asked: str = ""
+    """What of `base` is asked for beside the study, in words."""
     not_varied: str = ""
     """Sentence for the report about choices without a factor."""
 

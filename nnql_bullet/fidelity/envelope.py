@@ -18,6 +18,7 @@ from nnql_bullet.fidelity.turning import follow_turn, forces_by_command, largest
 from nnql_bullet.geometry import wrap_angle
 from nnql_bullet.sim.base import SAMPLE_EVERY
 from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.vehicle.controller import own_speed
 from nnql_bullet.vehicle.limits import TurnDemand, static_rear_load, tip_angle, turn_demand
 from nnql_bullet.vehicle.payload import deck_load, loaded
 from nnql_bullet.vehicle.profiles import plan_turn
@@ -134,8 +135,8 @@ class Result:
 
 
 def base_case(vehicle: VehicleSpec) -> Case:
-    """Makes the base case: the paper's largest turn at its speed, in one second."""
-    return Case(paper.SPEED, 1.0, max(paper.TURNS), vehicle.contact.wheel_friction, 0.0)
+    """Makes the base case: the paper's largest turn at the vehicle's own speed, in one second."""
+    return Case(own_speed(vehicle), 1.0, max(paper.TURNS), vehicle.contact.wheel_friction, 0.0)
 
 
 def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
@@ -143,7 +144,7 @@ def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
     base = base_case(vehicle)
     periods = tuple(tenths / 10 for tenths in range(6, 16))
     values: dict[Quantity, tuple[float, ...]] = {
-        "speed": (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0),
+        "speed": tuple(share * base.speed for share in (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)),
         "heading_change": tuple(radians(angle) for angle in (15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0)),
         "friction": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0),
         "payload": (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0),

@@ -4,10 +4,12 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
+from nnql_bullet import paper
 from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.sim.engines import EngineName, PhysicsName, contact_engine
 from nnql_bullet.vehicle.controller import DriveOptions, own_speed
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -63,6 +65,16 @@ class Bench:
     physics: PhysicsName = "reference"
     refinement: int = 1
     """Divisor of the settings' time step."""
+
+    @property
+    def size(self) -> float:
+        """Factor of tolerances that are lengths: 1 for the shipped vehicle, whose lengths they are stated for."""
+        return length_scale(self.vehicle.footprint)
+
+    @property
+    def pace(self) -> float:
+        """Factor of tolerances that are speeds, or ways in a physics step: 1 for the shipped vehicle's speed."""
+        return own_speed(self.vehicle) / paper.SPEED
 
     @contextmanager
     def open_engine(self, vehicle: VehicleSpec | None = None, **drive: float) -> Iterator[ContactEngine]:

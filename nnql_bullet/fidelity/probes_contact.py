@@ -36,7 +36,7 @@ def _locked_braking(bench: Bench) -> list[Measurement]:
         stopped, left = engine.pose().x - MIDDLE.x, abs(engine.speed())
     return [
         close_to("stopping distance", "m", speed**2 / (2 * deceleration), stopped, relative=2e-2),
-        at_most("speed left", "m/s", 1e-3, left),
+        at_most("speed left", "m/s", 1e-3 * bench.pace, left),
     ]
 
 

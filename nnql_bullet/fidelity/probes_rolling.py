@@ -47,7 +47,7 @@ def _coast(bench: Bench) -> list[Measurement]:
             engine.place(open_ground(), MIDDLE, speed)
             engine.release_wheels()
             engine.run(5.0)
-            rows.append(close_to(f"5 s after {speed:g} m/s", "m/s", speed, engine.speed(), absolute=1e-3))
+            rows.append(close_to(f"5 s after {speed:g} m/s", "m/s", speed, engine.speed(), absolute=1e-3 * bench.pace))
     return rows
 
 
@@ -61,7 +61,7 @@ def _rolling_resistance(bench: Bench) -> list[Measurement]:
         engine.release_wheels()
         engine.run(min(1.0, 0.5 * speed / deceleration) if deceleration > 0 else 1.0)
         expected = speed - deceleration * engine.time()
-        return [close_to("speed", "m/s", expected, engine.speed(), absolute=5e-3)]
+        return [close_to("speed", "m/s", expected, engine.speed(), absolute=5e-3 * bench.pace)]
 
 
 def _straight(bench: Bench) -> list[Measurement]:
@@ -73,7 +73,7 @@ def _straight(bench: Bench) -> list[Measurement]:
     return [
         close_to("distance in 20 s", "m", expected, pose.x - MIDDLE.x, relative=2e-4),
         close_to("path length", "m", expected, path_length, relative=2e-4),
-        at_most("sideways", "mm", 10.0, 1e3 * abs(pose.y - MIDDLE.y)),
+        at_most("sideways", "mm", 10.0 * bench.size, 1e3 * abs(pose.y - MIDDLE.y)),
         at_most("change of heading", "deg", 0.02, degrees(abs(pose.yaw))),
     ]
 
@@ -117,7 +117,7 @@ def _actions(bench: Bench) -> list[Measurement]:
             gaps.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
             slips += _slips(vehicle, motion, trace[-1])
             rates.append(abs(motion.yaw_rate))
-        gap = 6.0 * step_factor(engine)
+        gap = 6.0 * bench.pace * step_factor(engine)
     return [
         *rows,
         at_most("RMS distance from the unicycle, largest", "mm", gap, 1e3 * float(np.max(gaps))),
@@ -246,7 +246,7 @@ def _reversing(bench: Bench) -> list[Measurement]:
             off = places - _unicycle(start, -slowly, turn, vehicle.limits, times)
             gaps.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
             swivels.append(np.abs(angles - _swivel(vehicle, -slowly, turn, copysign(begin, turn), times)).max())
-        gap, lag = 6.0 * step_factor(engine), 3.0 * step_factor(engine)
+        gap, lag = 6.0 * bench.pace * step_factor(engine), 3.0 * step_factor(engine)
     return [
         *rows,
         at_most("RMS distance from the unicycle, largest", "mm", gap, 1e3 * float(np.max(gaps))),

@@ -38,7 +38,8 @@ def rolling_freely(vehicle: VehicleSpec) -> VehicleSpec:
 
 def on_ice(vehicle: VehicleSpec) -> VehicleSpec:
     """Returns the vehicle without friction."""
-    return rolling_freely(vehicle).gripping(0.0)
+    slippery = rolling_freely(vehicle).gripping(0.0)
+    return replace(slippery, contact=replace(slippery.contact, ball_friction=0.0))
 
 
 def driven_by(vehicle: VehicleSpec, torque: float) -> VehicleSpec:

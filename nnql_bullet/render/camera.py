@@ -96,11 +96,10 @@ LAP = 24.0
 def chase(timeline: Timeline, width: int, height: int) -> Path:
     """Looks from behind and above; a first-order filter of the yaw turns the camera."""
     times = np.arange(0.0, timeline.duration + STEP, STEP)
-    yaws = np.unwrap([timeline.at(time).pose.yaw for time in times])
-    followed = np.empty_like(yaws)
-    followed[0] = yaws[0]
-    for k in range(1, len(yaws)):
-        followed[k] = followed[k - 1] + (yaws[k] - followed[k - 1]) * STEP / CHASE_TIME_CONSTANT
+    yaws = timeline.yaws(times).tolist()
+    followed = yaws[:1]
+    for yaw in yaws[1:]:
+        followed.append(followed[-1] + (yaw - followed[-1]) * STEP / CHASE_TIME_CONSTANT)
 
     def camera(moment: Moment) -> Camera:
         yaw, (x, y) = float(np.interp(moment.time, times, followed)), (moment.pose.x, moment.pose.y)

@@ -10,7 +10,7 @@ import numpy as np
 
 from nnql_bullet.errors import WorkFailed
 from nnql_bullet.executors import Executor
-from nnql_bullet.recording import load_recording
+from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
 from nnql_bullet.render.painter import Painter
@@ -64,7 +64,7 @@ class FrameTask:
 
 def draw_frames(task: FrameTask) -> Bytes:
     """Draws the frames of a task (n, height, width, 3)."""
-    studio = _studio(task.film)
+    studio = studio_of(task.film)
     return np.stack([studio.frame(time) for time in task.times])
 
 
@@ -93,18 +93,30 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
 
 
 class Studio:
-    """Draws frames of one film."""
+    """Draws frames of one episode."""
 
-    def __init__(self, film: Film) -> None:
-        self._timeline = Timeline(load_recording(film.recording))
-        self._painter = Painter(self._timeline, make_renderer(self._timeline.recording, film.renderer))
-        self._overlay = Overlay(self._timeline, film.height)
-        self._time = np.nan
-        views = {str(film.camera): film.width}
-        if film.camera == "split":
-            left = round(film.width * (1 - MAP_SHARE))
-            views = {"chase": left, "top": film.width - left}
-        self._paths = [PATHS[name](self._timeline, width, film.height) for name, width in views.items()]
+    def __init__(
+        self, recording: Recording, camera: CameraName, width: int, height: int, renderer: RendererName
+    ) -> None:
+        self._height = height
+        self._views = {str(camera): width}
+        if camera == "split":
+            left = round(width * (1 - MAP_SHARE))
+            self._views = {"chase": left, "top": width - left}
+        self._renderer = make_renderer(recording, renderer)
+        self._painter = Painter(Timeline(recording), self._renderer)
+        self.follow(recording)
+
+    def follow(self, recording: Recording) -> None:
+        """Takes up a later recording of the episode, as it has gone on."""
+        self._timeline, self._time = Timeline(recording), np.nan
+        self._painter.follow(self._timeline)
+        self._overlay = Overlay(self._timeline, self._height)
+        self._paths = [PATHS[name](self._timeline, width, self._height) for name, width in self._views.items()]
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self._renderer.close()
 
     def frame(self, time: float) -> Bytes:
         """Draws a frame (height, width, 3); a repeated instant returns the last frame again."""
@@ -120,5 +132,6 @@ class Studio:
 
 
 @lru_cache(maxsize=1)  # a process draws many pieces of one film
-def _studio(film: Film) -> Studio:
-    return Studio(film)
+def studio_of(film: Film) -> Studio:
+    """What draws the frames of a film."""
+    return Studio(load_recording(film.recording), film.camera, film.width, film.height, film.renderer)

@@ -55,7 +55,6 @@ class Painter:
     """Paints the moments of one recording."""
 
     def __init__(self, timeline: Timeline, renderer: Renderer) -> None:
-        self._timeline = timeline
         self._renderer = renderer
         world = timeline.recording.world
         self._cell = max(max(world.width, world.depth) / MOST_CELLS, FINEST)
@@ -64,14 +63,18 @@ class Painter:
         self._layers = self._cells.view(np.uint8).reshape(rows, columns, 4)
         for box in as_rows(() if renderer.lights else world.obstacles + world.walls):
             paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
-        self._safe = timeline.safe()
         self._painted = 1
         """Number of positions of the path in the map."""
+        self.follow(timeline)
         self._heights = np.array([VEHICLE_HEIGHT, *[world.obstacle_height] * len(world.patrols)])
+
+    def follow(self, timeline: Timeline) -> None:
+        """Takes up a later timeline of the episode, as it has gone on."""
+        self._timeline, self._safe = timeline, timeline.safe()
 
     def paint(self, moment: Moment, camera: Camera) -> tuple[Bytes, NDArray[np.float32]]:
         """Paints a camera's picture at a moment (height, width, 3); returns it with the `Solids.depths`."""
-        self._follow(moment)
+        self._paint_path(moment)
         samples, recording = self._renderer.samples, self._timeline.recording
         camera = replace(camera, width=samples * camera.width, height=samples * camera.height)
         solids = self._renderer.draw(moment, camera)
@@ -92,7 +95,7 @@ class Painter:
         )
         return _averaged(smooth_edges(picture, solids.depths), samples), solids.depths[::samples, ::samples]
 
-    def _follow(self, moment: Moment) -> None:
+    def _paint_path(self, moment: Moment) -> None:
         """Paints the path up to a moment into the map."""
         places = self._timeline.path(moment.time)
         if len(places) < self._painted:

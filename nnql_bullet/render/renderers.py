@@ -6,7 +6,7 @@ from typing import Literal
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.solids import BulletRenderer, Renderer
-from nnql_bullet.sim.bullet_scene import NO_EGL, works
+from nnql_bullet.sim.scene_trial import NO_EGL, works
 
 RendererName = Literal["tiny", "egl", "vtk"]
 
@@ -43,10 +43,12 @@ def check_renderer(name: Literal["auto"] | RendererName) -> None:
 
 
 def best_renderer(width: int, height: int) -> RendererName:
-    """Chooses EGL for pictures larger than `SMALL` if it works, else TinyRenderer.
+    """Chooses EGL for pictures larger than `SMALL` if it works, else TinyRenderer; VTK where PyBullet is not installed.
 
     Args:
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
     """
+    if find_spec("pybullet") is None:
+        return "vtk"
     return "egl" if width * height > SMALL and works("egl") else "tiny"

@@ -6,12 +6,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.colours import SOLID_BOX, SOLID_MOVING, SOLID_WALL, unit_rgb
+from nnql_bullet.colours import SOLID_BOX, SOLID_MOVING, SOLID_WALL, Colour, unit_rgb
 from nnql_bullet.geometry import Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.timeline import Moment
-from nnql_bullet.sim.bullet_scene import BulletScene, Colour, SceneKind
+from nnql_bullet.sim.scene_trial import SceneKind
 from nnql_bullet.vehicle.visuals import recorded_urdf
 
 BOX: Colour = unit_rgb(SOLID_BOX)
@@ -65,6 +65,8 @@ class BulletRenderer:
         Raises:
             UserError: If the recording has no shapes of the vehicle, or the renderer does not work on this machine.
         """
+        from nnql_bullet.sim.bullet_scene import BulletScene  # here because other renderers need no PyBullet
+
         vehicle = recording.about["vehicle"]
         urdf = recorded_urdf(vehicle)
         self.scene = BulletScene(kind)

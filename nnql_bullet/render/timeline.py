@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nnql_bullet.geometry import Array, OrientedBox, Pose, wrap_angle
+from nnql_bullet.geometry import Array, OrientedBox, Pose, wrap_angle, wrap_angles
 from nnql_bullet.recording import Recording
 
 
@@ -60,9 +60,13 @@ class Timeline:
             joint_angles=angles,
             speed=float(self._speeds[sample]),
             step=step,
-            over=time >= self.duration,
+            over=time >= self.duration and r.about["ending"] is not None,
             movers=tuple(patrol.at(now) for patrol in r.patrols),
         )
+
+    def yaws(self, times: Array) -> Array:
+        """Returns the yaws at times (k,) [s], without jumps (k,) [rad]."""
+        return np.unwrap(wrap_angles(np.interp(times, self._times, self._poses[:, 2])))
 
     def path(self, time: float) -> Array:
         """Returns the path up to a time [s]: positions (k, 2) [m] at the start and at each sample."""

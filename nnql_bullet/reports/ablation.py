@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
 from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
+from nnql_bullet.config import dotted, merged
 from nnql_bullet.evaluation.ablation import Budget, Entry
 from nnql_bullet.evaluation.studies import Factor, Study
 from nnql_bullet.reports.document import Picture, Report, Section, table
@@ -41,11 +42,12 @@ def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) ->
 
 def about(study: Study, budget: Budget) -> str:
     """Describes the trainings and drives of a study."""
+    asked = f" All of them: {study.asked}." if study.asked else ""
     where = "the kinematic model" if budget.simulator == "kinematic" else f"{budget.simulator} contact physics"
     return (
         f"Each variant departs from the preset `{study.preset}` in one thing: {budget.seeds} trainings of "
         f"{budget.episodes} episodes with {budget.vehicles} vehicles in {where}, each then driven greedily through "
-        f"{budget.worlds} validation worlds of each kind."
+        f"{budget.worlds} validation worlds of each kind.{asked}"
     )
 
 
@@ -97,6 +99,7 @@ def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> d
         **asdict(budget),
         "preset": study.preset,
         "tiers": dict(study.tiers),
+        "shared": dotted(merged({}, study.base)),
         "entries": [
             {
                 "factor": entry.factor.name,
@@ -170,5 +173,6 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
         ]
         handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
         legend_below(figure, 5, handles)
-        title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it"
+        asked = f"; {study.asked}" if study.asked else ""
+        title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it{asked}"
         figure.suptitle(title, fontsize=10, color=INK)

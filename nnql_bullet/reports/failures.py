@@ -44,6 +44,7 @@ from nnql_bullet.reports.drawing import (
     picture,
     without_ticks,
 )
+from nnql_bullet.sim.contact import OVERTURNED
 
 T = TypeVar("T")
 
@@ -65,6 +66,7 @@ RULES: dict[Group, str] = {
     "dithering": f"In the last {HESITATION:g} s, turns of at least {degrees(SMALLEST_TURN):.0f} degrees changed sides "
     f"at least {REVERSALS} times.",
     "head-on": "Every other collision.",
+    "overturned": f"It tilted by more than {degrees(OVERTURNED):.0f} degrees, in contact physics.",
     "stuck": "It ended as stuck: see the options `task.stuck_after` and `task.stuck_radius`.",
     "target circling": f"In the last {LAST_PART:g} s it was never more than {NEAR_TARGET:g} m from the target.",
     "circling": f"In the last {LAST_PART:g} s it made at least {ROUNDS:g} full turns more to one side than to the "
@@ -164,7 +166,7 @@ def _counts(found: Failures) -> Table:
 def _ending(group: Group) -> str:
     if group in ("struck", "flank", "dithering", "head-on"):
         return "collision"
-    return "stuck" if group == "stuck" else "timeout"
+    return group if group in ("overturned", "stuck") else "timeout"
 
 
 def _cells(features: Features) -> dict[str, str]:

@@ -144,6 +144,9 @@ def gap_values(gap: Gap) -> dict[str, Any]:
         "policies": [{"path": run, "fingerprint": its} for run, its in zip(gap.runs, gap.fingerprints, strict=True)],
         "world": gap.world,
         "conditions": gap.conditions and asdict(gap.conditions),
+        "robots": sorted(set(gap.robots)),
+        "shield": gap.shield,
+        "keys": dict(gap.keys),
         "seeds": [gap.draws.seeds.start, gap.draws.seeds.stop],
         "first": gap.first.name,
         "second": gap.second.name,
@@ -215,6 +218,8 @@ def gap_table(gap: Gap) -> str:
 def draw_gap(gap: Gap, path: Path) -> None:
     """Draws outcomes on both sides, distances between both vehicles, and differences if both reach the target."""
     with picture(path, 11.0, 8.2, POWERS) as figure:
+        if gap.asked:
+            figure.suptitle(gap.asked, fontsize=10, color=INK)
         (outcomes, apart), (times, clearances) = figure.subplots(2, 2)
         _draw_outcomes(outcomes, gap)
         _draw_divergence(apart, gap)

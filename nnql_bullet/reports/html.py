@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 
 from nnql_bullet import __version__, colours
 from nnql_bullet.commands import train_arguments
-from nnql_bullet.config import to_values
+from nnql_bullet.config import dotted, to_values
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.failures import features
 from nnql_bullet.evaluation.policies import Policy
@@ -286,15 +286,9 @@ def _settings(pairs: Sequence[tuple[Run, Policy]]) -> dict[str, Any]:
     }
 
 
-def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, str]:
+def _flat(values: Mapping[str, Any]) -> dict[str, str]:
     """Returns nested values under dotted names, as text."""
-    flat: dict[str, str] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{above}{key}.")
-        else:
-            flat[above + key] = value if isinstance(value, str) else json.dumps(value)
-    return flat
+    return {name: its if isinstance(its, str) else json.dumps(its) for name, its in dotted(values).items()}
 
 
 def _versions() -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ from nnql_bullet.reports.drawing import (
     legend_entries,
     picture,
 )
+from nnql_bullet.run_config import DEFAULT_ROBOT
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
 from nnql_bullet.worlds.spec import WorldSpec
@@ -43,13 +44,17 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
         _draw_clearance(clear, recording)
         figure.suptitle(_caption(recording), fontsize=11, color=INK)
         moving = {"moving": "moving, as at the end"} if recording.patrols else {}
+        plan = {"plan": "plan and what was driven at"} if recording.plans else {}
+        waypoint = {"waypoint": "way point"} if recording.world.waypoints else {}
         collision = {"collision": "collision"} if recording.about["ending"] == "collision" else {}
         handles = legend_entries(
             safe="in a safe state",
             non_safe="in a non-safe state",
             obstacle="obstacle",
             **moving,
+            **plan,
             start="start",
+            **waypoint,
             target="target",
             **collision,
         )
@@ -181,10 +186,11 @@ def _draw_clearance(axes: Axes, recording: Recording) -> None:
 
 def _caption(recording: Recording) -> str:
     about = recording.about
-    world = about["world"]
+    world, vehicle = about["world"], about["vehicle"].get("name", DEFAULT_ROBOT)
+    robot = "" if vehicle == DEFAULT_ROBOT else f" on '{vehicle}'"
     cover = sum(box.area for box in recording.obstacles) / (world["width"] * world["depth"])
     return (
-        f"{about.get('policy', 'policy')} in world '{world['name']}', seed {world['seed']} ({cover:.1%} cover): "
+        f"{about.get('policy', 'policy')}{robot} in world '{world['name']}', seed {world['seed']} ({cover:.1%} cover): "
         f"{about['ending']} after {recording.state_time[-1]:.1f} s"
     )
 

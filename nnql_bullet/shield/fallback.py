@@ -81,7 +81,7 @@ def fallback(
     if turn is None or spin.decisions > FULL_TURN:
         for distance in (margin, margin / 2, tight):
             clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            action = predictor.first_safe(situation, scans, ranks, clear, tight)
+            action = predictor.first_safe(situation, scans, ranks, clear, clear, tight)
             if action >= 0:
                 return action, spin
         action = predictor.reverses(situation, scans, tight)

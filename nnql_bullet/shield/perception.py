@@ -35,7 +35,7 @@ class LastScan:
     rays: Array = field(default_factory=lambda: np.full(paper.SECTORS, np.nan))
     """Ray distances (rays,) [m]; NaN where the sensor sees nothing."""
     target: TargetFix = field(default_factory=lambda: TargetFix(0.0, 0.0))
-    """The target as seen then."""
+    """The landmark as seen then."""
     moved: Array = field(default_factory=lambda: np.zeros(3))
     """Predicted pose of now in the vehicle frame of then (3,)."""
     evidence: Array = field(default_factory=lambda: np.zeros(paper.SECTORS))
@@ -62,6 +62,8 @@ class Perception:
     """Points of obstacles in the vehicle frame, seen or remembered (n, m, 2) [m]; NaN for none."""
     moving: NDArray[np.bool_]
     """Whether they belong to moving obstacles (n, m)."""
+    moved: Array
+    """Present poses in the vehicle frames of the decisions before (n, 3)."""
     scans: list[LastScan]
     """The scans for the next decision."""
 
@@ -85,10 +87,10 @@ def perceived(
         task: Says what sensors read of rays, and which states are safe.
     """
     rays, origin = o.ray_distances.copy(), np.array(sensor.position[:2])
-    scans, clouds, movers = [], [], []
+    scans, clouds, movers, moves = [], [], [], []
     for i, before in enumerate(last):
         points = point_cloud(rays[i], sensor)
-        target = TargetFix(float(o.target_distance[i]), float(o.target_bearing[i]))
+        target = TargetFix(float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
         moved = found_pose(before.moved, before.target, target)
         strayed = float(np.hypot(*(moved - before.moved)[:2]))
         moving = moving_points(points, before.rays, moved, strayed, origin)
@@ -112,6 +114,7 @@ def perceived(
         scans.append(replace(scan, rays=np.where(sensor.seen, rays[i], np.nan), standing=stands, recent=recent))
         clouds.append(np.concatenate([points, kept[:, :2]]))
         movers.append(moving)
+        moves.append(moved)
     cloud = np.full((len(clouds), max(map(len, clouds)), 2), np.nan)
     mover = np.zeros(cloud.shape[:2], np.bool_)
     for i, (some, moving) in enumerate(zip(clouds, movers, strict=True)):
@@ -119,7 +122,8 @@ def perceived(
     readings = readings_of(rays, task)
     unsafe = (o.state_property == StateProperty.SAFE) & ~is_safe(readings, task) & (readings < o.readings).any(axis=-1)
     state = np.where(unsafe, StateProperty.NON_SAFE, o.state_property)
-    return Perception(replace(o, ray_distances=rays, readings=readings, state_property=state), cloud, mover, scans)
+    completed_o = replace(o, ray_distances=rays, readings=readings, state_property=state)
+    return Perception(completed_o, cloud, mover, np.array(moves), scans)
 
 
 def remembered_points(standing: Array, moved: Array, rays: Array, sensor: Sensor, lengths: Lengths) -> Array:

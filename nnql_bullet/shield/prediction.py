@@ -18,7 +18,7 @@ from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
 from nnql_bullet.shield.courses import clear_courses, drives_then_stops
 from nnql_bullet.shield.lengths import Lengths
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.limits import followed_limits
+from nnql_bullet.vehicle.limits import followed_limits, side_grip
 from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
@@ -77,6 +77,7 @@ class Predictor:
         self._followed_standing = followed_limits(vehicle, lengths.standstill)
         self.slides = self._followed_standing != limits
         """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they end."""
+        self._brakes_straight_above = side_grip(vehicle, limits.acceleration) / limits.yaw_rate
         self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
         longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / lengths.deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
@@ -147,15 +148,22 @@ class Predictor:
         return np.array([self.can_stop(situation, scans, manner + action, margin) for action in range(ACTIONS)])
 
     def _until_it_stands(self, situation: Situation, manoeuvre: int) -> list[Array]:
-        """Courses of one vehicle, one that follows as asked and one that falls behind; see `drives_then_stops`."""
-        turn = float(situation.turns[0, manoeuvre % ACTIONS])
-        goal = float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
+        """Courses of one vehicle: as asked, falling behind, and straight on where braking leaves no grip for a turn.
+
+        See `drives_then_stops`.
+        """
+        turn, rate = float(situation.turns[0, manoeuvre % ACTIONS]), float(situation.yaw_rate[0])
+        speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
+        followed = dict.fromkeys((self._asked, self._followed_until(goal, situation)))
+        turns = [(turn, limits) for limits in followed]
+        if goal < speed > self._brakes_straight_above:
+            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked))
         return [
             drives_then_stops(
-                *(float(situation.yaw_rate[0]), float(situation.speed[0]), turn, goal, self._drive.decision_period),
+                *(rate, speed, turned, goal, self._drive.decision_period),
                 *(limits.yaw_rate, limits.yaw_acceleration, limits.acceleration, self.lengths.deceleration),
             )
-            for limits in dict.fromkeys((self._asked, self._followed_until(goal, situation)))
+            for turned, limits in turns
         ]
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
@@ -175,9 +183,15 @@ class Predictor:
         return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
 
     def first_safe(
-        self, situation: Situation, scans: RecentScans, ranks: Array, clear: NDArray[np.bool_], margin: float
+        self,
+        situation: Situation,
+        scans: RecentScans,
+        ranks: Array,
+        clear: NDArray[np.bool_],
+        slowly: NDArray[np.bool_],
+        margin: float,
     ) -> int:
-        """The best of one vehicle's clear actions after which it can stop; -1 if there is none.
+        """The best of one vehicle's admitted actions after which it can stop; -1 if there is none.
 
         It carries an action out slowly where it can stop after that and not after full speed.
 
@@ -185,12 +199,13 @@ class Predictor:
             situation: Of this vehicle alone.
             scans: Its recent scans.
             ranks: How good each action is held to be (6,).
-            clear: Whether each action stays clear (6,).
+            clear: Whether each action is admitted at full speed (6,).
+            slowly: Whether it is admitted slowly (6,).
             margin: Clearance that it keeps up to the stop [m].
         """
         for action in np.argsort(-ranks, kind="stable").tolist():
-            for manoeuvre in (action, action + SLOW):
-                if clear[action] and self.can_stop(situation, scans, manoeuvre, margin):
+            for manoeuvre, admitted in ((action, clear[action]), (action + SLOW, slowly[action])):
+                if admitted and self.can_stop(situation, scans, manoeuvre, margin):
                     return int(manoeuvre)
         return -1
 

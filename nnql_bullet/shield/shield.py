@@ -5,8 +5,8 @@ straight on after it. It takes the agent's best action that stays clear of what 
 vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
 `mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
 it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
-no nearer to the target (`recovery`). It completes sensors that read nothing against all evidence, and expects moving
-obstacles to come nearer (`perception`).
+no nearer to the target (`recovery`) and, where it is narrow or leads back, one on a plan. It completes sensors that
+read nothing against all evidence, and expects moving obstacles to come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
@@ -15,16 +15,19 @@ Alshiekh et al., "Safe Reinforcement Learning via Shielding" (AAAI 2018).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, SLOW, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
+from nnql_bullet.mapping.way import first_surroundings, moved_on, place_seen, way_ahead, with_scan
 from nnql_bullet.rollout import Actions, Policy, PolicyState
+from nnql_bullet.sensing import smallest
 from nnql_bullet.shield.fallback import Spin, fallback
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import LastScan, Perception, perceived
@@ -36,6 +39,14 @@ from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 __all__ = ["Shield", "ShieldOptions"]
+
+ALONG = radians(45.0)
+"""Largest angle between the way of a recovery or plan and an action that drives along it [rad]."""
+BEND = 0.7
+"""Distance of the point on a plan, as a share of what it is on straight ways, below which the plan bends so much that
+the vehicle drives slowly."""
+NARROW = 1.25
+"""Distance of the nearest obstacle from the sensor within which a plan leads, not the agent, in turning radii."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +73,13 @@ class Shield:
     """Drives for an agent, see the module. It is a policy that also chooses manoeuvres beyond the actions."""
 
     def __init__(
-        self, options: ShieldOptions, agent: Policy, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions
+        self,
+        options: ShieldOptions,
+        agent: Policy,
+        vehicle: VehicleSpec,
+        drive: DriveOptions,
+        task: TaskOptions,
+        carrot: float | None = None,
     ) -> None:
         """Puts the shield around the agent.
 
@@ -72,10 +89,12 @@ class Shield:
             vehicle: The vehicle with its load and grip.
             drive: How decisions reach the wheels.
             task: Says what sensors read of rays, and which states are safe.
+            carrot: Distance at which the target, a point on a plan, moves on ahead of the vehicle [m]; None for a
+                target that stays.
         """
         self.options = options
         self.agent = agent
-        self._vehicle, self._drive, self._task = vehicle, drive, task
+        self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
 
@@ -109,27 +128,37 @@ class Shield:
         wanted, agent_state = self.agent.act(o, state.agent)
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
-        if self.options.recovers:
-            memories = self._recovering(ranks, o, turns, memories)
+        led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
+        if self._carrot is not None:
+            bends = (o.target_distance < BEND * self._carrot) & (o.distance_left > self._carrot)
+            clear &= ~bends[:, None]  # slowly there
+            at_speed = np.take_along_axis(clear, (wanted % ACTIONS)[:, None], axis=1)[:, 0]
+            led, headings = ~at_speed | self._is_led_by_plan(o), o.target_bearing
+        elif self.options.recovers:
+            memories, led, headings = self._recovering(seen, memories)
+        away = np.abs(wrap_angles(turns - headings[:, None]))
+        ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
             backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
-            admitted, margin = clear[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            admitted, margin = clear[i] & along[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
+            slowly = along[i] & (not backs) if led[i] else admitted
             chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
             calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
-            follows = wanted[i] >= ACTIONS and calm and not memory.recovery.leads(float(o.target_distance[i]))
+            follows = wanted[i] >= ACTIONS and calm and not led[i]
             if not (follows and self._predictor.can_stop(alone, recent, int(wanted[i]), margin)):
-                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, margin)
+                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, slowly, margin)
             if chosen[i] < 0:
                 chosen[i], spin = fallback(
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
-                    *(memory.recovery.side, float(o.target_bearing[i])),
+                    *(int(np.sign(headings[i])), float(o.target_bearing[i])),
                 )
-            spins.append(spin)
+            drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
+            spins.append(Spin() if drives_on else spin)
         if isinstance(self.agent, Overridable):
             agent_state = self.agent.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
@@ -141,20 +170,32 @@ class Shield:
         last = [memory.scan for memory in memories]
         return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
 
-    def _recovering(self, ranks: Array, o: Observation, turns: Array, memories: Sequence[Memory]) -> tuple[Memory, ...]:
-        """Updates the recoveries, and ranks in place the actions of the vehicles that they lead."""
-        after = []
+    def _is_led_by_plan(self, o: Observation) -> NDArray[np.bool_]:
+        """Whether the plan, not the agent, leads each vehicle (n,): where it is narrow, or the plan leads back."""
+        narrow = smallest(o.readings) < NARROW * self._lengths.turning_radius
+        return np.asarray(narrow | (np.abs(o.target_bearing) > LARGEST_TURN))
+
+    def _recovering(
+        self, seen: Perception, memories: Sequence[Memory]
+    ) -> tuple[tuple[Memory, ...], NDArray[np.bool_], Array]:
+        """Updates the recoveries; also whether each leads its vehicle (n,), and to which heading change (n,) [rad]."""
+        after, o = [], seen.observation
+        led, headings = np.zeros(len(memories), np.bool_), np.zeros(len(memories))
         for i, memory in enumerate(memories):
-            distance = float(o.target_distance[i])
-            recovery = memory.recovery.updated(
-                distance, o.readings[i], memory.spin.side, self._drive.decision_period, self._lengths.scale
-            )
-            if recovery.leads(distance):
-                sensor, bearing = self._vehicle.sensor, float(o.target_bearing[i])
-                heading = recovery.heading(bearing, o.ray_distances[i], sensor, self._lengths.scale)
-                ranks[i] = -np.abs(wrap_angles(turns[i] - heading))
-            after.append(replace(memory, recovery=recovery))
-        return tuple(after)
+            left, place = float(o.distance_left[i]), (float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
+            recovery = memory.recovery.updated(left, self._drive.decision_period, self._lengths.scale)
+            around = None
+            if recovery.leads(left):
+                rays = np.where(seen.moving[i, : o.ray_distances.shape[1]], 0.0, seen.scans[i].recent.rays[0])
+                around = recovery.surroundings
+                around = moved_on(around, seen.moved[i], *place) if around else None
+                around = with_scan(around or first_surroundings(*place), rays, self._vehicle)
+                tight, reach = self._lengths.tight_margin, self._lengths.turning_radius
+                target = float(o.target_distance[i]), float(o.target_bearing[i])
+                goal = np.zeros(2) if target == place else place_seen(around.pose, *target)
+                led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach, goal)
+            after.append(replace(memory, recovery=replace(recovery, surroundings=around)))
+        return tuple(after), led, headings
 
     def _remembered(
         self,
@@ -174,7 +215,7 @@ class Shield:
         for i, memory in enumerate(memories):
             spin = spins[i]
             if o.speed[i] >= 0.9 * goals[i] > 0:
-                spin = Spin(spin.side if memory.recovery.side else 0)
+                spin = Spin()
             after.append(Memory(spin, replace(scans[i], moved=moved[i]), memory.recovery))
         return tuple(after)
 

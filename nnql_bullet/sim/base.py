@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 SAMPLE_EVERY = 4
@@ -36,7 +37,7 @@ Traces = Mapping[int, list[Sample]]
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The motion of n vehicles in one control period. A period ends early at the first contact or inside the target."""
+    """The motion of n vehicles in one control period. It ends early at a contact, inside the target, or at a fall."""
 
     pose: Array
     """x, y [m] and yaw [rad] of the rear-axle centre at the end (n, 3)."""
@@ -54,14 +55,16 @@ class Motion:
     heading_error: Array
     """Commanded heading change minus the one that was reached (n,) [rad]."""
     touching: NDArray[np.bool_]
-    """Whether the vehicle touched an obstacle or wall, or tipped over (n,)."""
+    """Whether the vehicle touched an obstacle or wall (n,)."""
     at_target: NDArray[np.bool_]
-    """Whether the rear-axle centre came within the target's radius (n,)."""
+    """Whether the rear-axle centre came within the radius of the target or way point (n,)."""
+    overturned: NDArray[np.bool_]
+    """Whether the vehicle tipped over (n,): `sim.contact.OVERTURNED`. The kinematic model never does."""
 
 
 def no_motion(size: int) -> Motion:
     """The motion of n vehicles that stand by: all zero."""
-    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((2, size), np.bool_))
+    return Motion(np.zeros((size, 3)), *np.zeros((6, size)), *np.zeros((3, size), np.bool_))
 
 
 def driving(active: NDArray[np.bool_] | None, size: int) -> Sequence[int]:
@@ -91,6 +94,8 @@ class Simulator(Protocol):
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
 
+        The first of the world's targets is theirs.
+
         Returns:
             Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.
         """
@@ -119,6 +124,9 @@ class Simulator(Protocol):
         Raises:
             WorkerDied: If a process that holds some vehicles is gone.
         """
+
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """Gives some vehicles another target x, y [m]; its radius stays."""
 
     def close(self) -> None:
         """Frees all resources. The simulator cannot be used after that."""

@@ -7,18 +7,20 @@ ground; the chassis, a box over the whole footprint, touches only obstacles and 
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from math import cos, sin
+from dataclasses import dataclass, replace
+from math import ceil, cos, sin
 from tempfile import NamedTemporaryFile
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
+from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows, meet_circle
 from nnql_bullet.jit import njit
+from nnql_bullet.machine import pybullet_package
 from nnql_bullet.sim.base import Sample
 from nnql_bullet.sim.bullet_state import (
     DynamicsInfo,
@@ -32,7 +34,7 @@ from nnql_bullet.sim.c_library import decimal_points, silenced
 from nnql_bullet.sim.contact import ContactEngine, VehicleMotion
 from nnql_bullet.sim.physics import CONTACT_MARGIN, ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
-from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.controller import DriveOptions, own_speed
 from nnql_bullet.vehicle.payload import physics_text
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec, track_velocities
@@ -41,10 +43,10 @@ with silenced():  # it prints its build time
     try:
         import pybullet as bullet
     except ImportError as error:
-        raise UserError(
-            f"PyBullet is not installed, or does not load ({error}): pip install pybullet; where there is no wheel of "
-            "it, conda install -c conda-forge pybullet"
-        ) from None
+        package = pybullet_package()
+        advice = f"pip install {package}" if package else "PyPI has no wheel of it for this Python"
+        others = "where there is none: conda install -c conda-forge pybullet, or --sim kinematic or mujoco"
+        raise UserError(f"PyBullet is not installed, or does not load ({error}): {advice}; {others}") from None
 
 CHASSIS, OBSTACLE, WHEEL, GROUND, POLE = 1, 2, 4, 8, 16
 """Collision groups, one bit each."""
@@ -60,6 +62,9 @@ BREAKING_THRESHOLD = 0.02
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 STRAIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 """The orientation that is no rotation."""
+
+USUAL_SUPPORTS = 3
+"""Wheels and casters of the vehicle that `PHYSICS` is stated for."""
 
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
@@ -84,6 +89,20 @@ PHYSICS = {
     "reference": Physics(time_step=1 / 240, iterations=200, residual=1e-7, resists_driven=True),
     "fast": Physics(time_step=1 / 120, iterations=80, residual=1e-7, resists_driven=False),
 }
+
+
+def suited(physics: Physics, vehicle: VehicleSpec) -> Physics:
+    """Returns the settings, which are stated for the shipped vehicle, for another one.
+
+    The solver goes from contact to contact and stops when none misses its speed by more than the root of the residual.
+    The misses of all add up in the vehicle's speed, and are to be small against it; more contacts need more rounds.
+    """
+    supports, pace = len(vehicle.contacts) / USUAL_SUPPORTS, min(own_speed(vehicle) / paper.SPEED, 1.0)
+    return replace(
+        physics,
+        iterations=ceil(physics.iterations * supports),
+        residual=physics.residual * (pace / supports) ** 2,
+    )
 
 
 class _Stepping:
@@ -124,7 +143,7 @@ class BulletEngine(ContactEngine):
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions, physics: Physics) -> None:
         super().__init__(vehicle, drive, physics.time_step)
-        self.physics = physics
+        self.physics = suited(physics, vehicle)
         self.client = bullet.connect(bullet.DIRECT)
         if self.client < 0:
             raise UserError("PyBullet gives no more simulators in this process; close some first")

@@ -1,34 +1,26 @@
 """PyBullet's renderers and its window, which show boxes and a vehicle without physics."""
 
 import importlib.util
-import multiprocessing
-import os
 import weakref
-from functools import cache
 from math import asin, atan2, cos, degrees, sin
-from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet.colours import Colour
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.machine import may_start_processes, one_thread_for_mesa
+from nnql_bullet.machine import one_thread_for_mesa
 from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.sim.c_library import decimal_points, silenced
+from nnql_bullet.sim.scene_trial import NO_EGL, SceneKind
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.description import parse, text_of
 
-SceneKind = Literal["tiny", "egl", "window"]
-
-NO_EGL = "EGL does not work here; choose the renderer 'tiny', or install EGL (Debian: libegl1)"
 EMPTY_DEPTH = 1 - 1e-6
 """Smallest depth of an empty pixel; TinyRenderer's is 1 up to rounding."""
-
-Colour = tuple[float, float, float]
-"""Red, green, blue, from 0 to 1."""
 
 
 class BulletScene:
@@ -41,7 +33,7 @@ class BulletScene:
         """Starts a renderer.
 
         Args:
-            kind: TinyRenderer, which works everywhere; EGL, which is faster; or a window.
+            kind: See `SceneKind`.
 
         Raises:
             UserError: If the renderer does not work on this machine.
@@ -138,9 +130,10 @@ class BulletScene:
                 physicsClientId=self.client,
                 **light,
             )
-        shape = (height, width)
-        cleared = np.where(np.reshape(depths, shape) < EMPTY_DEPTH, np.reshape(depths, shape), np.float32(1.0))
-        return np.reshape(colours, (*shape, 4)), cleared, 2.0 if egl else 1.0
+        # Builds of PyBullet without NumPy give tuples.
+        seen = np.asarray(depths, np.float32).reshape(height, width)
+        cleared = np.where(seen < EMPTY_DEPTH, seen, np.float32(1.0))
+        return np.asarray(colours, np.uint8).reshape(height, width, 4), cleared, 2.0 if egl else 1.0
 
     def show(self, on: bool) -> None:
         """Switches the window's drawing on or off; it starts off, because the scene is then built faster."""
@@ -157,38 +150,6 @@ class BulletScene:
         distance = float(np.linalg.norm(ahead))
         yaw, pitch = atan2(ahead[1], ahead[0]), asin(ahead[2] / distance)
         bullet.resetDebugVisualizerCamera(distance, degrees(yaw) - 90.0, degrees(pitch), target, self.client)
-
-
-@cache
-def works(kind: SceneKind, timeout: float = 60.0) -> bool:
-    """Whether a renderer works on this machine. Another process tries it, because a bad driver may end the process.
-
-    A process that may have no children takes TinyRenderer, which needs no driver.
-
-    Args:
-        kind: See `BulletScene`.
-        timeout: Longest time for the trial [s].
-    """
-    if not may_start_processes():
-        return kind == "tiny"
-    process = multiprocessing.get_context("spawn").Process(target=_draw_something, args=(kind,))
-    process.start()
-    process.join(timeout)
-    if process.is_alive():
-        process.kill()
-        process.join()
-    return process.exitcode == 0
-
-
-def _draw_something(kind: SceneKind) -> None:
-    for stream in (1, 2):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)  # the exit code reports a failure
-    scene = BulletScene(kind)
-    scene.add_box((0.5, 0.5, 0.5), (1.0, 0.0, 0.0))
-    ahead = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -3], [0, 0, 0, 1]])
-    lens = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1.2, -2.2], [0, 0, -1, 0]])
-    if np.ptp(scene.picture(ahead, lens, 32, 32)[1]) == 0:
-        raise RuntimeError("the picture is empty")
 
 
 def _disconnect(client: int) -> None:

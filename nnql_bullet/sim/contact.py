@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot
+from math import cos, hypot, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from nnql_bullet.vehicle.controller import (
     whole_steps,
 )
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -39,6 +40,7 @@ class VehicleMotion:
     heading_error: float
     touching: bool
     at_target: bool
+    overturned: bool
 
 
 class _Episode(NamedTuple):
@@ -66,8 +68,10 @@ class _Episode(NamedTuple):
     """[m]"""
 
 
-UPRIGHT = 0.5
-"""Cosine of the tilt beyond which the vehicle has tipped over: it lies on its side, roof or nose."""
+OVERTURNED = pi / 3
+"""Angle between the vehicle's upward axis and the vertical beyond which it has tipped over [rad]: it falls on its side,
+nose or roof. Only wheels touch the ground, so nothing stops a fall before this angle."""
+_UPRIGHT = cos(OVERTURNED)
 
 _RECORD = np.dtype([(name, np.float64) for name in _Episode._fields], align=True)
 
@@ -125,8 +129,8 @@ class ContactEngine(VehiclePhysics):
             heading_gain=self.drive.heading_gain,
             track=self.vehicle.track,
             wheel_radius=self.vehicle.wheel_radius,
-            target_x=world.target[0],
-            target_y=world.target[1],
+            target_x=world.targets[0][0],
+            target_y=world.targets[0][1],
             target_radius=world.target_radius,
         )
         self._episode = np.array([episode], dtype=_RECORD)
@@ -138,11 +142,11 @@ class ContactEngine(VehiclePhysics):
         speed_scale: float = 1.0,
         look: Callable[[], None] | None = None,
     ) -> VehicleMotion:
-        """Drives one control period, or up to the first contact or the target.
+        """Drives one control period, or up to the first contact, the target, or a fall.
 
         The controller sets the wheel speeds 120 times a second, and feeds the heading back 30 times a second. Contact
-        is checked at every physics step where it is possible, the target after every wheel command. A vehicle that has
-        tipped over by the end of the period touches the ground, which counts as contact.
+        is checked at every physics step where it is possible, the target after every wheel command near it, and
+        30 times a second whether the vehicle has tipped over.
 
         Args:
             heading_change: Wanted change from the present yaw [rad], positive to the left.
@@ -167,7 +171,7 @@ class ContactEngine(VehiclePhysics):
         episode, footprint, solids, bounds = self._episode, self._footprint, self._solids, self._bounds
         command, last, touching = 0, len(feed_forward), False
         while True:
-            near, at_target, commands = _look_and_command(
+            near, at_target, overturned, commands = _look_and_command(
                 position,
                 orientation,
                 progress,
@@ -180,7 +184,7 @@ class ContactEngine(VehiclePhysics):
                 solids,
                 bounds,
             )
-            over = command > 0 and (touching or at_target)
+            over = command > 0 and (touching or at_target or overturned)
             if trace is not None and (over or command % SAMPLE_EVERY == 0 < command):
                 trace.append(self.sample())
             if over or command == last:
@@ -191,8 +195,6 @@ class ContactEngine(VehiclePhysics):
                 self._move_patrols()
             position, orientation = self._frame()
         x, y, yaw, path_length, smallest, _ = progress.tolist()
-        qx, qy, _, _ = orientation
-        touching = touching or 1 - 2 * (qx * qx + qy * qy) < UPRIGHT
         self._clearance = clearance_among(x, y, yaw, footprint, solids, bounds)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])
         return VehicleMotion(
@@ -204,8 +206,13 @@ class ContactEngine(VehiclePhysics):
             clearance=0.0 if touching else smallest,
             heading_error=wrap_angle(begin.yaw + heading_change - yaw),
             touching=touching,
-            at_target=at_target and not touching,
+            at_target=at_target and not touching and not overturned,
+            overturned=overturned and not touching,
         )
+
+    def retarget(self, target: Point) -> None:
+        """Gives the vehicle another target x, y [m]; its radius stays."""
+        self._episode["target_x"], self._episode["target_y"] = target
 
     def scan(self) -> Array:
         """Distances of the rays (rays,) [m]. The sensor pitches and rolls with the chassis."""
@@ -261,7 +268,7 @@ def _look_and_command(
     footprint: Array,
     solids: Array,
     bounds: Array,
-) -> tuple[bool, bool, int]:
+) -> tuple[bool, bool, bool, int]:
     """Finds out where the vehicle is, and computes the wheel commands until the next look.
 
     From one look to the next the clearance falls by `reach` at most. So it is computed only where it may have fallen to
@@ -281,8 +288,8 @@ def _look_and_command(
         bounds: Their `bounds_of` (k, 4) [m].
 
     Returns:
-        Whether contact is possible before the next look, whether the target is reached, and the number of commands
-        until the next look, which is 1 where they might reach the target.
+        Whether contact is possible before the next look, whether the target is reached, whether the vehicle has tipped
+        over, and the number of commands until the next look, which is 1 where they might reach the target.
     """
     e = episode[0]
     x, y, yaw = rear_axle(position, orientation, e.ahead, e.left, e.up)
@@ -303,7 +310,9 @@ def _look_and_command(
         e.wheel_radius,
         speeds[:commands],
     )
-    return progress[BOUND] <= e.reach, to_target <= 0.0, commands
+    qx, qy, _, _ = orientation
+    overturned = 1 - 2 * (qx * qx + qy * qy) < _UPRIGHT
+    return progress[BOUND] <= e.reach, to_target <= 0.0, overturned, commands
 
 
 @njit()

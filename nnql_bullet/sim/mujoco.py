@@ -30,6 +30,7 @@ from nnql_bullet.sim.physics import ContactForce, LinkDynamics, Quaternion
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import physics_text
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -40,6 +41,9 @@ OBSTACLE = 1
 
 IMPEDANCE = 0.9999
 """Share to which a constraint is met, the largest that the engine takes; the vehicle hardly sinks in or creeps."""
+SLIDING_IMPEDANCE = 0.99
+"""The same for balls of a vehicle with more than three supports: where its weight could rest on any of them, the wheels
+take it. Otherwise the load would jump, because `_let_slide` finds one of many solutions."""
 CONSTRAINT_STEPS = 2.0
 """Time constant of a constraint, in steps, the smallest that the engine takes; it corrects a velocity in one step."""
 HIT_DAMPING = 5.0
@@ -214,7 +218,7 @@ class MujocoEngine(ContactEngine):
             spec = mujoco.MjSpec.from_string(self._urdf)
             spec.compiler.fusestatic = False
             spec.worldbody.first_body().add_freejoint()
-            _set_solver(spec, self.time_step)
+            _set_solver(spec, self.vehicle, self.time_step)
             _set_contacts(spec, self.vehicle)
             _add_clutches(spec, self.vehicle)
             if self._ground:
@@ -339,9 +343,11 @@ def _hard(damping: float, time_step: float) -> list[float]:
     return [CONSTRAINT_STEPS * time_step, damping]
 
 
-def _set_solver(spec: Any, time_step: float) -> None:
+def _set_solver(spec: Any, vehicle: VehicleSpec, time_step: float) -> None:
     spec.option.timestep = time_step
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    # The solver stops when a round gains less energy than this; that of a small vehicle goes with its lengths as k^5.
+    spec.option.tolerance *= min(length_scale(vehicle.footprint), 1.0) ** 5
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # friction is the same in all directions
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND  # `_let_slide` works without; there is only one
 
@@ -367,6 +373,9 @@ def _set_contacts(spec: Any, vehicle: VehicleSpec) -> None:
         for geom in spec.body(link).geoms:
             geom.contype = WHEEL
             geom.friction = friction
+    for its in vehicle.casters if len(vehicle.casters) > 1 else ():
+        for geom in [] if its.swivels else spec.body(its.link).geoms:
+            geom.solimp[:2] = SLIDING_IMPEDANCE
 
 
 def _add_clutches(spec: Any, vehicle: VehicleSpec) -> None:

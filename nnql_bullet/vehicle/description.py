@@ -38,7 +38,11 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re
 
 
 class Unfit(Exception):
-    """The URDF does not describe a vehicle that this package can drive; the text names the change needed."""
+    """The URDF does not describe a vehicle that this package can drive; the text names the changes needed."""
+
+    def __init__(self, *problems: str) -> None:
+        self.problems = problems
+        super().__init__(listed(problems))
 
 
 def refuse(problems: Sequence[str]) -> None:
@@ -48,7 +52,7 @@ def refuse(problems: Sequence[str]) -> None:
         Unfit: If there are any.
     """
     if problems:
-        raise Unfit(listed(problems))
+        raise Unfit(*problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +253,17 @@ def looks_of(link: Element, find: Callable[[str], Path | None]) -> list[Element]
     if own or painted is None:
         return own
     return [_look(solid, painted) for solid in link.findall("collision") if _is_drawable(solid)]
+
+
+def without_looks(text: str) -> str:
+    """Returns a URDF without what is only seen."""
+    robot = parse(text)
+    for link in robot.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for material in robot.findall("material"):
+        robot.remove(material)
+    return text_of(robot)
 
 
 def text_of(robot: Element) -> str:
@@ -470,7 +485,8 @@ def _solid(element: Element) -> Solid:
     shape = element.find("geometry/*")
     kind = "" if shape is None else shape.tag
     sizes = {} if shape is None else shape.attrib
-    keys = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("scale",)}.get(kind, ())
+    round_ones = dict.fromkeys(("cylinder", "capsule"), ("radius", "length"))
+    keys = (round_ones | {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}).get(kind, ())
     numbers = tuple(number for key in keys for number in _floats(sizes.get(key, "")))
     return Solid(kind, numbers, _transform(element), sizes.get("filename", ""), element.get("of", ""))
 

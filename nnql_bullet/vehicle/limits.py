@@ -156,6 +156,17 @@ def grip_acceleration(vehicle: VehicleSpec) -> float:
     return straight / sqrt(1 + (2 * vehicle.com_ahead / vehicle.track) ** 2)
 
 
+def side_grip(vehicle: VehicleSpec, deceleration: float) -> float:
+    """Computes the lateral acceleration at the limit of grip that braking leaves, by the friction ellipse [m/s2].
+
+    Args:
+        vehicle: The vehicle that turns.
+        deceleration: At which it brakes [m/s2]; one that locks its wheels leaves nothing.
+    """
+    share = min(deceleration / braking(vehicle).by_grip, 1.0)
+    return grip_acceleration(vehicle) * sqrt(1 - share * share)
+
+
 @dataclass(frozen=True, slots=True)
 class Braking:
     """Decelerations of a vehicle that brakes on its drive wheels, straight ahead."""

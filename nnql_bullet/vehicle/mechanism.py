@@ -8,7 +8,7 @@ up. Joints that drive nothing, such as those of suspensions and arms, are held a
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from math import atan2, cos, degrees, radians, sin, sqrt
+from math import asin, atan2, cos, degrees, radians, sin, sqrt
 
 import numpy as np
 
@@ -35,6 +35,7 @@ SMALL = 0.5
 WHEELS_AT_MOST = 2
 """Wheels on fixed axles that a vehicle may have."""
 NAMED_SUPPORT = re.compile(r"cast(e|o)r|ball|skid|support", re.IGNORECASE)
+NAMED_WHEEL = re.compile(r"wheel", re.IGNORECASE)
 NAMED_LIDAR = re.compile(r"laser|lidar|scan|hokuyo|sick|velodyne|ydlidar|rplidar", re.IGNORECASE)
 KIND = "a vehicle drives by two wheels on one axle, and all others are casters"
 
@@ -192,19 +193,22 @@ def find_mechanism(urdf: Description, meshes: Meshes, drives: tuple[str, str] | 
     """
     search = _Search(urdf, meshes)
     free = list(_candidates(search))
-    steered = list(_steered(search, free))
-    search.problems += steered
-    pair, others = _drives(search, free, drives)
-    refuse(search.problems)
+    steered = dict(_steered(search, free))
+    search.problems += steered.values()
+    pair, others = _drives(search, [its for its in free if its.joint.name not in steered], drives)
     if pair is None:
+        refuse(search.problems)
         raise Unfit(f"no two wheels that turn freely are on one axle; {KIND}")
     left, right, frame = _axle(search, *pair)
-    refuse(search.problems)
     made = _Assembly(search, frame, left, right)
+    before = len(search.problems)
     casters = [caster for its in _swivels(others) if (caster := made.swivelling(*its))]
     taken = {its.joint.name for pair in _swivels(others) for its in pair}
     held = [its for its in others if its.joint.name not in taken]
     casters += made.balls(held)
+    if not casters and not steered and len(search.problems) == before:
+        high = "".join(f"; '{name}' ends {above:.4g} m above the ground" for name, above in made.too_high.items())
+        search.problems.append(f"it has no caster, and would fall over: only its drive wheels touch the ground{high}")
     body = made.body(casters)
     refuse(search.problems)
     return made.mechanism(body, casters)
@@ -252,8 +256,12 @@ def _hulls(search: _Search, link: Link) -> list[Hull]:
     return []
 
 
-def _steered(search: _Search, free: list[_Candidate]) -> Iterator[str]:
-    """Finds wheels that are steered: a joint between the body and them turns about the vertical within limits."""
+def _steered(search: _Search, free: list[_Candidate]) -> Iterator[tuple[str, str]]:
+    """Finds wheels that are steered: a joint between the body and them turns about the vertical within limits.
+
+    Yields:
+        The name of the wheel's joint, and what is wrong with it.
+    """
     urdf = search.urdf
     above = {joint.child: joint for joint in urdf.joints.values()}
     names = {its.joint.name for its in free}
@@ -266,8 +274,9 @@ def _steered(search: _Search, free: list[_Candidate]) -> Iterator[str]:
             axis = urdf.frames[joint.child][:3, :3] @ joint.axis
             if joint.kind == "revolute" and joint.name not in names and np.hypot(*axis[:2]) < PARALLEL:
                 yield (
+                    its.joint.name,
                     f"wheel joint '{its.joint.name}' is steered by '{joint.name}', which turns within limits; steered "
-                    f"wheels are not supported: {KIND}, which swivel freely (continuous)"
+                    f"wheels are not supported: {KIND}, which swivel freely (continuous)",
                 )
             link = joint.parent
 
@@ -318,7 +327,7 @@ def _drives(
             )
         found = max(pairs, key=lambda pair: min(its.radius for its in pair), default=None)
         if found is None and not extra and not search.problems:
-            names = ", ".join(f"'{its.joint.name}'" for its in fixed) or "none"
+            names = ", ".join([f"'{its.joint.name}'" for its in fixed] + list(_unlike_wheels(search, free))) or "none"
             lost = ", ".join(sorted(search.unknown))
             more = f"; the extent of {lost} is not known, as its meshes are not found" if lost else ""
             search.problems.append(f"it has no two wheels on fixed axles that turn freely, but: {names}{more}; {KIND}")
@@ -330,6 +339,17 @@ def _drives(
         names = ", ".join(f"'{its.joint.name}'" for its in extra)
         search.problems.append(f"besides its drive wheels it has wheels on fixed axles ({names}), which skid; {KIND}")
     return pair, [its for its in free if its not in pair]
+
+
+def _unlike_wheels(search: _Search, free: list[_Candidate]) -> Iterator[str]:
+    """Says why joints that are named for wheels, or turn freely, are no wheels."""
+    for its in free:
+        if its.hulls and its.carrier is None and not its.level and not its.upright:
+            tilt = degrees(asin(min(abs(float(its.axis[2])), 1.0)))
+            yield f"'{its.joint.name}', whose axis is {tilt:.0f} degrees off the level"
+    for joint in search.urdf.joints.values():
+        if NAMED_WHEEL.search(f"{joint.name} {joint.child}") and not joint.turns_freely:
+            yield f"'{joint.name}', which is {joint.kind}" + " within limits" * (joint.kind == "revolute")
 
 
 def _guess(search: _Search, wheel: _Candidate) -> None:
@@ -421,6 +441,8 @@ class _Assembly:
         self.track = float(self._left.part.origin[1] - self._right.part.origin[1])
         self._moved = {*left.links, *right.links}
         self._supporting: set[tuple[str, int]] = set()
+        self.too_high: dict[str, float] = {}
+        """Heights above the ground of what is named for a caster and is none [m]."""
 
     def _wheel(self, its: _Candidate, turned: Array) -> Wheel:
         """Makes a wheel, of the shapes of a candidate moved in the vehicle's frame."""
@@ -515,7 +537,9 @@ class _Assembly:
         links = [link for link in urdf.links.values() if link.name not in self._moved]
         shapes: dict[str, list[Hull]] = {}
         for link in links:
-            for number, solid in enumerate(link.solids):
+            known = any(hull_of(solid, search.meshes) for solid in link.solids)
+            looks = link.looks if NAMED_SUPPORT.search(link.name) else ()
+            for number, solid in enumerate(link.solids if known else looks):
                 hull = hull_of(solid, search.meshes)
                 if hull is None:
                     continue
@@ -524,10 +548,12 @@ class _Assembly:
                 named = NAMED_SUPPORT.search(owner) or link.name in moved
                 above = float(hull.low[2]) - self._ground
                 small = float(np.max(hull.high[:2] - hull.low[:2])) < SMALL * self.track
-                grazes = small and abs(above) <= max(GRAZING * -self._ground, NEAR)
+                grazes = known and small and abs(above) <= max(GRAZING * -self._ground, NEAR)
                 if (named and self._is_low(hull)) or grazes:
                     shapes.setdefault(owner, []).append(hull)
-                    self._supporting.add((link.name, number))
+                    self._supporting |= {(link.name, number)} if known else set()
+                elif NAMED_SUPPORT.search(owner):
+                    self.too_high[owner] = min(above, self.too_high.get(owner, above))
         for owner, hulls in shapes.items():
             low, high = np.min([h.low for h in hulls], axis=0), np.max([h.high for h in hulls], axis=0)
             flat = [hull for hull in hulls if len(hull.points) == 1]

@@ -87,6 +87,8 @@ def hull_of(solid: Solid, meshes: Meshes) -> Hull | None:
             hull = Hull(signs * (x, y, z))
         case "sphere", (radius,):
             hull = Hull(np.zeros((1, 3)), radius)
+        case "capsule", (radius, length):
+            hull = Hull(np.array([(0.0, 0.0, -length / 2), (0.0, 0.0, length / 2)]), radius)
         case "cylinder", (radius, length):
             angles = np.arange(CORNERS) * (2 * pi / CORNERS)
             rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(CORNERS, length / 2)])

@@ -1,6 +1,7 @@
 """The vehicle: its dimensions, masses, limits and friction, as its URDF and TOML describe them."""
 
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -162,6 +163,14 @@ class VehicleSpec:
         return read_robot(path).vehicle
 
     @property
+    def digest(self) -> str:
+        """Hash of all that it drives by, wherever its files are, whatever its name is and however it looks."""
+        from nnql_bullet.vehicle.description import without_looks
+
+        said = replace(self, name="", urdf=Path(), source="")
+        return sha256(f"{said!r} {without_looks(self.description)}".encode()).hexdigest()[:16]
+
+    @property
     def sensor_height(self) -> float:
         """Height of the rays above the ground [m]."""
         return self.sensor.position[2] + self.wheel_radius
@@ -198,6 +207,10 @@ class VehicleSpec:
     def gripping(self, friction: float) -> "VehicleSpec":
         """Returns the vehicle with another friction of its wheels."""
         return replace(self, contact=replace(self.contact, wheel_friction=friction))
+
+    def driving_at(self, speed: float | None) -> "VehicleSpec":
+        """Returns the vehicle with another speed of its own [m/s]; None keeps it."""
+        return self if speed is None else replace(self, limits=replace(self.limits, speed=speed))
 
     @property
     def length(self) -> float:

@@ -5,9 +5,11 @@ so that it turns and stops in the same times. Grip, tipping and the drives' torq
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -16,7 +18,7 @@ import numpy as np
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import is_file, write_text
+from nnql_bullet.files import write_text
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.canonical import canonical
 from nnql_bullet.vehicle.controller import own_speed
@@ -28,6 +30,7 @@ from nnql_bullet.vehicle.shapes import Meshes
 from nnql_bullet.vehicle.spec import ContactCoefficients, JointNames, Limits, VehicleSpec
 from nnql_bullet.vehicle.stances import loads_at_rest
 from nnql_bullet.vehicle.urdf import RobotFile, mechanism_of, vehicle_of
+from nnql_bullet.vehicle.xacros import expand
 
 YAW_RATE, YAW_ACCELERATION, ACCELERATION = 1.5708, 7.4, 2.5
 """Limits of the shipped vehicle [rad/s, rad/s2, m/s2]."""
@@ -141,8 +144,12 @@ class Translation:
         return toml, urdf
 
 
-def read_robot(path: Path | str) -> Translation:
+def read_robot(path: Path | str, arguments: Mapping[str, str] = MappingProxyType({})) -> Translation:
     """Reads the URDF or xacro of a robot.
+
+    Args:
+        path: The file.
+        arguments: Values of the arguments of a xacro by name, in place of its own.
 
     Raises:
         UserError: If it cannot be read, or cannot be driven; the message names all problems.
@@ -157,7 +164,7 @@ def read_robot(path: Path | str) -> Translation:
         'goal'
     """
     path = Path(path)
-    meshes, source = Meshes(path), expanded(path)
+    meshes, (source, warned) = Meshes(path), _source(path, arguments)
     try:
         mechanism = mechanism_of(source, meshes, None)
         written = canonical(source, mechanism, meshes)
@@ -184,30 +191,22 @@ def read_robot(path: Path | str) -> Translation:
         raise UserError(f"{path}: {error}") from None
     limits, notes = suitable_limits(vehicle, mechanism, unbound.wheel_torque is None)
     vehicle = replace(vehicle, limits=limits, wheel_torque=limits.wheel_torque or vehicle.wheel_torque)
-    return Translation(vehicle, mechanism, text_of(written), (*mechanism.notes, *notes))
+    return Translation(vehicle, mechanism, text_of(written), (*warned, *mechanism.notes, *notes))
 
 
-def expanded(path: Path) -> Element:
-    """Reads a URDF, or a xacro after expanding it.
+def _source(path: Path, arguments: Mapping[str, str]) -> tuple[Element, list[str]]:
+    """Reads a URDF, or a xacro after expanding it; returns what xacro warned of too.
 
     Raises:
         UserError: If it cannot be read or expanded.
     """
     if path.suffix.lower() != ".xacro":
-        return read(path)
-    if not is_file(path):
-        raise UserError(f"{path}: there is no such file")
+        if arguments:
+            raise UserError(f"{path}: arguments are for xacros; this file ends in {path.suffix or 'nothing'}")
+        return read(path), []
+    text, warned = expand(path, arguments)
     try:
-        from xacrodoc import XacroDoc
-    except ImportError:
-        raise UserError(f"{path}: to expand a xacro: pip install 'nnql-bullet[robots]' (xacrodoc)") from None
-    try:
-        text = XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
-    except Exception as error:  # xacro passes on all errors of the expressions that it evaluates
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{path}: xacro cannot expand it: {reason}") from None
-    try:
-        return parse(text)
+        return parse(text), [f"xacro: {line}" for line in warned]
     except Unfit as error:
         raise UserError(f"{path}: {error}") from None
 

@@ -68,6 +68,13 @@ def load_vehicle(vehicle: str | Path | VehicleSpec) -> VehicleSpec:
     return replace(made, source=name)
 
 
+def collision_meshes(urdf: Path) -> dict[str, Path]:
+    """Finds the files of the meshes that a vehicle is as large as, by their names in its URDF."""
+    meshes = Meshes(urdf)
+    named = [mesh.get("filename", "") for mesh in read(urdf).iterfind("link/collision/geometry/mesh")]
+    return {name: file for name in named if (file := meshes.find(name))}
+
+
 def robot_name(vehicle: str | Path | VehicleSpec) -> str:
     """Returns the name or TOML file of a vehicle, for a configuration.
 
@@ -93,8 +100,7 @@ def mechanism_of(source: Element, meshes: Meshes, joints: JointNames | None, nee
     try:
         found = find_mechanism(urdf, meshes, drives)
     except Unfit as error:
-        refuse([*problems, str(error)])
-        raise
+        raise Unfit(*problems, *error.problems) from None
     if needs_effort:
         problems += _check_efforts(found)
     if joints:
@@ -194,9 +200,6 @@ def _check_efforts(mechanism: Mechanism) -> Iterator[str]:
 
 def _check_balance(vehicle: VehicleSpec) -> Iterator[str]:
     """Checks that the vehicle stands on its wheels."""
-    if not vehicle.casters:
-        yield "it has no caster: nothing but its two drive wheels touches the ground, and it would fall over"
-        return
     inside = margin(np.array(vehicle.contacts), vehicle.com_ahead, vehicle.com_left)
     if inside <= 0:
         ends = vehicle.stance

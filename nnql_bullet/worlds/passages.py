@@ -17,6 +17,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
+ROUNDING = 1e-9
+"""How much narrower than needed a passage may be for the sake of rounding [m]."""
 _FIRST_REACH = 1.0
 """Distance of pairs that are looked at first [m]; it doubles until a barrier closes."""
 
@@ -39,7 +41,7 @@ class Passage:
 
     def admits(self, width: float) -> bool:
         """Whether a disc of a width [m] passes, to a nanometre."""
-        return self.width > width - 1e-9
+        return self.width > width - ROUNDING
 
 
 def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
@@ -56,12 +58,7 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
     found = [_around(point, shapes) for point in (start, target)]
     reach, most = _FIRST_REACH, 2.0 * max(min(its.width for its in found), 0.0)
     while True:
-        distances, pairs, points = _close_pairs(shapes, min(reach, most), MOST_PAIRS)
-        if len(distances) > MOST_PAIRS:
-            raise UserError(
-                f"more than {MOST_PAIRS} pairs of obstacles are within {min(reach, most):.2f} m of each other; merge "
-                "those that overlap"
-            )
+        distances, pairs, points = _pairs_within(shapes, min(reach, most))
         order = np.argsort(distances, kind="stable")
         closing = _first_barrier(order, pairs, points, shapes, np.array([start, target]))
         if closing >= 0:
@@ -72,10 +69,38 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
         reach *= 2.0
 
 
+def is_passable(shapes: Array, start: Point, target: Point, width: float) -> bool:
+    """Whether a disc of a width [m] passes from the start to the target, as `narrowest_passage(...).admits(width)`.
+
+    It looks only at pairs that are no farther apart than the width, which are few among many shapes.
+
+    Raises:
+        UserError: See `narrowest_passage`.
+    """
+    if not all(_around(point, shapes).admits(width) for point in (start, target)):
+        return False
+    distances, pairs, points = _pairs_within(shapes, float(np.nextafter(width - ROUNDING, np.inf)))
+    return _first_barrier(np.arange(len(distances)), pairs, points, shapes, np.array([start, target])) < 0
+
+
 def _around(point: Point, shapes: Array) -> Passage:
     """The largest disc around a point."""
     row = as_rows([Circle(*point, 0.0)])[0]
     return Passage(2.0 * float(clearance(row, shapes)), *point)
+
+
+def _pairs_within(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64], Array]:
+    """As `_close_pairs`, with no more than `MOST_PAIRS` pairs.
+
+    Raises:
+        UserError: If there are more.
+    """
+    found = _close_pairs(shapes, reach, MOST_PAIRS)
+    if len(found[0]) > MOST_PAIRS:
+        raise UserError(
+            f"more than {MOST_PAIRS} pairs of obstacles are within {reach:.2f} m of each other; merge what overlaps"
+        )
+    return found
 
 
 @njit()
@@ -89,8 +114,6 @@ def _close_pairs(shapes: Array, reach: float, most: int) -> tuple[Array, NDArray
     radii = np.array([reach_of(shape) for shape in shapes])
     from_left = np.argsort(shapes[:, 0] - radii)
     for place, i in enumerate(from_left):
-        if len(distances) > most:
-            break
         for j in from_left[place + 1 :]:
             if shapes[j, 0] - radii[j] - shapes[i, 0] - radii[i] >= reach:
                 break
@@ -103,6 +126,8 @@ def _close_pairs(shapes: Array, reach: float, most: int) -> tuple[Array, NDArray
                 distances.append(apart)
                 pairs.append((i, j))
                 points.append((x, y, u, v))
+        if len(distances) > most:
+            break
     count = len(distances)
     found = np.zeros(count), np.zeros((count, 2), np.int64), np.zeros((count, 2, 2))
     for k in range(count):

@@ -12,7 +12,7 @@ from unittest.mock import patch
 import gymnasium
 
 from nnql_bullet.geometry import Array
-from nnql_bullet.gym_env import TricycleEnv
+from nnql_bullet.gym_env.single import TricycleEnv
 from nnql_bullet.sim.bullet import OBSTACLE, PHYSICS, BulletEngine
 from nnql_bullet.sim.bullet import bullet as pybullet
 from nnql_bullet.sim.engines import ContactSimulator

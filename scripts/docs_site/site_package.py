@@ -8,7 +8,6 @@ import io
 import os
 import re
 import textwrap
-from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
@@ -59,10 +58,10 @@ def robot_keys() -> str:
 def presets() -> str:
     """A Markdown table of the keys that each preset sets differently from the defaults."""
     run_config, load_config, to_values = find("RunConfig"), find("load_config"), find("to_values")
-    defaults = dict(_flat(to_values(run_config())))
+    defaults = find("dotted")(to_values(run_config()))
     rows = []
     for name in import_module("nnql_bullet.presets").PRESETS:
-        values = dict(_flat(to_values(load_config(name, {}))))
+        values = find("dotted")(to_values(load_config(name, {})))
         same_agent = values.get("agent.kind") == defaults.get("agent.kind")
         changed = {
             key: value
@@ -73,14 +72,6 @@ def presets() -> str:
             text = "<br>".join(f"`{key} = {_toml(value)}`" for key, value in changed.items())
             rows.append((f"`{name}`", text or "nothing: these are the defaults"))
     return _table(("preset", "keys that differ from the defaults"), rows)
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
 
 
 def _key_tables(cls: type, level: int) -> str:

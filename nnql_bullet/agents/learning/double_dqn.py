@@ -7,115 +7,30 @@ al. (ICML 2016), n-step returns, and a target network that follows slowly, which
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, frame_width
+from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.agents.learning.replay import CONTINUES, TERMINATED, TRUNCATED, Batch, Replay
+from nnql_bullet.agents.learning.shaped_reward import reward
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS
-from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, Observation, Transition, heading_change
+from nnql_bullet.env import ACTIONS, Observation, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
-from nnql_bullet.mapping import grid_map
 from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
-from nnql_bullet.sensing import FRONT
-from nnql_bullet.task import NO_ENDING, StateProperty
-from nnql_bullet.types import BatchSize, BufferSize, Bytes, Count, Few, Frames, Layers, Number, Positive, UnitInterval
+from nnql_bullet.task import NO_ENDING
+from nnql_bullet.types import Bytes
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-FRONT_DISTANCE = 5.0
-"""Readings of the front sensor below this cost reward [m]."""
-
-
-@options
-class DoubleDqnOptions:
-    """Options of double DQN: its inputs, its learning and its reward.
-
-    results/ablation-double_dqn compares some of them.
-    """
-
-    kind: Literal["double_dqn"] = "double_dqn"
-    rays: Literal[8, 24, 72] = 24
-    """Readings of the network: each is the nearest of its share of the 72 rays."""
-    frames: Frames = 3
-    """Last moments that the network sees at once."""
-    grid_map: bool = True
-    """Whether the vehicle keeps a map of what it has seen, and the network is given path lengths through it."""
-    hidden: Layers = (128, 128)
-    """Units of the hidden layers."""
-    learning_rate: Positive = 5e-4
-    """Learning rate of Adam in the first half of the scheduled episodes."""
-    learning_rate_final: Positive = 5e-5
-    """Learning rate from `schedule_episodes` on; it falls over the second half of them."""
-    schedule_episodes: Count = 12_000
-    """Episodes that schedules are made for. They do not follow the number of training episodes, so that a run can be
-    stopped and resumed."""
-    discount: UnitInterval = 0.9
-    """gamma."""
-    n_step: Few = 3
-    """Steps of a return before it is bootstrapped."""
-    batch_size: BatchSize = 256
-    """Steps that one gradient step learns from."""
-    gradient_steps: Few = 2
-    """Gradient steps after each step of all vehicles."""
-    tau: Annotated[float, Field(gt=0, le=1)] = 0.005
-    """Fraction by which the target network moves toward the online network in a gradient step."""
-    buffer_size: BufferSize = 300_000
-    """Steps in the replay buffer, of all vehicles together."""
-    learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 10_000
-    """Steps of all vehicles together before the first gradient step."""
-    exploration_final: Annotated[tuple[UnitInterval, ...], Field(min_length=1, max_length=100)] = (0.01, 0.05, 0.1, 0.2)
-    """Probabilities of a random action, which episodes take by turns: some get far, and some see much."""
-    exploration_episodes: Count = 1_000
-    """Episodes over which the probability of a random action falls from 1 to those, linearly."""
-    mirrored: bool = True
-    """Whether half of the steps are learned from as their mirror images, with left and right exchanged."""
-    reward_progress: Number = 0.03
-    """Reward for each metre that the path to the target gets shorter."""
-    reward_step: Number = -0.005
-    """Reward for each decision."""
-    reward_turn: Number = -0.003
-    """Reward for each radian of heading change that is asked for."""
-    reward_near: Number = -0.06
-    """Reward for an obstacle that touches the front sensor; it shrinks to nothing at 5 m."""
-    reward_winning: Number = 0.5
-    """Reward for reaching the target."""
-    reward_failure: Number = -2.0
-    """Reward for touching something."""
-
-    def training_memory(self, vehicles: int) -> int:
-        """Memory that a training with so many vehicles needs at least: buffer, maps, batch, weights [bytes]."""
-        width = frame_width(self.rays, self.grid_map)
-        seen, steps = self.frames * width, max(self.buffer_size, (self.n_step + self.frames) * vehicles)
-        weights = sum(one * other for one, other in pairwise((seen, *self.hidden, ACTIONS)))
-        maps = vehicles * (seen + (grid_map.SIZE**2 if self.grid_map else 0))
-        return steps * (width + 8) + maps + 2 * self.gradient_steps * self.batch_size * seen + 16 * weights
-
-    def exploration(self, episodes: NDArray[np.int64]) -> Array:
-        """Probability of a random action in training episodes (n,), counted from 0."""
-        final = np.array(self.exploration_final)[episodes % len(self.exploration_final)]
-        progress = np.minimum(episodes / self.exploration_episodes, 1.0)
-        return np.asarray(1.0 + (final - 1.0) * progress)
-
-    def learning_rate_at(self, episode: int) -> float:
-        """Learning rate in a training episode, counted from 0."""
-        progress = min(max(2 * episode / self.schedule_episodes - 1, 0.0), 1.0)
-        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * progress
-
-    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "DoubleDqn":
-        """Builds the untrained agent."""
-        return DoubleDqn(self, seed, vehicle, drive)
 
 
 class DuelingNetwork(torch.nn.Module):
@@ -292,15 +207,6 @@ class DoubleDqn:
             soft_update(self.network, learning.online, o.tau)
             errors.append(td_error.detach())
         return float(torch.cat(errors).square().mean().sqrt())
-
-
-def reward(t: Transition, o: DoubleDqnOptions, scale: float = 1.0) -> Array:
-    """Rewards of steps (n,) of vehicles of a scale, except for the progress, which is known at the next decision."""
-    nearness = np.maximum(1 - t.s_t.readings[:, FRONT] / (FRONT_DISTANCE * scale), 0.0)
-    turns = np.abs(heading_change(t.a_tm1, t.s_tm1.target_bearing))
-    won, failed = t.s_t.state_property == StateProperty.WINNING, t.s_t.state_property == StateProperty.FAILURE
-    before_end = o.reward_step + o.reward_turn * turns + o.reward_near * nearness
-    return np.asarray(before_end + (o.reward_winning * won + o.reward_failure * failed))
 
 
 def partly_mirrored(batch: Batch, frames: FrameMaker, generator: np.random.Generator) -> Batch:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
-from nnql_bullet.env import ACTIONS, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, Commands, Observation, Transition, commands_of
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.sensing import nearest_rays
@@ -138,15 +138,18 @@ class FrameMaker:
         """Enters the observations of n vehicles into a copy of their memory."""
         o, new = observations, memory.age == 0
         rays, away = o.ray_distances[:, self._taken] / self._scale, o.target_distance / self._scale
-        first = grid_map.first_poses(away, o.target_bearing)
-        later = grid_map.tracked(memory.poses, memory.steps, away, o.target_bearing)
+        mark = o.landmark_distance / self._scale
+        first = grid_map.first_poses(mark, o.landmark_bearing)
+        later = grid_map.tracked(memory.poses, memory.steps, mark, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
         before = np.where(new[:, None], poses, memory.poses)[:, :2]
         corners, cells = memory.corners.copy(), memory.cells.copy()
         if self.with_map:
             cells[new] = 0
             grid_map.add_scans(cells, corners, poses, rays, self._origin, self._angles, self._range)
-            around, ways, progress = grid_map.sensed(cells, corners, poses, before)
+            targets = grid_map.places_of(poses, away, o.target_bearing)
+            targets[o.target_distance == o.landmark_distance] = 0.0  # rounding would move them off the frame's origin
+            around, ways, progress = grid_map.sensed(cells, corners, poses, before, targets)
         else:
             around, ways = np.zeros((len(new), 0)), away
             progress = np.hypot(*before.T) - away
@@ -158,10 +161,13 @@ class FrameMaker:
 
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
-        o, memory = observations, look.memory
-        speeds, goals = np.where(memory.age == 0, 1.0, memory.speeds), speed_scale(actions, self._drive)
-        turns = heading_change(actions, o.target_bearing)
-        headings = turn_headings(o.yaw_rate, turns, self._limits, self._times)
+        return self.commanded(look, observations, commands_of(actions, observations.target_bearing, self._drive))
+
+    def commanded(self, look: Look, observations: Observation, commands: Commands) -> Memory:
+        """The memory of vehicles after they were given commands."""
+        o, memory, actions, goals = observations, look.memory, commands.actions, commands.speed_scales
+        speeds = np.where(memory.age == 0, 1.0, memory.speeds)
+        headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
         ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
         change = self._acceleration * self._times[-1] / self._speed
@@ -194,6 +200,29 @@ class FrameMaker:
             2.0 * (actions[:, None] == np.arange(ACTIONS)) - 1,
         ]
         return as_bytes(np.concatenate(parts, axis=-1))
+
+
+class Sight:
+    """What n vehicles see and remember, for one who follows their steps and decides nothing."""
+
+    def __init__(self, maker: FrameMaker, size: int) -> None:
+        self._maker = maker
+        self._memory = maker.nothing(size)
+        self.look: Look
+        """The memory with the present observation entered; there is one from the first `begin` on."""
+
+    def begin(self, vehicles: NDArray[np.int64], observations: Observation) -> None:
+        """Forgets some vehicles, which are put into worlds; the observations are of all n."""
+        age = self._memory.age.copy()
+        age[vehicles] = 0
+        self._memory = replace(self._memory, age=age)
+        self.look = self._maker.look(self._memory, observations)
+
+    def follow(self, t: Transition) -> None:
+        """Enters a step of all n vehicles."""
+        commands = Commands(t.a_tm1, t.heading_command, t.speed_command)
+        self._memory = self._maker.commanded(self.look, t.s_tm1, commands)
+        self.look = self._maker.look(self._memory, t.s_t)
 
 
 def as_bytes(numbers: Array) -> Bytes:

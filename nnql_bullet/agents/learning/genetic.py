@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
-from nnql_bullet.agents.learning.nnql import encode
+from nnql_bullet.agents.learning.q_learning import encode
 from nnql_bullet.agents.learning.weights import check
 from nnql_bullet.config import options
 from nnql_bullet.env import Navigation, Observation

@@ -1,53 +1,16 @@
 """Neural-network Q-learning (NNQL), the paper's method (II.D, II.E, III)."""
 
-from typing import Literal
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.q_learning import QLearning, QLearningOptions, td_errors, turn_steps
-from nnql_bullet.config import options
+from nnql_bullet.agents.learning.options import NnqlOptions
+from nnql_bullet.agents.learning.q_learning import QLearning, encode, td_errors, turn_steps
 from nnql_bullet.env import Observation, Transition
 from nnql_bullet.geometry import Array
 from nnql_bullet.seeding import Stream, rng
-from nnql_bullet.types import Positive, Units
-from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.scale import length_scale
-from nnql_bullet.vehicle.spec import VehicleSpec
-
-
-@options
-class NnqlOptions(QLearningOptions):
-    """Options of NNQL: the paper's numbers, and the choices that it leaves open.
-
-    results/ablation compares the values of each open choice.
-    """
-
-    kind: Literal["nnql"] = "nnql"
-    hidden_units: Units = paper.HIDDEN_UNITS
-    """Units of the hidden layer."""
-    encoding: Literal["proximity", "distance"] = "proximity"
-    """How a reading d becomes a network input: "proximity" is 1 - d/10, 0 when nothing is seen; "distance" is d/10 and,
-    after the letter of II.B, 0 when nothing is seen, which makes "free" and "touching" neighbours."""
-    gradient_step: Positive = 0.4
-    """Step size of gradient descent, which the paper does not give."""
-    learn_in_safe_states: bool = False
-    """Whether steps from safe states train the network too. The text asks it only in non-safe states, so its reward for
-    safe to non-safe teaches nothing; with this on, the turn toward the target counts as the nearest of the five."""
-    mirrored: bool = False
-    """Whether every step also trains the network as its mirror image, with left and right exchanged. The text does not
-    do so."""
-    hidden_weights: Positive = 1.0
-    """Initial weights into the hidden layer are uniform within +- this; all zero could not break the symmetry."""
-    output_weights: Positive = 0.1
-    """Initial weights into the output layer are uniform within +- this: Q-values start near zero (II.D)."""
-
-    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Nnql":
-        """Builds the untrained agent."""
-        return Nnql(self, seed, length_scale(vehicle.footprint))
 
 
 class Nnql(QLearning):
@@ -124,11 +87,3 @@ def squared_error_gradients(network: torch.nn.Module, q_a_tm1: torch.Tensor, err
         errors: target_tm1 - q_a_tm1 (m,): by eq. (2) the learning rate times the temporal-difference errors.
     """
     return torch.autograd.grad(q_a_tm1, list(network.parameters()), -torch.from_numpy(errors))
-
-
-def encode(readings: Array, encoding: str) -> Array:
-    """Network inputs (..., 8) for readings (..., 8), in metres of the shipped vehicle: see `NnqlOptions.encoding`."""
-    nearness = 1.0 - np.minimum(readings, paper.SENSOR_RANGE) / paper.SENSOR_RANGE
-    if encoding == "proximity":
-        return nearness
-    return np.where(readings < paper.SENSOR_RANGE, 1.0 - nearness, 0.0)

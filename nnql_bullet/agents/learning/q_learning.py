@@ -138,3 +138,11 @@ def turn_steps(transitions: Transition, vehicles: NDArray[np.int64], discount: f
         discount_t=t.discount_t[v] * discount,
         s_t=t.s_t.readings[v],
     )
+
+
+def encode(readings: Array, encoding: str) -> Array:
+    """Network inputs (..., 8) for readings (..., 8), in metres of the shipped vehicle: see `NnqlOptions.encoding`."""
+    nearness = 1.0 - np.minimum(readings, paper.SENSOR_RANGE) / paper.SENSOR_RANGE
+    if encoding == "proximity":
+        return nearness
+    return np.where(readings < paper.SENSOR_RANGE, 1.0 - nearness, 0.0)

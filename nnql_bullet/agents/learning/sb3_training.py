@@ -17,7 +17,8 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
-from nnql_bullet.agents.learning.sb3_dqn import INPUTS, Sb3Dqn, inputs
+from nnql_bullet.agents.learning.options import SB3_INPUTS
+from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
 from nnql_bullet.agents.learning.weights import state_dict
 from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
@@ -107,7 +108,7 @@ class VehiclesVecEnv(VecEnv):
         self._actions = np.zeros(n, np.int64)
         self.finished: list[tuple[int, EpisodeSummary]] = []
         """Number and summary of the episodes that have finished; whoever reads it empties it."""
-        seen = gymnasium.spaces.Box(-np.inf, np.inf, (INPUTS,), np.float32)
+        seen = gymnasium.spaces.Box(-np.inf, np.inf, (SB3_INPUTS,), np.float32)
         super().__init__(n, seen, gymnasium.spaces.Discrete(ACTIONS))
 
     def reset(self) -> NDArray[np.float32]:

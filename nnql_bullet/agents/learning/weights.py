@@ -1,17 +1,20 @@
 """Weights of neural networks in and out: the state dict of a torch module as NumPy arrays by name."""
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 
+if TYPE_CHECKING:
+    import torch
+
 Shapes = Mapping[str, tuple[int, ...]]
 
 
-def state_dict(module: torch.nn.Module) -> dict[str, Array]:
+def state_dict(module: "torch.nn.Module") -> dict[str, Array]:
     """Copies the weights and biases of a module, by name."""
     return {name: value.numpy().copy() for name, value in module.state_dict().items()}
 
@@ -45,7 +48,7 @@ def check(arrays: Mapping[str, Array], shapes: Shapes, network: str, units: Sequ
 
 
 def load_state_dict(
-    module: torch.nn.Module, arrays: Mapping[str, Array], network: str = "a network", units: Sequence[int] = ()
+    module: "torch.nn.Module", arrays: Mapping[str, Array], network: str = "a network", units: Sequence[int] = ()
 ) -> None:
     """Replaces the weights and biases of a module.
 
@@ -58,5 +61,7 @@ def load_state_dict(
     Raises:
         UserError: If these are not the weights of such a module.
     """
+    import torch  # here because agents without torch check their weights by this module
+
     check(arrays, {name: tuple(value.shape) for name, value in module.state_dict().items()}, network, units)
     module.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file
-from nnql_bullet.worlds.importers.barn import path_file, read_barn
+from nnql_bullet.worlds.importers.barn import number_of, read_barn
 from nnql_bullet.worlds.importers.base import ForeignWorld, Reading
 from nnql_bullet.worlds.importers.geojson import read_geojson
 from nnql_bullet.worlds.importers.moving_ai import read_moving_ai
@@ -41,7 +41,7 @@ def read_foreign(path: Path, reading: Reading) -> ForeignWorld:
     reader = READERS.get(suffix)
     if reader is None:
         raise UserError(f"{path}: there is no reader for '{suffix}'; there are: {', '.join(READERS)}")
-    return read_barn(path, reading) if reader is read_sdf and path_file(path) else reader(path, reading)
+    return read_barn(path, reading) if reader is read_sdf and number_of(path) is not None else reader(path, reading)
 
 
 __all__ = ["PICTURES", "READERS", "ForeignWorld", "Reading", "is_foreign", "read_foreign"]
