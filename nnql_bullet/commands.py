@@ -8,8 +8,8 @@ from nnql_bullet.config import departures, merged, to_values
 from nnql_bullet.presets import PRESETS
 from nnql_bullet.run_config import RunConfig
 
-PLACES = ("start", "target")
-"""Keys whose numbers are written with commas."""
+PLACES = {"start": ",", "target": ",", "waypoints": ";"}
+"""Keys whose values are one word, and what stands between them."""
 
 
 def flag(key: str) -> str:
@@ -33,13 +33,16 @@ def flags(changes: Mapping[str, Any], table: str = "") -> list[str]:
             found += flags(value, f"{table}{key}.")
         elif value is not None:
             words = list(map(_text, value if isinstance(value, list | tuple) else [value]))
-            found += [flag(table + key), *([",".join(words)] if table + key in PLACES else words)]
+            together = PLACES.get(table + key)
+            found += [flag(table + key), *(words if together is None else [together.join(words)])]
     return found
 
 
 def _text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, list | tuple):
+        return ",".join(map(_text, value))
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, merged, to_values
-from nnql_bullet.env import Navigation, Reward
+from nnql_bullet.env import Reward
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
@@ -20,6 +20,7 @@ from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 _log = logging.getLogger(__name__)
 RECORDING = "trajectory.npz"
@@ -33,6 +34,8 @@ def drive(
     world: str | Path | World | None = None,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
+    plan: bool = False,
     seed: int = 0,
     simulator: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
@@ -62,6 +65,10 @@ def drive(
             default that of the training.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
+            file of them (see `waypoints.read_waypoints`).
+        plan: Whether a plan of the way through the whole world leads the policy; for its lengths see the keys `plan` in
+            `changes`.
         seed: Seed of the world.
         simulator: Where it drives, wherever it was trained.
         physics: Solver settings of contact physics.
@@ -71,18 +78,20 @@ def drive(
         allow_impassable: Whether to drive even if the vehicle is too wide for every path to the target.
         conditions: Conditions in place of the policy's own.
         reward: A reward in place of the paper's, to record; the policy does not see it.
-        changes: Nested values laid over the tables drive, shield, task and agent of the policy's configuration.
+        changes: Nested values laid over the tables drive, shield, plan, task and agent of the policy's configuration.
         check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress of this check.
 
     Raises:
         UserError: If there is no such policy or world, or a value is wrong.
     """
-    asked = merged({"shield": {}} if shield else {}, driving_with(changes, robot, speed))
+    wanted: dict[str, Any] = {name: {} for name, its in (("shield", shield), ("plan", plan)) if its}
+    asked = merged(wanted, driving_with(changes, robot, speed))
     asked |= {"simulator": simulator, "physics": physics, "conditions": conditions}
     asked["allow_impassable"] = allow_impassable
     asked["world"] = str(world) if isinstance(world, Path) else world
     asked |= {"start": start and list(start), "target": target and list(target)}
+    asked["waypoints"] = None if waypoints is None else list(as_waypoints(waypoints))
     tell_differences(policy, asked.get("robot"), own_world=world is None)
     loaded = load_policy(policy, asked)
     experiment, config = loaded.experiment, loaded.experiment.config
@@ -92,7 +101,7 @@ def drive(
     if hopeless:
         _log.warning("%s", hopeless)
     recorder = Recorder(experiment.vehicle)
-    navigation = Navigation(experiment.simulator, experiment.task, reward)
+    navigation = experiment.new_navigation(experiment.simulator, reward)
     summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(
@@ -102,6 +111,7 @@ def drive(
         conditions=to_values(config.conditions),
         version=__version__,
         summary=asdict(summary),
+        plans=[{"time": time, "corners": corners.tolist()} for time, corners in navigation.plans(0)],
     )
 
 
@@ -120,11 +130,13 @@ def drive_folder(
     seed: int,
     simulator: SimulatorName = "bullet",
     shield: bool = False,
+    plan: bool = False,
     conditions: Conditions | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
 ) -> Path:
     """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
     asked = (conditions.texts if conditions else {}) | key_texts(dotted(changes))
     parts = [world, str(seed), *([simulator] if simulator != "bullet" else []), *(["shield"] if shield else [])]
+    parts += ["plan"] if plan else []
     parts += [f"{name.replace('_', '-')}-{text}" for name, text in asked.items()]
     return drives_folder(policy) / "-".join(parts)

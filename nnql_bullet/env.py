@@ -5,6 +5,7 @@ All arrays have a leading n, which may be 1.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from nnql_bullet import paper
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, wrap_angles
+from nnql_bullet.planning.course import Course
+from nnql_bullet.planning.planner import Planner
 from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.task import (
     REWARD_TERMS,
@@ -28,6 +31,7 @@ from nnql_bullet.task import (
     state_property,
 )
 from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 TOWARD_TARGET = len(paper.TURNS)
@@ -103,9 +107,10 @@ class Observation:
     readings: Array
     """Readings of the eight sensors (n, 8) [m]: s_t of eq. (1)."""
     target_distance: Array
-    """(n,) [m]"""
+    """Distance of what the vehicle is to reach next: the target, the way point in turn or, on a plan, the point that
+    moves on ahead (n,) [m]."""
     target_bearing: Array
-    """Bearing in the vehicle frame (n,) [rad], positive to the left."""
+    """Its bearing in the vehicle frame (n,) [rad], positive to the left."""
     yaw_rate: Array
     """(n,) [rad/s]"""
     speed: Array
@@ -115,7 +120,26 @@ class Observation:
     ray_distances: Array
     """The rays behind the readings (n, rays) [m], as `vehicle.sensor` has them; one that meets nothing reads its range.
     The paper's vehicle does not have them; only agents that say so use them."""
+    landmark_distance: Array = None  # type: ignore[assignment]
+    """Distance of a place that stays for the whole episode, by which a vehicle can localize itself: that of the target
+    at the start (n,) [m]. By default the target stays."""
+    landmark_bearing: Array = None  # type: ignore[assignment]
+    """Its bearing in the vehicle frame (n,) [rad]."""
+    distance_left: Array = None  # type: ignore[assignment]
+    """Length of the known way to the last target: straight, by the way points, along the plan (n,) [m]."""
 
+    def __post_init__(self) -> None:
+        """Takes the target for landmark and for the only one where nothing else is said."""
+        for name, other in _BY_DEFAULT.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(self, other))
+
+
+_BY_DEFAULT = {
+    "landmark_distance": "target_distance",
+    "landmark_bearing": "target_bearing",
+    "distance_left": "target_distance",
+}
 
 MOST_YAW_RATE = 10.0
 """Bound that `as_numbers` clips the yaw rate to [rad/s]."""
@@ -159,6 +183,8 @@ class Transition:
     """Whether the vehicle took a step (n,)."""
     term_names: tuple[str, ...] = REWARD_TERMS
     """Names of `terms`."""
+    at_waypoint: tuple[int, ...] = ()
+    """The vehicles that reached a way point, which is not their last target."""
 
 
 Reward = Sequence[RewardTerm] | Callable[[Transition], Array]
@@ -181,13 +207,20 @@ def _as_rewards(given: object, size: int) -> Array:
 class Navigation:
     """Episodes of n vehicles in lockstep, in any simulator."""
 
-    def __init__(self, simulator: Simulator, task: TaskOptions, reward: Reward | None = None) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: TaskOptions,
+        reward: Reward | None = None,
+        planner: Planner | None = None,
+    ) -> None:
         """Makes the environment.
 
         Args:
             simulator: The simulator of n vehicles.
             task: Options of states, rewards and endings.
             reward: A reward in place of the paper's.
+            planner: Plans the ways to the targets; without one vehicles are told the bearing of the target itself.
 
         Raises:
             UserError: If two terms of the reward have the same name.
@@ -202,7 +235,10 @@ class Navigation:
         if len(set(self.term_names)) < len(self.term_names):
             raise UserError(f"each term of a reward needs a name of its own, not {', '.join(self.term_names)}")
         n = simulator.size
-        self._target = np.zeros((n, 2))
+        self._planner = planner
+        self._worlds: dict[int, WorldSpec] = {}
+        self._poses, self._landmarks = np.zeros((n, 3)), np.zeros((n, 2))
+        self._courses: dict[int, Course] = {}  # of the vehicles with several targets, another one, or a plan
         self._steps = np.zeros(n, np.int64)
         self._places, self._staying = np.zeros((n, 2)), np.zeros(n)  # where each stays about, and for how long [m, s]
         self._about = task.stuck_radius * simulator.vehicle.length
@@ -227,12 +263,19 @@ class Navigation:
             return
         vehicles = np.array(list(worlds))
         poses, ray_distances = self.simulator.reset(worlds)
-        self._target[vehicles] = [world.target for world in worlds.values()]
+        self._landmarks[vehicles] = [world.target for world in worlds.values()]
+        self._worlds |= worlds
+        self._poses = self._poses.copy()
+        self._poses[vehicles] = poses
+        for row, (vehicle, world) in enumerate(worlds.items()):
+            self._courses.pop(vehicle, None)
+            if world.waypoints or self._planner:
+                self._courses[vehicle] = Course(world, world.targets, self._planner, *poses[row, :2].tolist())
         self._steps[vehicles] = 0
         self._places[vehicles], self._staying[vehicles] = poses[:, :2], 0.0
         nothing, safe = np.zeros(len(vehicles), np.bool_), np.full(len(vehicles), StateProperty.SAFE)
         still, speeds = np.zeros(len(vehicles)), np.full(len(vehicles), self.simulator.drive.speed)
-        started = self._observed(self._target[vehicles], poses, still, speeds, ray_distances, nothing, nothing, safe)
+        started = self._observed(vehicles, poses, still, speeds, ray_distances, nothing, nothing, safe)
         self._observation = _put(self._observation, vehicles, started)
 
     def step(
@@ -258,22 +301,30 @@ class Navigation:
         """Carries out commands, as `step` does those of manoeuvres."""
         s_tm1, turns, scales = self._observation, commands.heading_changes, commands.speed_scales
         m, ray_distances = self.simulator.advance(turns, active, scales, traces)
+        every = np.arange(self.simulator.size)
+        if active is None:
+            active = np.ones(self.simulator.size, np.bool_)
+        at_waypoint = self._move_on(m, active)
+        at_target = m.at_target
+        if at_waypoint:
+            at_target = at_target & ~np.isin(every, at_waypoint)
         s_t = self._observed(
-            self._target,
+            every,
             m.pose,
             m.yaw_rate,
             m.speed,
             ray_distances,
             m.touching | m.overturned,
-            m.at_target,
+            at_target,
             s_tm1.state_property,
         )
-        if active is None:
-            active = np.ones(self.simulator.size, np.bool_)
-        elif not active.all():
+        poses = m.pose
+        if not active.all():
             v = np.flatnonzero(active)
+            poses = self._poses.copy()
+            poses[v] = m.pose[v]
             s_t = _put(s_tm1, v, Observation(*(getattr(s_t, name)[v] for name in _FIELDS)))
-        self._observation = s_t
+        self._observation, self._poses = s_t, poses
         self._steps += active
         self._stay(m, active)
         terms = (
@@ -293,9 +344,67 @@ class Navigation:
             speed_command=scales,
             motion=m,
             active=active,
+            at_waypoint=at_waypoint,
             term_names=self.term_names,
         )
         return t if self._reward is None else replace(t, r_t=_as_rewards(self._reward(t), len(turns)))
+
+    def set_targets(self, targets: Mapping[int, Sequence[Point]]) -> None:
+        """Gives some vehicles, in the middle of their episodes, other targets in place of all that they had left.
+
+        Args:
+            targets: Places x, y [m] to reach in turn, by vehicle; the last is the target.
+
+        Raises:
+            UserError: If one has no target, or there is a planner and no way; then nothing has changed.
+        """
+        for vehicle, its in targets.items():
+            if vehicle not in self._worlds or not its:
+                lacks = "a target at least" if vehicle in self._worlds else "an episode first, by reset"
+                raise UserError(f"give vehicle {vehicle} {lacks}")
+        begun = {}
+        for vehicle, its in targets.items():
+            x, y = self._poses[vehicle, :2].tolist()
+            begun[vehicle] = Course(self._worlds[vehicle], its, self._planner, x, y)
+        self._courses |= begun
+        self.simulator.retarget({vehicle: course.target for vehicle, course in begun.items()})
+        self._observation = replace(self._observation, **self._sights(np.arange(self.simulator.size), self._poses))
+
+    def plans(self, vehicle: int) -> list[tuple[float, Array]]:
+        """Returns the plans of a vehicle in its present episode: when each was made [s], and its corners (k, 2) [m]."""
+        course = self._courses.get(vehicle)
+        return course.plans if course else []
+
+    def _move_on(self, motion: Motion, active: NDArray[np.bool_]) -> tuple[int, ...]:
+        """Tells the active vehicles (n,) of several targets or a plan what they are to reach next.
+
+        Returns:
+            Those that reached a way point.
+        """
+        passed = []
+        for vehicle, course in self._courses.items():
+            if active[vehicle]:
+                x, y, _ = motion.pose[vehicle].tolist()
+                if motion.at_target[vehicle] and course.is_at_waypoint:
+                    course.turn_to_next(x, y)
+                    self.simulator.retarget({vehicle: course.target})
+                    passed.append(vehicle)
+                course.update(x, y, float(motion.duration[vehicle]))
+        return tuple(passed)
+
+    def _sights(self, vehicles: NDArray[np.int64], poses: Array) -> dict[str, Any]:
+        """What some vehicles are told of their targets, by the names of an `Observation`."""
+        found = _seen(self._landmarks[vehicles], poses, "target")
+        if self._courses:
+            left = found["target_distance"].copy()
+            aims = self._landmarks[vehicles]
+            for row, vehicle in enumerate(vehicles.tolist()):
+                course = self._courses.get(vehicle)
+                if course:
+                    aims[row], left[row] = course.aim, course.distance_left
+            landmarks = _seen(self._landmarks[vehicles], poses, "landmark")
+            found = {**_seen(aims, poses, "target"), **landmarks, "distance_left": left}
+        return found
 
     def _stay(self, motion: Motion, active: NDArray[np.bool_]) -> None:
         """Adds a control period to the time for which the active vehicles (n,) have stayed about one place."""
@@ -306,7 +415,7 @@ class Navigation:
 
     def _observed(
         self,
-        targets: Array,
+        vehicles: NDArray[np.int64],
         poses: Array,
         yaw_rates: Array,
         speeds: Array,
@@ -317,16 +426,21 @@ class Navigation:
     ) -> Observation:
         """The observation of some vehicles."""
         readings = readings_of(ray_distances, self.task)
-        dx, dy = (targets - poses[:, :2]).T
         return Observation(
             readings=readings,
-            target_distance=np.hypot(dx, dy),
-            target_bearing=wrap_angles(np.arctan2(dy, dx) - poses[:, 2]),
+            **self._sights(vehicles, poses),
             yaw_rate=yaw_rates,
             speed=speeds,
             state_property=state_property(readings, failed, at_target, self.task, before),
             ray_distances=ray_distances,
         )
+
+
+def _seen(places: Array, poses: Array, name: str) -> dict[str, Array]:
+    """Distances (n,) [m] and bearings (n,) [rad] of places (n, 2) [m] from poses (n, 3), under a name."""
+    dx, dy = (places - poses[:, :2]).T
+    bearing = wrap_angles(np.arctan2(dy, dx) - poses[:, 2])
+    return {f"{name}_distance": np.hypot(dx, dy), f"{name}_bearing": bearing}
 
 
 _FIELDS = tuple(field.name for field in fields(Observation))

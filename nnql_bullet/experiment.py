@@ -4,13 +4,16 @@ import math
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
-from nnql_bullet.env import Navigation
+from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import as_rows, clearance_at
+from nnql_bullet.geometry import Pose, as_rows, bearing, clearance_at
 from nnql_bullet.machine import allowed_cores, may_start_processes
+from nnql_bullet.planning.course import Course
+from nnql_bullet.planning.planner import Planner
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.seeding import Stream, rng, training_world_seed
@@ -89,7 +92,7 @@ class Experiment:
         """
         source, sensor_height = World.load(name), self.vehicle.sensor_height
         if not own_ends:
-            source = source.between(self.config.start, self.config.target)
+            source = source.between(self.config.start, self.config.target, self.config.waypoints)
         if source.obstacle_height <= sensor_height:
             raise UserError(
                 f"world '{source.name}': obstacles of {source.obstacle_height:g} m do not reach up to the sensor "
@@ -100,11 +103,14 @@ class Experiment:
     def out_of_reach(self, world: World) -> str:
         """Says why no vehicle can reach the target of a world in an episode, however it drives; empty if one may.
 
-        It compares the straight way to the edge of the target with the way that the steps of an episode allow.
+        It compares the straight way, by way points, to the edge of the target with the way that the steps of an
+        episode allow.
         """
         c = self.config
         way = c.task.max_steps * c.drive.decision_period * c.drive.speed
-        straight = math.dist(world.start, world.target) - world.target_radius
+        places = (world.start, *world.waypoints, world.target)
+        legs = [math.dist(*leg) for leg in pairwise(places)]
+        straight = sum(legs) - (2 * len(legs) - 1) * world.target_radius
         if way >= straight:
             return ""
         return (
@@ -147,6 +153,10 @@ class Experiment:
             UserError: See `world`.
         """
         world = source.draw(seed, self.vehicle.width, self.config.allow_impassable)
+        if self.planner and source.start_yaw_degrees is None:  # the vehicle drives as it starts
+            place = world.start.x, world.start.y
+            aim = Course(world, world.targets, self.planner, *place).aim
+            world = replace(world, start=replace(world.start, yaw=round(bearing(Pose(*place, 0.0), *aim), 6)))
         start = world.start
         if clearance_at(start.x, start.y, start.yaw, as_rows((self.vehicle.footprint,))[0], world.solids_at(0.0)) <= 0:
             raise UserError(f"world '{world.name}', seed {seed}: at its start the vehicle stands in a box; move one")
@@ -175,7 +185,21 @@ class Experiment:
     @cached_property
     def navigation(self) -> Navigation:
         """The task over `simulator`."""
-        return Navigation(self.simulator, self.task)
+        return self.new_navigation(self.simulator)
+
+    def new_navigation(self, simulator: Simulator, reward: Reward | None = None) -> Navigation:
+        """Makes the task over a simulator, with the plan that the configuration asks for.
+
+        Args:
+            simulator: One that this experiment made.
+            reward: A reward in place of the paper's.
+        """
+        return Navigation(simulator, self.task, reward, self.planner)
+
+    @cached_property
+    def planner(self) -> Planner | None:
+        """The planner that the configuration asks for."""
+        return Planner(self.config.plan, self.vehicle) if self.config.plan else None
 
     def new_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator with the configuration's number of vehicles; the caller closes it.
@@ -218,8 +242,8 @@ class Experiment:
     @cached_property
     def policy(self) -> Policy:
         """The policy that drives after training: the agent, in its shield if it has one."""
-        c = self.config
-        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task) if c.shield else self.agent
+        c, carrot = self.config, self.planner.look_ahead if self.planner else None
+        return Shield(c.shield, self.agent, self.vehicle, c.drive, self.task, carrot) if c.shield else self.agent
 
     @property
     def trainable(self) -> Trainable:
@@ -267,4 +291,4 @@ class Experiment:
         worlds = self.selection_worlds
         kinematic = Experiment(changed(self.config, simulator="kinematic", vehicles=len(worlds)))
         with closing(kinematic.new_simulator(workers)) as simulator:
-            return count_goals(kinematic.trainable, candidates, Navigation(simulator, self.task), worlds)
+            return count_goals(kinematic.trainable, candidates, self.new_navigation(simulator), worlds)

@@ -30,6 +30,7 @@ from nnql_bullet.task import ENDINGS, NO_ENDING, REWARD_TERMS, StateProperty
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 FORMAT = "nnql-bullet recording 1"
@@ -98,6 +99,7 @@ class Recording:
                 "obstacles": tuple((Circle if "radius" in its else OrientedBox)(**its) for its in kept["obstacles"]),
                 "start": Pose(**kept["start"]),
                 "target": tuple(kept["target"]),
+                "waypoints": tuple(map(tuple, kept.get("waypoints", ()))),
             },
             patrols=tuple(Patrol(OrientedBox(**p["box"]), tuple(p["end"]), p["speed"], p["phase"]) for p in patrols),
         )
@@ -111,7 +113,22 @@ class Recording:
         """
         if "summary" not in self.about:
             raise UserError("this recording holds no summary; record the drive again")
-        return EpisodeSummary(**self.about["summary"])
+        its = self.about["summary"]
+        return EpisodeSummary(**{**its, "waypoint_times": tuple(its.get("waypoint_times", ()))})
+
+    @cached_property
+    def aims(self) -> Array:
+        """What the vehicle drove at in each state (n + 1, 2) [m].
+
+        That is the target, the way point in turn or, on a plan, the carrot that moves on ahead of the vehicle.
+        """
+        aims = self.about.get("aims")
+        return np.tile(self.world.target, (len(self.state_pose), 1)) if aims is None else np.array(aims)
+
+    @cached_property
+    def plans(self) -> list[tuple[float, Array]]:
+        """The plans along which the vehicle was led: when each was made [s], and its corners (k, 2) [m]."""
+        return [(plan["time"], np.array(plan["corners"])) for plan in self.about.get("plans", ())]
 
     @property
     def obstacles(self) -> tuple[Shape, ...]:
@@ -287,6 +304,9 @@ def _check(recording: Recording) -> None:
         raise ValueError("action must be manoeuvres")
     if not np.isin(recording.state_property, labels).all() or about["ending"] not in (None, *ENDINGS):
         raise ValueError("a state or the ending is unknown")
+    aims_and_plans = [(recording.aims, (n + 1, 2)), *((plan, (len(plan), 2)) for _, plan in recording.plans)]
+    if not all(its.shape == shape and np.isfinite(its).all() for its, shape in aims_and_plans):
+        raise ValueError("aims and plans must be finite places")
     if (np.diff(recording.state_time) < 0).any() or (np.diff(recording.sample_time) < 0).any():
         raise ValueError("time must not go back")
     world, _, _ = recording.world, recording.footprint, recording.summary if "summary" in about else None
@@ -305,6 +325,14 @@ class _Vehicle:
 
 
 @dataclass(frozen=True)
+class _Plan:
+    """A plan along which the vehicle was led."""
+
+    time: float
+    corners: tuple[Point, ...]
+
+
+@dataclass(frozen=True)
 class _About:
     """What a recording says once."""
 
@@ -313,6 +341,8 @@ class _About:
     ending: str | None
     summary: EpisodeSummary | None = None
     reward_terms: tuple[str, ...] = REWARD_TERMS
+    aims: tuple[Point, ...] | None = None
+    plans: tuple[_Plan, ...] = ()
 
 
 _ABOUT = TypeAdapter(_About)
@@ -339,6 +369,7 @@ class Recorder:
         """Starts the recording."""
         self._world, self._ending, self._term_names = world, NO_ENDING, REWARD_TERMS
         self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        self._aims: list[list[float]] = []
         self.trace.clear()
         self._note(state_time=0.0, state_pose=(world.start.x, world.start.y, world.start.yaw))
         self._note_state(observation, vehicle)
@@ -366,6 +397,8 @@ class Recorder:
         vehicle, columns, samples = self._vehicle, self._columns, self.trace
         if self._term_names != REWARD_TERMS:
             about["reward_terms"] = self._term_names
+        if not np.allclose(self._aims, self._world.target):
+            about["aims"] = self._aims
         return Recording(
             about={
                 **about,
@@ -391,6 +424,10 @@ class Recorder:
 
     def _note_state(self, observation: Observation, vehicle: int) -> None:
         o, v = observation, vehicle
+        x, y, yaw = self._columns["state_pose"][-1]
+        direction = yaw + o.target_bearing[v]
+        aim = x + o.target_distance[v] * np.cos(direction), y + o.target_distance[v] * np.sin(direction)
+        self._aims.append([round(float(its), 6) for its in aim])
         label = StateProperty(int(o.state_property[v])).label
         self._note(readings=o.readings[v], ray_distances=o.ray_distances[v], state_property=label)
 

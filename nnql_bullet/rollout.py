@@ -119,6 +119,8 @@ class EpisodeSummary:
     """Time of the control periods in which the vehicle stood [s]."""
     reverse_steps: int = 0
     """Number of decisions to drive backwards."""
+    waypoint_times: tuple[float, ...] = ()
+    """Times at which way points were reached, in turn; the last target is none of them [s]."""
 
 
 STANDSTILL_DISTANCE = 0.05
@@ -138,6 +140,7 @@ class Tally:
         self._duration, self._path_length, self._squared_errors = np.zeros(size), np.zeros(size), np.zeros(size)
         self._clearance, self._clearances = np.zeros(size), np.zeros(size)
         self._lateral_acceleration = np.zeros(size)
+        self._waypoint_times: list[tuple[float, ...]] = [()] * size
         self._term_names = navigation.term_names
         self._terms = np.zeros((size, len(self._term_names)))
 
@@ -162,6 +165,7 @@ class Tally:
         ):
             sums[vehicle] = 0
         self._clearance[vehicle] = np.inf
+        self._waypoint_times[vehicle] = ()
 
     def add(self, transition: Transition, overridden: NDArray[np.bool_] | None = None) -> None:
         """Adds a step of the vehicles that took one.
@@ -187,6 +191,8 @@ class Tally:
         lateral = np.abs(m.path_length[on] / m.duration[on] * m.yaw_rate[on])
         self._lateral_acceleration[on] = np.maximum(self._lateral_acceleration[on], lateral)
         self._terms[on] += t.terms[on]
+        for vehicle in t.at_waypoint:
+            self._waypoint_times[vehicle] += (float(self._duration[vehicle]),)
 
     def summary(self, vehicle: int) -> EpisodeSummary:
         """The result of a vehicle's episode, which is over."""
@@ -208,6 +214,7 @@ class Tally:
             stop_steps=int(self._stops[v]),
             standing_time=float(self._standing[v]),
             reverse_steps=int(self._reverses[v]),
+            waypoint_times=self._waypoint_times[v],
         )
 
 

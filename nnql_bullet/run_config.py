@@ -13,6 +13,7 @@ from nnql_bullet.agents import AnyAgentOptions
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import dotted, merged, options, parse, to_values
 from nnql_bullet.errors import UserError
+from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions
 from nnql_bullet.sim.domain_randomization import DomainRandomization
@@ -25,7 +26,7 @@ from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import robot_name
-from nnql_bullet.worlds.source import WorldLike
+from nnql_bullet.worlds.source import Waypoints, WorldLike
 
 DEFAULT_ROBOT = "tricycle"
 SimulatorName = Literal[EngineName, "kinematic"]
@@ -130,6 +131,8 @@ class RunConfig:
     """x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map; by default the world's own."""
     target: Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)] | None = None
     """x, y [m] of the target in that frame; by default its own."""
+    waypoints: Waypoints | None = None
+    """x, y [m] in that frame of several targets to reach in turn, in place of `target`: the last is the target."""
     allow_impassable: bool = False
     """Whether to take worlds as they are drawn, even if the vehicle is too wide for every path to the target."""
     robot: str = DEFAULT_ROBOT
@@ -145,6 +148,9 @@ class RunConfig:
     drive: DriveOptions = DriveOptions()
     task: TaskOptions = TaskOptions()
     agent: AnyAgentOptions = NnqlOptions()
+    plan: PlanOptions | None = None
+    """Plan of the way through the whole world, along which a vehicle is led; by default it is told the bearing of the
+    target alone."""
     shield: ShieldOptions | None = None
     """Shield around the policy; the agent learns without one."""
 
@@ -168,7 +174,7 @@ def key_texts(values: Mapping[str, Any]) -> dict[str, str]:
     return found
 
 
-DRIVING = ("robot", "drive", "shield", "task", "agent")
+DRIVING = ("robot", "drive", "shield", "plan", "task", "agent")
 """The keys and tables of how a policy drives, besides the conditions."""
 
 

@@ -48,4 +48,6 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
         "vehicles=64", "vehicles=4, episodes=8"
     )
     assert code
+    if "stable_baselines3" in code:
+        pytest.importorskip("stable_baselines3", reason="needs the extra [sb3]")
     run(tmp_path, "-W", "error::DeprecationWarning", "-c", code)

@@ -47,6 +47,7 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 WORLDS = ("paper", "cover_10", "cover_15")
 """Worlds that policies are evaluated in by default."""
@@ -149,6 +150,8 @@ def evaluate(
     allow_impassable: bool = False,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
+    plan: bool = False,
     executor: ExecutorKind | None = None,
     workers: int | None = 1,
     address: str | None = None,
@@ -182,11 +185,14 @@ def evaluate(
         speed: Speed in place of each policy's own [m/s].
         conditions: Conditions in place of each policy's own.
         shield: Whether each policy drives in a shield too.
-        changes: Nested values laid over the tables drive, shield, task and agent of each policy's configuration; those
-            of a shield hold for policies in a shield.
+        changes: Nested values laid over the tables drive, shield, plan, task and agent of each policy's configuration;
+            those of a shield hold for policies in a shield.
         allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
+            file of them (see `waypoints.read_waypoints`).
+        plan: Whether a plan of the way through the whole world leads each policy.
         executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
             more. A script that starts processes needs `if __name__ == "__main__":`.
         workers: Pieces at a time; None takes one a core. The results do not depend on it.
@@ -208,7 +214,8 @@ def evaluate(
         check_encoder()
     first, last = (None if place is None else tuple(place) for place in (start, target))
     keys = frozen_keys(driving_with(changes, robot, speed))
-    setting = Setting(simulator, physics, conditions, allow_impassable, first, last, keys)
+    between, plan = None if waypoints is None else as_waypoints(waypoints), plan or "plan" in changes
+    setting = Setting(simulator, physics, conditions, allow_impassable, first, last, between, plan, keys)
     opened = open_policies(policies, shield or "shield" in changes, setting.robot)
     where = executor_for(opened, executor, workers, address)
     if not worlds:

@@ -9,7 +9,7 @@ import tyro
 
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
+from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.render.filming import render
@@ -28,6 +28,8 @@ def drive(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
+    waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None,
+    plan: bool = False,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
@@ -50,6 +52,7 @@ def drive(
 
         nnql-bullet drive --world traps --video
         nnql-bullet drive runs/paper-0 --world cover_10 --seed 4 --json
+        nnql-bullet drive --world office.yaml --start 2,3,0 --waypoints "8,3;8,12" --plan --shield
         nnql-bullet drive vfh --shield --agent.window 6 --conditions.payload 80
 
     Args:
@@ -59,6 +62,10 @@ def drive(
             `nnql-bullet worlds` reads; default that of the training (rules: paper).
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
+        waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
+        plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.
+            For goals beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m],
+            --plan.room [m], --plan.caution.
         seed: Seed of the world.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
@@ -72,18 +79,20 @@ def drive(
         check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Values in place of the policy's own.
     """
-    asked, in_shield = asked_for(keys), shield or "shield" in keys
+    asked, in_shield, planned = asked_for(keys), shield or "shield" in keys, plan or "plan" in keys
     if video:
         check_encoder()
     if gui:
         check_window()
-    tell_warnings([world], start, target)
+    tell_warnings([world], start, waypoints[-1] if waypoints else target)
     with progress() as show:
         recording = driving.drive(
             policy,
             world=world,
             start=start,
             target=target,
+            waypoints=waypoints,
+            plan=planned,
             seed=seed,
             simulator=sim,
             physics=physics,
@@ -93,7 +102,7 @@ def drive(
             on_progress=show,
             **asked,
         )
-    files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, **asked))
+    files = keep(recording, out or drive_folder(policy, recording.world.name, seed, sim, in_shield, planned, **asked))
     if video:
         files["video"] = files["recording"].with_suffix(".mp4")
         with progress() as show:
@@ -109,6 +118,7 @@ def drive(
         "smallest_clearance": summary.clearance,
         "seed": seed,
         "world": recording.world.name,
+        **({"waypoint_times": summary.waypoint_times} if recording.world.waypoints else {}),
         "robot": recording.about["vehicle"]["name"],
     }
     if json:
@@ -118,6 +128,9 @@ def drive(
         f"{summary.ending} in world '{recording.world.name}', seed {seed}: {summary.steps} steps, "
         f"{summary.duration:.1f} s, {summary.path_length:.1f} m, smallest clearance {summary.clearance:.2f} m"
     )
+    times = [f"{number} after {time:.1f} s" for number, time in enumerate(summary.waypoint_times, 1)]
+    if recording.world.waypoints:
+        say(", ".join([f"way points: {len(times)} of {len(recording.world.waypoints)} reached", *times]))
     for what, path in files.items():
         say(f"{what}: {path}")
     return 0

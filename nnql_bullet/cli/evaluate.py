@@ -8,7 +8,7 @@ import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
+from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
@@ -31,6 +31,8 @@ def evaluate(
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE|DIR,...")] = None,
     start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
     target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
+    waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None,
+    plan: bool = False,
     sim: SimulatorName = "bullet",
     physics: PhysicsName = "reference",
     shield: bool = False,
@@ -66,6 +68,10 @@ def evaluate(
             reads, or folders of such files, each counted as one kind.
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
+        waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
+        plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.
+            For goals beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m],
+            --plan.room [m], --plan.caution.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.
@@ -80,7 +86,7 @@ def evaluate(
         keys: Values in place of each policy's own.
     """
     files = _files(cover, world)
-    tell_warnings(files, start, target)
+    tell_warnings(files, start, waypoints[-1] if waypoints else target)
     try:
         with progress() as show:
             results = api.evaluate(
@@ -96,6 +102,8 @@ def evaluate(
                 allow_impassable=allow_impassable,
                 start=start,
                 target=target,
+                waypoints=waypoints,
+                plan=plan,
                 executor=executor,
                 workers=workers,
                 address=address,

@@ -17,6 +17,7 @@ from nnql_bullet.commands import flag
 from nnql_bullet.config import Key, abouts_of, keys, nearest, nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, conditions_of
+from nnql_bullet.worlds.waypoints import read_waypoints
 
 RENAMED_FLAGS = {
     "--friction": "--conditions.wheel-friction",
@@ -34,6 +35,7 @@ SHORT_FLAGS = {
 }
 """Short flags of some keys of a configuration."""
 GROUPS = {
+    "goal": ("start", "target", "waypoints", "plan"),
     "simulation": ("sim", "against", "physics", "shield", "faults"),
     "picture": ("camera", "size", "fps", "speed", "begin", "end", "renderer"),
     "output": ("out", "video", "gui", "clips", "format", "frames", "sheet", "json"),
@@ -58,6 +60,16 @@ NUMBERS = tyro.constructors.PrimitiveConstructorSpec[tuple[float, ...]](
     str_from_instance=lambda its: [] if its is None else [",".join(map(str, its))],
 )
 """Annotates numbers with commas or spaces between them."""
+WAYPOINTS = tyro.constructors.PrimitiveConstructorSpec[tuple[tuple[float, float], ...]](
+    nargs=1,
+    metavar="FILE|X,Y;...",
+    instance_from_str=lambda words: read_waypoints(words[0]),
+    is_instance=lambda its: isinstance(its, tuple),
+    str_from_instance=lambda its: [";".join(f"{x},{y}" for x, y in its)],
+)
+"""Annotates way points, which may be in a file."""
+Waypoints = Annotated[tuple[tuple[float, float], ...] | None, WAYPOINTS]
+"""The places to reach in turn."""
 Place = Annotated[tuple[float, ...] | None, NUMBERS]
 """The numbers of a start or target."""
 _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
@@ -92,15 +104,15 @@ class KeyFlags:
 DriveKeys = Annotated[
     Mapping[str, Any],
     KeyFlags(
-        names=("robot", "conditions.", "drive.", "shield.", "task.", "agent."),
+        names=("robot", "conditions.", "drive.", "shield.", "plan.", "task.", "agent."),
         shown=("robot", *SHORT_FLAGS),
         title="vehicle",
         defaults=False,
         about=(
             "Conditions are flags too: --conditions.wheel-friction, --conditions.payload [kg], "
             "--conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). So is "
-            "every key that begins with agent, drive, shield or task, such as --shield.margin, which asks for a shield "
-            "as --shield does. To list them: nnql-bullet keys shield"
+            "every key that begins with agent, drive, plan, shield or task, such as --shield.margin, which asks for a "
+            "shield as --shield does. To list them: nnql-bullet keys shield"
         ),
     ),
 ]
@@ -135,6 +147,11 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
         UserError: If they are wrong.
         SystemExit: If they ask for help, which is then printed.
     """
+    for before, argument in zip(("", *arguments), arguments, strict=False):
+        name, is_given, value = argument.partition("=")
+        if not argument.strip() or (argument.startswith("--") and is_given and not value.strip()):
+            where = name.strip() or (before if before.startswith("--") else "an argument")
+            raise UserError(f"{where} has an empty value; see: {prog} --help")  # a path of '' would be this folder
     for_help = not {"-h", "--help"}.isdisjoint(arguments)
     about, _, examples = (getdoc(verb) or "").partition("\n\nArgs:")[0].partition("For example:\n")
     if for_help:
@@ -265,6 +282,8 @@ def _joined(types: Sequence[Any]) -> Any:
     literals = [value for its in types if get_origin(its) is Literal for value in get_args(its)]
     if literals:
         return Literal[tuple(dict.fromkeys(literals))]
+    if get_origin(types[0]) is tuple and get_origin(get_args(types[0])[0]) is tuple:
+        return Annotated[types[0], WAYPOINTS]
     if all(get_origin(its) is tuple and get_args(its)[0] is float for its in types):
         return Annotated[tuple[float, ...], NUMBERS]
     return Union[tuple(Literal["true", "false"] if its is bool else its for its in types)]  # noqa: UP007

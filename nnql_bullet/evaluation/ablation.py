@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 
 from nnql_bullet.config import merged, parse, to_values
-from nnql_bullet.env import Navigation
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.statistics import Estimate, mean_interval, success_over_seeds
@@ -102,7 +101,7 @@ def train_and_test(task: AblationTask) -> list[Counts]:
     config = parse(RunConfig, json.loads(task.config), "ablation")
     experiment = Experiment(config)
     with closing(experiment.new_training_simulator(workers=1)) as simulator:
-        training = experiment.trainer(Navigation(simulator, experiment.task))
+        training = experiment.trainer(experiment.new_navigation(simulator))
         agent, selection = experiment.trainable, config.training.selection
         candidates: Candidates = {}
         for done, _ in enumerate(islice(training.episodes(), config.episodes), 1):
@@ -118,7 +117,7 @@ def train_and_test(task: AblationTask) -> list[Counts]:
         differ = test.worlds.is_random or config.conditions.sensor_noise > 0
         worlds = [test.world(seed) for seed in split_seeds("validation", task.worlds if differ else 1)]
         with closing(test.new_simulator(workers=1)) as simulator:
-            summaries = run_episodes(Navigation(simulator, experiment.task), worlds, experiment.policy)
+            summaries = run_episodes(experiment.new_navigation(simulator), worlds, experiment.policy)
         endings = [summary.ending for summary in summaries]
         found.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
     return found

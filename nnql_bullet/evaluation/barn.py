@@ -8,7 +8,7 @@ Editions of the challenge differ in the bounds a and b, see `CLIPPINGS`.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from statistics import fmean
+from statistics import fmean, median
 
 import numpy as np
 
@@ -91,6 +91,8 @@ class BarnRow:
     """Smallest bottleneck [m]."""
     widest: float
     """Largest bottleneck [m]."""
+    middle: float
+    """Median bottleneck [m]."""
     worlds: int
     drives: int
     outcomes: dict[str, Estimate]
@@ -154,10 +156,16 @@ class Barn:
         Args:
             by_bottleneck: Whether to split the worlds into quarters, from the narrowest bottlenecks to the widest.
         """
-        widths = [its.bottleneck for its in self.evaluation.difficulties[self.tier.name]]
-        everything = (min(widths), max(widths), frozenset(world.digest for world in self.tier.worlds))
+        widths = self._bottlenecks
+        everything = (min(widths.values()), max(widths.values()), frozenset(widths))
         parts = quarters(self.evaluation, self.tier) if by_bottleneck else [everything]
         return [self._row(method, *part) for method in self.evaluation.methods for part in parts]
+
+    @property
+    def _bottlenecks(self) -> dict[str, float]:
+        """Bottlenecks by the hashes of worlds [m]."""
+        surveyed = zip(self.tier.worlds, self.evaluation.difficulties[self.tier.name], strict=True)
+        return {world.digest: its.bottleneck for world, its in surveyed}
 
     def _row(self, method: str, narrowest: float, widest: float, digests: frozenset[str]) -> BarnRow:
         drives = [
@@ -172,6 +180,7 @@ class Barn:
             method=method,
             narrowest=narrowest,
             widest=widest,
+            middle=median(self._bottlenecks[digest] for digest in digests),
             worlds=len(digests),
             drives=len(drives),
             outcomes={ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS},

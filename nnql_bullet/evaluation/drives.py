@@ -13,8 +13,7 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
-from nnql_bullet.config import nested
-from nnql_bullet.env import Navigation
+from nnql_bullet.config import merged, nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -29,6 +28,7 @@ from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.importers import READERS
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
@@ -124,6 +124,10 @@ class Setting:
     """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
     target: tuple[float, ...] | None = None
     """In place of each world's own [m]."""
+    waypoints: tuple[Point, ...] | None = None
+    """Places to reach in turn, in place of each world's own target [m]; the last is the target."""
+    plan: bool = False
+    """Whether a plan leads each policy."""
     keys: Keys = ()
     """What else each policy drives with in place of its own configuration: robot, speed, keys of the shield, ..."""
 
@@ -134,13 +138,19 @@ class Setting:
             "physics": self.physics,
             "conditions": self.conditions,
             "allow_impassable": self.allow_impassable,
-            **policy.changes(self.keys),
+            **merged({"plan": {}} if self.plan else {}, policy.changes(self.keys)),
         }
+
+    @property
+    def ends(self) -> dict[str, Any]:
+        """What each world has in place of its own ends, by the keys of a configuration."""
+        return {"start": self.start, "target": self.target, "waypoints": self.waypoints}
 
     def title(self, robots: Iterable[str] = ()) -> str:
         """Title for people, with the vehicles that drive."""
         where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        return ", ".join(filter(None, (where, asked_title(self.conditions, self.keys, robots))))
+        plan = "with a plan" if self.plan else ""
+        return ", ".join(filter(None, (where, plan, asked_title(self.conditions, self.keys, robots))))
 
     @property
     def robot(self) -> str | None:
@@ -153,9 +163,9 @@ class Setting:
         """Flags of the setting on a command line."""
         physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
         impassable = ["--allow-impassable"] if self.allow_impassable else []
-        changes = {"start": self.start, "target": self.target, "conditions": self.conditions}
-        changes |= nested(dict(self.keys))
-        return ["--sim", self.simulator, *physics, *impassable, *flags(changes)]
+        plan = ["--plan"] if self.plan else []
+        changes = {**self.ends, "conditions": self.conditions, **nested(dict(self.keys))}
+        return ["--sim", self.simulator, *physics, *impassable, *plan, *flags(changes)]
 
 
 def check_setting(policy: Policy, setting: Setting) -> str:
@@ -260,7 +270,7 @@ def draw_tiers(
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
-            not (setting.allow_impassable or setting.start or setting.target)
+            not (setting.allow_impassable or setting.plan or any(setting.ends.values()))
             and draws.split is not None
             and isinstance(one, str)
             and check_frozen(
@@ -324,7 +334,11 @@ class DriveTask(_BlockTask):
             return ""
         policy, setting = self.policy, self.setting
         where = setting.simulator, setting.physics, *flags({"conditions": setting.conditions})
-        how = policy.vehicle, *(its for its in policy.holding(setting.keys) if its[0] != "robot")
+        how = (
+            policy.vehicle,
+            *(["plan"] if setting.plan else []),
+            *(its for its in policy.holding(setting.keys) if its[0] != "robot"),
+        )
         return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
@@ -343,7 +357,7 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
     if task.setting.simulator == "kinematic":
         experiment = _experiment(task.policy, task.tier, task.setting, task.size)
         with closing(experiment.new_simulator(workers=1)) as simulator:
-            navigation = Navigation(simulator, experiment.task)
+            navigation = experiment.new_navigation(simulator)
             return run_episodes(navigation, _drawn(experiment, task), experiment.policy)
     experiment = _experiment(task.policy, task.tier, task.setting, 1)
     return run_episodes(experiment.navigation, _drawn(experiment, task), experiment.policy)
@@ -432,6 +446,5 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
-    ends = {"start": setting.start, "target": setting.target}
-    changes = {"world": world, "vehicles": vehicles, **ends, **setting.changes(policy)}
+    changes = {"world": world, "vehicles": vehicles, **setting.ends, **setting.changes(policy)}
     return load_policy(policy.source, changes).experiment

@@ -133,6 +133,8 @@ class Row:
     """Share of decisions to drive backwards."""
     standing: float
     """Time at a standstill in a drive, mean over all drives [s]."""
+    waypoints: float
+    """Number of way points that were reached, mean over all drives."""
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
@@ -173,6 +175,7 @@ def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
         stops=sum(summary.stop_steps for summary in summaries) / steps,
         reverses=sum(summary.reverse_steps for summary in summaries) / steps,
         standing=_mean([summary.standing_time for summary in summaries]),
+        waypoints=_mean([len(summary.waypoint_times) for summary in summaries]),
     )
 
 

@@ -18,6 +18,7 @@ from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions, frozen_keys
 from nnql_bullet.sources import read_sources
 from nnql_bullet.text import shell_line
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +72,13 @@ def open_evaluation(folder: Path) -> FinishedEvaluation:
         start, target = (
             None if values.get(name) is None else tuple(map(float, values[name])) for name in ("start", "target")
         )
+        places = values.get("waypoints")
+        waypoints, plan = None if places is None else as_waypoints(places), bool(values.get("plan", False))
         sources, keys = read_sources(folder), values.get("keys", {})
         robot = sources.robot(keys.get("robot"), folder)
         keys = frozen_keys(keys | ({"robot": robot} if robot else {}))
-        setting = Setting(values["simulator"], values["physics"], conditions, impassable, start, target, keys)
+        where = values["simulator"], values["physics"], conditions, impassable
+        setting = Setting(*where, start, target, waypoints, plan, keys)
         policies = {policy["name"]: Policy(**policy) for policy in values["policies"]}
         tiers = {
             tier["name"]: Tier(

@@ -5,7 +5,6 @@ import json
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from importlib.metadata import packages_distributions, version
 from math import isnan
 from pathlib import Path
@@ -69,10 +68,9 @@ def check_at_first_use(
 
 def digest_of(bench: Bench) -> str:
     """Hashes what the verdict on a robot depends on: the vehicle wherever its files are, engine and versions."""
-    vehicle = replace(bench.vehicle, name="", urdf=Path(), source="")
     packages = packages_distributions().get(_MODULES[bench.engine], ())
     versions = [f"{name} {version(name)}" for name in sorted(set(packages))]
-    depends = __version__, *versions, bench.engine, bench.physics, vehicle, vehicle.description
+    depends = __version__, *versions, bench.engine, bench.physics, bench.vehicle.digest
     return hashlib.sha256(" ".join(map(str, depends)).encode()).hexdigest()[:24]
 
 

@@ -1,13 +1,13 @@
 """n vehicles with an observation, actions and a reward: what both environments are made of."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet.agents.learning.frames import Sight
-from nnql_bullet.env import Navigation, Reward, Transition
+from nnql_bullet.env import Reward, Transition
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, as_rows, clearance_at
@@ -18,6 +18,7 @@ from nnql_bullet.render.live import Live
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.task import ENDINGS, GOAL, TRUNCATIONS, StateProperty
 from nnql_bullet.types import Bytes
+from nnql_bullet.worlds.source import checked_place, in_frame
 from nnql_bullet.worlds.spec import WorldSpec
 
 _NEVER, _GOING, _OVER = range(3)
@@ -56,7 +57,7 @@ class Fleet:
         self.experiment = experiment
         self._told, self._actions, self._reward = OBSERVATIONS[observation], ACTION_SETS[actions], reward_kind(reward)
         self.observation_space, self.action_space = self._told.space(experiment), self._actions.space
-        self.navigation = Navigation(simulator, experiment.task, self._reward.navigation)
+        self.navigation = experiment.new_navigation(simulator, self._reward.navigation)
         self._goals = observation == "goal"
         remembers = self._told.remembers or self._reward.score is not None
         self._sight = Sight(frame_maker(experiment), simulator.size) if remembers else None
@@ -97,6 +98,18 @@ class Fleet:
             if i in worlds:
                 live.on_reset(worlds[i], self.navigation.observation, i, clearance[i])
         return {"world_seed": seeds, "pose": self._pose.copy(), "clearance": clearance}
+
+    def set_targets(self, targets: Mapping[int, Sequence[Sequence[float]]]) -> None:
+        """Gives some vehicles, in the middle of their episodes, other targets; see `Navigation.set_targets`.
+
+        Args:
+            targets: x, y [m] of each in the frame of the world's map, by vehicle.
+        """
+        frame = self.experiment.worlds.frame
+        places = {i: [in_frame(frame, checked_place("target", one)) for one in its] for i, its in targets.items()}
+        self.navigation.set_targets(places)
+        for i, its in places.items():
+            self._target[i] = its[-1]
 
     def step(
         self, actions: object, active: NDArray[np.bool_]

@@ -1,5 +1,6 @@
 """The environment of one vehicle."""
 
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import gymnasium
@@ -76,6 +77,21 @@ class TricycleEnv(gymnasium.Env[Told, Any]):
         if self.render_mode is None or self.render_mode == "human":
             return None
         return self._fleet.render()[0]
+
+    def set_target(self, *targets: Sequence[float]) -> Told:
+        """Gives the vehicle, in the middle of its episode, another target, or several to reach in turn.
+
+        Args:
+            *targets: x, y [m] in the frame of the world's map; the last is the target.
+
+        Returns:
+            The observation, which tells of the first of them.
+
+        Raises:
+            UserError: If one is outside the arena, or there is a plan and no way; then nothing has changed.
+        """
+        self._fleet.set_targets({0: targets})
+        return self._told()
 
     @property
     def simulator(self) -> Simulator:

@@ -1,6 +1,6 @@
 """The environment of many vehicles."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -111,6 +111,21 @@ class TricycleVectorEnv(VectorEnv[Told, Any, NDArray[Any]]):
         if self.render_mode is None or self.render_mode == "human":
             return None
         return tuple(self._fleet.render())
+
+    def set_target(self, targets: Mapping[int, Sequence[Sequence[float]]]) -> Told:
+        """Gives some vehicles, in the middle of their episodes, other targets to reach in turn.
+
+        Args:
+            targets: x, y [m] of each in the frame of the world's map, by vehicle; the last is the target.
+
+        Returns:
+            The observations of all vehicles.
+
+        Raises:
+            UserError: See `TricycleEnv.set_target`.
+        """
+        self._fleet.set_targets(targets)
+        return self._fleet.told()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees the vehicles."""

@@ -1,7 +1,7 @@
 """A coarse grid map of obstacles around a vehicle, and the shortest path to its target through that map.
 
-The target is a landmark: its distance and bearing, and the displacement between two decisions, give the pose in a frame
-whose origin is the target and whose x axis points from the start to it. Heading errors do not accumulate.
+A landmark, usually the target itself, gives with its distance and bearing, and the displacement between two decisions,
+the pose in a frame whose origin it is and whose x axis points from the start to it. Heading errors do not accumulate.
 
 Unseen cells count as free, as in Koenig and Likhachev, "D* Lite" (AAAI 2002). Every decision computes the remaining
 path lengths again, by sweeps over the cells (Rosenfeld and Pfaltz, "Sequential Operations in Digital Picture
@@ -50,29 +50,35 @@ _ROUNDING = 1e-9
 
 
 def tracked(poses: Array, steps: Array, distance: Array, bearing: Array) -> Array:
-    """Computes poses (n, 3) in the target's frame after a decision.
+    """Computes poses (n, 3) in the landmark's frame after a decision.
 
     Args:
         poses: Poses before the decision (n, 3).
         steps: Displacements in the vehicle frame before the decision (n, 2) [m].
-        distance: Present distance of the target (n,) [m].
-        bearing: Present bearing of the target (n,) [rad].
+        distance: Present distance of the landmark (n,) [m].
+        bearing: Present bearing of the landmark (n,) [rad].
     """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + c * steps[:, 0] - s * steps[:, 1]
     y = poses[:, 1] + s * steps[:, 0] + c * steps[:, 1]
-    return _from_target(np.arctan2(-y, -x), distance, bearing)
+    return _from_landmark(np.arctan2(-y, -x), distance, bearing)
 
 
 def first_poses(distance: Array, bearing: Array) -> Array:
-    """Computes poses (n, 3) in the target's frame at the start from its distance (n,) [m] and bearing (n,) [rad]."""
-    return _from_target(np.zeros(len(distance)), distance, bearing)
+    """Computes poses (n, 3) in the landmark's frame at the start, by its distance (n,) [m] and bearing (n,) [rad]."""
+    return _from_landmark(np.zeros(len(distance)), distance, bearing)
 
 
-def _from_target(toward: Array, distance: Array, bearing: Array) -> Array:
-    """Computes poses (n, 3) from which the target is in the direction `toward` of its own frame (n,) [rad]."""
+def _from_landmark(toward: Array, distance: Array, bearing: Array) -> Array:
+    """Computes poses (n, 3) from which the landmark is in the direction `toward` of its own frame (n,) [rad]."""
     x, y = -distance * np.cos(toward), -distance * np.sin(toward)
     return np.stack([x, y, wrap_angles(toward - bearing)], axis=-1)
+
+
+def places_of(poses: Array, distance: Array, bearing: Array) -> Array:
+    """Computes places (n, 2) [m] that are seen from poses (n, 3) at a distance (n,) [m] and bearing (n,) [rad]."""
+    direction = poses[:, 2] + bearing
+    return np.asarray(poses[:, :2] + (distance * np.stack([np.cos(direction), np.sin(direction)])).T)
 
 
 @njit(nogil=True)
@@ -89,7 +95,7 @@ def add_scans(
 
     Args:
         cells: Maps (n, SIZE, SIZE), above zero in occupied cells; updated.
-        corners: First cells of the maps, counted from the target (n, 2); updated.
+        corners: First cells of the maps, counted from the landmark (n, 2); updated.
         poses: Poses of the vehicles (n, 3).
         distances: Ray distances (n, m) [m].
         sensor: Origin of the rays in the vehicle frame (2,) [m].
@@ -153,7 +159,7 @@ def _shift(cells: Cells, along: int, across: int) -> None:
 
 
 @njit(nogil=True)
-def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
+def path_lengths(cells: Cells, corner: NDArray[np.int64], target: Array) -> Array:
     """Computes the lengths of the shortest paths from each cell of a map to the target (SIZE, SIZE) [m].
 
     A path leads from cell to neighbouring cell, and straight on from the map's edge. `COSTS` weights the lengths; a
@@ -161,7 +167,8 @@ def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
 
     Args:
         cells: The map (SIZE, SIZE).
-        corner: The map's first cell, counted from the target (2,).
+        corner: The map's first cell, counted from the landmark (2,).
+        target: Its place in the landmark's frame (2,) [m].
     """
     barred = (cells > 0).astype(np.int8)
     beside = _widened(barred)
@@ -171,8 +178,9 @@ def path_lengths(cells: Cells, corner: NDArray[np.int64]) -> Array:
     for a in range(SIZE):
         for b in range(SIZE):
             cost[a, b] = MAP_CELL / 2 * metre[walls[a, b]]
-            if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (corner[0] + a in (-1, 0) and corner[1] + b in (-1, 0)):
-                left[a, b] = MAP_CELL * np.hypot(corner[0] + a + 0.5, corner[1] + b + 0.5)
+            x, y = corner[0] + a + 0.5 - target[0] / MAP_CELL, corner[1] + b + 0.5 - target[1] / MAP_CELL
+            if a in (0, SIZE - 1) or b in (0, SIZE - 1) or (abs(x) <= 0.5 and abs(y) <= 0.5):
+                left[a, b] = MAP_CELL * np.hypot(x, y)
     # Whether the row before, and the row after, may shorten the paths of a row.
     by_before, by_after = np.ones(SIZE, np.bool_), np.ones(SIZE, np.bool_)
     for _ in range(_MOST_SWEEPS):
@@ -252,8 +260,8 @@ def path_length_at(left: Array, corner: NDArray[np.int64], x: float, y: float) -
     Args:
         left: Path lengths from `path_lengths` (SIZE, SIZE) [m].
         corner: The map's first cell (2,).
-        x: x in the target's frame [m]; the nearest position in the map counts for one outside.
-        y: y in the target's frame [m].
+        x: x in the landmark's frame [m]; the nearest position in the map counts for one outside.
+        y: y in the landmark's frame [m].
     """
     a = min(max(x / MAP_CELL - corner[0] - 0.5, 0.0), SIZE - 1.000001)
     b = min(max(y / MAP_CELL - corner[1] - 0.5, 0.0), SIZE - 1.000001)
@@ -282,7 +290,9 @@ def _free_distance(cells: Cells, corner: NDArray[np.int64], x: float, y: float, 
 
 
 @njit(nogil=True)
-def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array) -> tuple[Array, Array, Array]:
+def sensed(
+    cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array, targets: Array
+) -> tuple[Array, Array, Array]:
     """Probes the maps around the vehicles.
 
     Args:
@@ -290,6 +300,7 @@ def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array
         corners: First cells of the maps (n, 2).
         poses: Poses of the vehicles (n, 3).
         before: Earlier positions of the vehicles (n, 2) [m].
+        targets: Places of the targets (n, 2) [m].
 
     Returns:
         Path length from the places at `REACHES` and `BEARINGS` less that from the vehicle, `BARRED` behind an obstacle
@@ -298,7 +309,7 @@ def sensed(cells: Cells, corners: NDArray[np.int64], poses: Array, before: Array
     n = len(cells)
     around, ways, progress = np.empty((n, SENSE)), np.empty(n), np.empty(n)
     for i in range(n):
-        left = path_lengths(cells[i], corners[i])
+        left = path_lengths(cells[i], corners[i], targets[i])
         x, y, yaw = poses[i]
         ways[i] = path_length_at(left, corners[i], x, y)
         progress[i] = path_length_at(left, corners[i], before[i, 0], before[i, 1]) - ways[i]

@@ -1,9 +1,9 @@
 """The shortest way to the target through what a vehicle has seen since it began to ask for one.
 
 Cells about the vehicle are occupied where rays ended, until rays pass. Unseen ones count as free, as in Koenig and
-Likhachev, "D* Lite" (AAAI 2002); here every decision searches anew by A* (Hart, Nilsson and Raphael, "A Formal Basis for
-the Heuristic Determination of Minimum Cost Paths", 1968), with a cost that falls with the distance to the nearest
-occupied cell. Poses are in the target's frame of `grid_map`.
+Likhachev, "D* Lite" (AAAI 2002); here every decision searches anew by A* (Hart, Nilsson and Raphael, "A Formal Basis
+for the Heuristic Determination of Minimum Cost Paths", 1968), with a cost that falls with the distance to the nearest
+occupied cell. Poses are in the landmark's frame of `grid_map`.
 """
 
 from heapq import heappop, heappush
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, wrap_angle
 from nnql_bullet.jit import njit
-from nnql_bullet.mapping.grid_map import SEEN, Cells, first_poses, tracked
+from nnql_bullet.mapping.grid_map import SEEN, Cells, first_poses, places_of, tracked
 from nnql_bullet.vehicle.scale import turning_radius
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -36,28 +36,33 @@ class Surroundings(NamedTuple):
     cells: Cells
     """Above zero in occupied cells (SIDE, SIDE)."""
     corner: NDArray[np.int64]
-    """The first cell, counted from the target (2,)."""
+    """The first cell, counted from the landmark (2,)."""
     pose: Array
-    """Present pose in the target's frame (3,)."""
+    """Present pose in the landmark's frame (3,)."""
 
 
 def first_surroundings(distance: float, bearing: float) -> Surroundings:
-    """The surroundings of a vehicle that has seen nothing, from distance [m] and bearing [rad] of its target."""
+    """The surroundings of a vehicle that has seen nothing, from distance [m] and bearing [rad] of its landmark."""
     pose = first_poses(np.array([distance]), np.array([bearing]))[0]
     return Surroundings(np.zeros((SIDE, SIDE), np.int8), np.zeros(2, np.int64), pose)
 
 
 def moved_on(before: Surroundings, moved: Array, distance: float, bearing: float) -> Surroundings:
-    """The surroundings of a vehicle that has moved, with the pose that its target tells.
+    """The surroundings of a vehicle that has moved, with the pose that its landmark tells.
 
     Args:
         before: Where it was.
         moved: Its pose in the frame of then (3,).
-        distance: Of the target now [m].
+        distance: Of the landmark now [m].
         bearing: Likewise [rad].
     """
     pose = tracked(before.pose[None], moved[None, :2], np.array([distance]), np.array([bearing]))[0]
     return before._replace(pose=pose)
+
+
+def place_seen(pose: Array, distance: float, bearing: float) -> Array:
+    """The place (2,) [m] that is seen from a pose (3,) at a distance [m] and bearing [rad]."""
+    return np.asarray(places_of(pose[None], np.array([distance]), np.array([bearing]))[0])
 
 
 def with_scan(before: Surroundings, rays: Array, vehicle: VehicleSpec) -> Surroundings:
@@ -68,7 +73,7 @@ def with_scan(before: Surroundings, rays: Array, vehicle: VehicleSpec) -> Surrou
     return before._replace(cells=cells, corner=corner)
 
 
-def way_ahead(surroundings: Surroundings, vehicle: VehicleSpec, margin: float, reach: float) -> float:
+def way_ahead(surroundings: Surroundings, vehicle: VehicleSpec, margin: float, reach: float, target: Array) -> float:
     """Bearing of the farthest place on the shortest way to the target that lies in a straight line [rad].
 
     Args:
@@ -76,10 +81,12 @@ def way_ahead(surroundings: Surroundings, vehicle: VehicleSpec, margin: float, r
         vehicle: The vehicle, which has to fit.
         margin: Clearance that it keeps where it can [m].
         reach: Largest distance of that place [m].
+        target: Place of the target (2,) [m].
     """
     cell, its = _cell(vehicle), surroundings.pose
     half_width, radius = vehicle.footprint.half_width, turning_radius(vehicle.footprint)
-    x, y = _carrot(*surroundings, half_width / cell, (half_width + margin) / cell, radius / cell, reach / cell, cell)
+    lengths = half_width / cell, (half_width + margin) / cell, radius / cell, reach / cell, cell
+    x, y = _carrot(*surroundings, *lengths, target)
     return wrap_angle(float(np.arctan2(y * cell - its[1], x * cell - its[0])) - float(its[2]))
 
 
@@ -137,7 +144,8 @@ def _clearances(cells: Cells, most: float) -> Array:
                 for to_a in range(max(a - reach, 0), min(a + reach + 1, SIDE)):
                     for to_b in range(max(b - reach, 0), min(b + reach + 1, SIDE)):
                         squares[to_a, to_b] = min(squares[to_a, to_b], (to_a - a) ** 2 + (to_b - b) ** 2)
-    return np.sqrt(squares)
+    rooms: Array = np.sqrt(squares)
+    return rooms
 
 
 @njit()
@@ -150,8 +158,9 @@ def _carrot(
     radius: float,
     reach: float,
     cell: float,
+    target: Array,
 ) -> tuple[float, float]:
-    """The place that `way_ahead` looks at, counted in cells from the target.
+    """The place that `way_ahead` looks at, counted in cells from the landmark.
 
     Args:
         cells: See `Surroundings`.
@@ -162,6 +171,7 @@ def _carrot(
         radius: Distance from obstacles at which it can turn round [cells].
         reach: Largest distance of the place [cells].
         cell: Side of a cell [m].
+        target: Place of the target (2,) [m].
     """
     room = _clearances(cells, radius + 1.0)
     factors = np.empty((SIDE, SIDE))
@@ -169,7 +179,7 @@ def _carrot(
         for b in range(SIDE):
             near = BESIDE * max(radius - room[a, b], 0.0) / (radius - half_width)
             factors[a, b] = BARRED if room[a, b] <= half_width else TIGHT if room[a, b] <= fits else 1.0 + near
-    goal_a, goal_b = -corner[0] - 0.5, -corner[1] - 0.5
+    goal_a, goal_b = target[0] / cell - corner[0] - 0.5, target[1] / cell - corner[1] - 0.5
     first = (int(np.floor(pose[0] / cell)) - corner[0], int(np.floor(pose[1] / cell)) - corner[1])
     cost, came = np.full((SIDE, SIDE), np.inf), np.full((SIDE, SIDE), -1, np.int64)
     done = np.zeros((SIDE, SIDE), np.bool_)

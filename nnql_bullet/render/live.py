@@ -111,7 +111,7 @@ class Live:
         self._studio = self._window = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_studio": None, "_window": None}
+        return {**self.__dict__, "_studio": None, "_window": None, "_was_closed": True}
 
     def _drawn(self, times: list[float]) -> list[Bytes]:
         recording = self._recording()

@@ -189,13 +189,13 @@ def draw_bottlenecks(barn: Barn, path: Path) -> None:
         methods = barn.evaluation.methods
         for number, method in enumerate(methods):
             its = [row for row in rows if row.method == method]
-            shift = 0.012 * (number - (len(methods) - 1) / 2)
-            x = np.array([(row.narrowest + row.widest) / 2 + shift for row in its])
+            shift = 0.004 * (number - (len(methods) - 1) / 2)
+            x = np.array([row.middle + shift for row in its])
             value, low, high = 100 * np.array([row.outcomes["goal"] for row in its]).T
             colour, mark = LINES[number % len(LINES)], MARKS[number % len(MARKS)]
             axes.plot(x, value, color=colour, lw=1.8, marker=mark, ms=5.5, mew=0, label=method)
             axes.vlines(x, low, high, color=colour, lw=1.1, alpha=0.6)
-        axes.set(xlabel="bottleneck, middle of a quarter of the worlds [m]", ylabel="success [%]", ylim=(-2, 102))
+        axes.set(xlabel="median bottleneck of a quarter of the worlds [m]", ylabel="success [%]", ylim=(-2, 102))
         finish_axes(axes, f"BARN, {barn.title}; lines: 95 % intervals", hidden=OPEN)
         figure.legend(loc="outside right center", frameon=False, fontsize=9)
 

@@ -29,6 +29,7 @@ from nnql_bullet.colours import (
     MOVING,
     MOVING_EDGE,
     NON_SAFE,
+    PLAN,
     SAFE,
     TARGET,
     TEMPERATURE,
@@ -61,6 +62,8 @@ _ENTRIES: dict[str, dict[str, Any]] = {
     "vehicle": {"facecolor": VEHICLE, "edgecolor": INK},
     "path": {"color": SAFE, "lw": 1.8},
     "bottleneck": {"marker": "o", "ls": "", "mfc": "none", "mec": TEMPERATURE, "mew": 1.8},
+    "plan": {"color": PLAN, "lw": 1.4, "ls": "--", "marker": ".", "ms": 4},
+    "waypoint": {"marker": "o", "ls": "", "mfc": "none", "mec": COLLISION, "ms": 8},
     "start": {"marker": "o", "ls": "", "mfc": INK, "mec": INK},
     "target": {"marker": "o", "ls": "", "mfc": TARGET, "mec": COLLISION, "ms": 10},
     "collision": {"marker": "X", "ls": "", "mfc": COLLISION, "mec": "white", "ms": 11},
@@ -155,6 +158,9 @@ def draw_world(axes: Axes, world: WorldSpec, time: float, outline: float = 0.8) 
         for box in (patrol.box, at_end):
             axes.add_patch(Polygon(box.corners(), fc="none", ec=MOVING_EDGE, lw=0.6, ls="--"))
         axes.add_patch(Polygon(patrol.at(time).corners(), fc=MOVING, ec=MOVING_EDGE, lw=0.8, zorder=2))
+    for number, place in enumerate(world.waypoints, 1):
+        axes.add_patch(Disc(place, world.target_radius, fc="none", ec=COLLISION, lw=1.0, zorder=3))
+        axes.text(*place, str(number), color=COLLISION, size=8, ha="center", va="center", clip_on=True, zorder=7)
     axes.add_patch(Disc(world.target, world.target_radius, fc=TARGET, ec=COLLISION, lw=1.6))
     axes.plot(*world.target, "+", color=COLLISION, ms=7)
     axes.plot(world.start.x, world.start.y, "o", color=INK, ms=5, zorder=5)
@@ -175,6 +181,10 @@ def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool
         detail: Factor on the width of lines and on the density of outlines.
         cross: Whether a cross on the vehicle marks a collision.
     """
+    for _, corners in recording.plans:
+        axes.plot(*corners.T, color=PLAN, lw=1.4 * detail, ls="--", zorder=2.5)
+    if recording.plans:
+        axes.plot(*recording.aims.T, ".", color=PLAN, ms=2.0 * detail, zorder=3)
     points = recording.sample_pose[:, :2]
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"

@@ -286,7 +286,8 @@ def evaluation_values(
         "physics": e.setting.physics,
         "conditions": e.setting.conditions and asdict(e.setting.conditions),
         "allow_impassable": e.setting.allow_impassable,
-        **{name: its for name, its in (("start", e.setting.start), ("target", e.setting.target)) if its},
+        **{name: its for name, its in e.setting.ends.items() if its},
+        **({"plan": True} if e.setting.plan else {}),
         "robots": sorted({policy.robot for policy in e.policies}),
         "keys": dict(e.setting.keys),
         "endings": list(ENDINGS),
@@ -357,11 +358,12 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
             drives = zip(tier.worlds, e.drives[policy.name, tier.name], e.difficulties[tier.name], strict=True)
             for world, summary, difficulty in drives:
                 values = asdict(summary)
+                times = {"waypoint_times": " ".join(map(str, values.pop("waypoint_times")))}
                 terms = {f"reward_{name}": value for name, value in values.pop("terms").items()}
                 where = {"policy": policy.name, "method": policy.method, "seed": policy.seed, "world": tier.name}
                 where |= {"file": world.file}
                 its = {"bottleneck": difficulty.bottleneck, "shortest_path": difficulty.shortest_path}
-                records.append({**where, **values, **terms, **its})
+                records.append({**where, **values, **times, **terms, **its})
     return records
 
 

@@ -44,13 +44,17 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
         _draw_clearance(clear, recording)
         figure.suptitle(_caption(recording), fontsize=11, color=INK)
         moving = {"moving": "moving, as at the end"} if recording.patrols else {}
+        plan = {"plan": "plan and what was driven at"} if recording.plans else {}
+        waypoint = {"waypoint": "way point"} if recording.world.waypoints else {}
         collision = {"collision": "collision"} if recording.about["ending"] == "collision" else {}
         handles = legend_entries(
             safe="in a safe state",
             non_safe="in a non-safe state",
             obstacle="obstacle",
             **moving,
+            **plan,
             start="start",
+            **waypoint,
             target="target",
             **collision,
         )

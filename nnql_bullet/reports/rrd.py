@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet import paper
-from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, SAFE, TIMEOUT, VEHICLE
+from nnql_bullet.colours import BOX, COLLISION, INK, LINES, MOVING, NON_SAFE, PLAN, SAFE, TIMEOUT, VEHICLE
 from nnql_bullet.env import ACTIONS
 from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox
@@ -105,6 +105,7 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
         fill_mode="solid",
     )
     stream.log("world/target", disc, static=True)
+    _log_goals(stream, recording)
     stream.log(
         "world/start", rr.Points3D([(world.start.x, world.start.y, 0.0)], colors=_rgba(INK), radii=0.1), static=True
     )
@@ -115,6 +116,28 @@ def _log_world(stream: rr.RecordingStream, recording: Recording) -> None:
         entity = f"world/patrols/{number}"
         stream.log(entity, _boxes([shape], world.obstacle_height, MOVING), static=True)
         stream.send_columns(entity, [_times(times)], _transforms(places))
+
+
+def _log_goals(stream: rr.RecordingStream, recording: Recording) -> None:
+    """Logs way points with their numbers, plans as they were made, and what the vehicle drove at in each state."""
+    world = recording.world
+    if world.waypoints:
+        numbers = [str(number) for number in range(1, len(world.waypoints) + 1)]
+        circles = [_circle(place, world.target_radius) for place in world.waypoints]
+        stream.log("world/waypoints", rr.LineStrips3D(circles, colors=_rgba(COLLISION), labels=numbers), static=True)
+    for time, corners in recording.plans:
+        stream.set_time(TIME, duration=time)
+        stream.log("world/plan", rr.LineStrips3D([_on_ground(corners)], colors=_rgba(PLAN), radii=0.03))
+    if recording.plans or world.waypoints:
+        columns = rr.Points3D.columns(positions=_on_ground(recording.aims))
+        stream.log("world/aim", rr.Points3D.from_fields(colors=_rgba(PLAN), radii=0.1), static=True)
+        stream.send_columns("world/aim", _at_states(recording), columns)
+
+
+def _circle(middle: tuple[float, float], radius: float) -> Array:
+    """Points around a circle on the ground (n, 3) [m]."""
+    angles = np.linspace(0.0, 2 * np.pi, 49)
+    return _on_ground(np.array(middle) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
 
 
 def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:

@@ -35,7 +35,7 @@ class LastScan:
     rays: Array = field(default_factory=lambda: np.full(paper.SECTORS, np.nan))
     """Ray distances (rays,) [m]; NaN where the sensor sees nothing."""
     target: TargetFix = field(default_factory=lambda: TargetFix(0.0, 0.0))
-    """The target as seen then."""
+    """The landmark as seen then."""
     moved: Array = field(default_factory=lambda: np.zeros(3))
     """Predicted pose of now in the vehicle frame of then (3,)."""
     evidence: Array = field(default_factory=lambda: np.zeros(paper.SECTORS))
@@ -90,7 +90,7 @@ def perceived(
     scans, clouds, movers, moves = [], [], [], []
     for i, before in enumerate(last):
         points = point_cloud(rays[i], sensor)
-        target = TargetFix(float(o.target_distance[i]), float(o.target_bearing[i]))
+        target = TargetFix(float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
         moved = found_pose(before.moved, before.target, target)
         strayed = float(np.hypot(*(moved - before.moved)[:2]))
         moving = moving_points(points, before.rays, moved, strayed, origin)

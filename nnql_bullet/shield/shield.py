@@ -5,8 +5,9 @@ straight on after it. It takes the agent's best action that stays clear of what 
 vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
 `mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
 it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
-no nearer to the target (`recovery`). It completes sensors that read nothing against all evidence, and expects moving
-obstacles to come nearer (`perception`).
+no nearer to the target on the shortest way through what was seen (`recovery`, `mapping.way`) and, where it is narrow or
+leads back, one on a plan. It completes sensors that read nothing against all evidence, and expects moving obstacles to
+come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
@@ -22,11 +23,12 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, SLOW, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
 from nnql_bullet.mapping.prediction import predicted_poses
-from nnql_bullet.mapping.way import first_surroundings, moved_on, way_ahead, with_scan
+from nnql_bullet.mapping.way import first_surroundings, moved_on, place_seen, way_ahead, with_scan
 from nnql_bullet.rollout import Actions, Policy, PolicyState
+from nnql_bullet.sensing import smallest
 from nnql_bullet.shield.fallback import Spin, fallback
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import LastScan, Perception, perceived
@@ -40,7 +42,12 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 __all__ = ["Shield", "ShieldOptions"]
 
 ALONG = radians(45.0)
-"""Largest angle between the way of a recovery and an action that drives along it [rad]."""
+"""Largest angle between the way of a recovery or plan and an action that drives along it [rad]."""
+BEND = 0.7
+"""Distance of the point on a plan, as a share of what it is on straight ways, below which the plan bends so much that
+the vehicle drives slowly."""
+NARROW = 1.25
+"""Distance of the nearest obstacle from the sensor within which a plan leads, not the agent, in turning radii."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +74,13 @@ class Shield:
     """Drives for an agent, see the module. It is a policy that also chooses manoeuvres beyond the actions."""
 
     def __init__(
-        self, options: ShieldOptions, agent: Policy, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions
+        self,
+        options: ShieldOptions,
+        agent: Policy,
+        vehicle: VehicleSpec,
+        drive: DriveOptions,
+        task: TaskOptions,
+        carrot: float | None = None,
     ) -> None:
         """Puts the shield around the agent.
 
@@ -77,10 +90,13 @@ class Shield:
             vehicle: The vehicle with its load and grip.
             drive: How decisions reach the wheels.
             task: Says what sensors read of rays, and which states are safe.
+            carrot: Distance at which the target, a point on a plan, moves on ahead of the vehicle [m]; None for a
+                target that stays.
         """
         self.options = options
         self.agent = agent
-        self._vehicle, self._drive, self._task = vehicle, drive, task
+        self._overridable = agent if isinstance(agent, Overridable) else None  # asked once: the answer takes a while
+        self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
 
@@ -114,14 +130,19 @@ class Shield:
         wanted, agent_state = self.agent.act(o, state.agent)
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
-        led, headings, along = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted)), np.ones(turns.shape, np.bool_)
-        if self.options.recovers:
-            memories, led, headings = self._recovering(seen, memories)
-            away = np.abs(wrap_angles(turns - headings[:, None]))
-            ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
+        led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))
         situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
         margins = self._predictor.margins(seen.points)
         clear = self._predictor.stays_clear(situation, margins)
+        if self._carrot is not None:
+            bends = (o.target_distance < BEND * self._carrot) & (o.distance_left > self._carrot)
+            clear &= ~bends[:, None]  # slowly there
+            at_speed = np.take_along_axis(clear, (wanted % ACTIONS)[:, None], axis=1)[:, 0]
+            led, headings = ~at_speed | self._is_led_by_plan(o), o.target_bearing
+        elif self.options.recovers:
+            memories, led, headings = self._recovering(seen, memories)
+        away = np.abs(wrap_angles(turns - headings[:, None]))
+        ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
         chosen, spins = np.empty(len(wanted), np.int64), []
         for i, memory in enumerate(memories):
             alone, recent = situation.of(np.array([i])), seen.scans[i].recent
@@ -138,9 +159,10 @@ class Shield:
                     *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
                     *(int(np.sign(headings[i])), float(o.target_bearing[i])),
                 )
-            spins.append(spin)
-        if isinstance(self.agent, Overridable):
-            agent_state = self.agent.override(agent_state, chosen)
+            drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
+            spins.append(Spin() if drives_on else spin)
+        if self._overridable is not None:
+            agent_state = self._overridable.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
         return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
 
@@ -150,6 +172,11 @@ class Shield:
         last = [memory.scan for memory in memories]
         return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
 
+    def _is_led_by_plan(self, o: Observation) -> NDArray[np.bool_]:
+        """Whether the plan, not the agent, leads each vehicle (n,): where it is narrow, or the plan leads back."""
+        narrow = smallest(o.readings) < NARROW * self._lengths.turning_radius
+        return np.asarray(narrow | (np.abs(o.target_bearing) > LARGEST_TURN))
+
     def _recovering(
         self, seen: Perception, memories: Sequence[Memory]
     ) -> tuple[tuple[Memory, ...], NDArray[np.bool_], Array]:
@@ -157,16 +184,18 @@ class Shield:
         after, o = [], seen.observation
         led, headings = np.zeros(len(memories), np.bool_), np.zeros(len(memories))
         for i, memory in enumerate(memories):
-            distance, bearing = float(o.target_distance[i]), float(o.target_bearing[i])
-            recovery = memory.recovery.updated(distance, self._drive.decision_period, self._lengths.scale)
+            left, place = float(o.distance_left[i]), (float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
+            recovery = memory.recovery.updated(left, self._drive.decision_period, self._lengths.scale)
             around = None
-            if recovery.leads(distance):
+            if recovery.leads(left):
                 rays = np.where(seen.moving[i, : o.ray_distances.shape[1]], 0.0, seen.scans[i].recent.rays[0])
                 around = recovery.surroundings
-                around = moved_on(around, seen.moved[i], distance, bearing) if around else None
-                around = with_scan(around or first_surroundings(distance, bearing), rays, self._vehicle)
+                around = moved_on(around, seen.moved[i], *place) if around else None
+                around = with_scan(around or first_surroundings(*place), rays, self._vehicle)
                 tight, reach = self._lengths.tight_margin, self._lengths.turning_radius
-                led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach)
+                target = float(o.target_distance[i]), float(o.target_bearing[i])
+                goal = np.zeros(2) if target == place else place_seen(around.pose, *target)
+                led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach, goal)
             after.append(replace(memory, recovery=replace(recovery, surroundings=around)))
         return tuple(after), led, headings
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 SAMPLE_EVERY = 4
@@ -56,7 +57,7 @@ class Motion:
     touching: NDArray[np.bool_]
     """Whether the vehicle touched an obstacle or wall (n,)."""
     at_target: NDArray[np.bool_]
-    """Whether the rear-axle centre came within the target's radius (n,)."""
+    """Whether the rear-axle centre came within the radius of the target or way point (n,)."""
     overturned: NDArray[np.bool_]
     """Whether the vehicle tipped over (n,): `sim.contact.OVERTURNED`. The kinematic model never does."""
 
@@ -93,6 +94,8 @@ class Simulator(Protocol):
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
 
+        The first of the world's targets is theirs.
+
         Returns:
             Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.
         """
@@ -122,9 +125,8 @@ class Simulator(Protocol):
             WorkerDied: If a process that holds some vehicles is gone.
         """
 
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """Gives some vehicles another target x, y [m]; its radius stays."""
+
     def close(self) -> None:
         """Frees all resources. The simulator cannot be used after that."""
-
-
-class WorkerDied(Exception):
-    """A worker process is gone; the message names it."""

@@ -23,6 +23,7 @@ from nnql_bullet.vehicle.controller import (
     whole_steps,
 )
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -128,8 +129,8 @@ class ContactEngine(VehiclePhysics):
             heading_gain=self.drive.heading_gain,
             track=self.vehicle.track,
             wheel_radius=self.vehicle.wheel_radius,
-            target_x=world.target[0],
-            target_y=world.target[1],
+            target_x=world.targets[0][0],
+            target_y=world.targets[0][1],
             target_radius=world.target_radius,
         )
         self._episode = np.array([episode], dtype=_RECORD)
@@ -208,6 +209,10 @@ class ContactEngine(VehiclePhysics):
             at_target=at_target and not touching and not overturned,
             overturned=overturned and not touching,
         )
+
+    def retarget(self, target: Point) -> None:
+        """Gives the vehicle another target x, y [m]; its radius stays."""
+        self._episode["target_x"], self._episode["target_y"] = target
 
     def scan(self) -> Array:
         """Distances of the rays (rays,) [m]. The sensor pitches and rolls with the chassis."""

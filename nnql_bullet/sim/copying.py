@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -33,11 +34,13 @@ class CopyableSimulator:
         self._steps = np.zeros(self.size, np.int64)
         self._given = np.zeros((0, self.size, 2))  # heading change and speed of each step of an episode
         self._traced: list[int] = []
+        self._retargeted: list[tuple[int, int, Point]] = []  # vehicle, step of its episode, target
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
         self._worlds |= worlds
         self._steps[list(worlds)] = 0
+        self._retargeted = [its for its in self._retargeted if its[0] not in worlds]
         return self.inner.reset(worlds)
 
     def advance(
@@ -57,6 +60,11 @@ class CopyableSimulator:
         self._steps[vehicles] += 1
         return self.inner.advance(heading_changes, active, speed_scales, traces)
 
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        self._retargeted += [(i, int(self._steps[i]), target) for i, target in targets.items()]
+        self.inner.retarget(targets)
+
     def close(self) -> None:
         """Closes the simulator; nothing happens the second time."""
         if not self._closed:
@@ -73,6 +81,9 @@ class CopyableSimulator:
         self.inner = self._make()
         if self._worlds:
             self.inner.reset(self._worlds)
-        for step in range(self._steps.max()):
+        for step in range(self._steps.max() + 1):
+            self.inner.retarget({i: target for i, when, target in self._retargeted if when == step})
+            if step == self._steps.max():
+                break
             turns, scales = self._given[step].T
             self.inner.advance(turns, self._steps > step, scales, {vehicle: [] for vehicle in self._traced})

@@ -18,6 +18,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.sim.faults import SensorFaults, degraded
 from nnql_bullet.types import NonNegative, UnitInterval
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -88,6 +89,10 @@ class RandomizedSimulator:
         for i in vehicles:
             self._degrade(ray_distances, i, i)
         return motion, ray_distances
+
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        self._simulator.retarget(targets)
 
     def close(self) -> None:
         """Closes the simulator."""

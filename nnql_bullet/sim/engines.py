@@ -13,6 +13,7 @@ from nnql_bullet.sim.base import Motion, Traces, driving, no_motion
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 EngineName = Literal["bullet", "mujoco"]
@@ -89,6 +90,11 @@ class ContactSimulator:
             motion.touching[i], motion.at_target[i], motion.overturned[i] = m.touching, m.at_target, m.overturned
             ray_distances[i] = engine.scan()
         return motion, ray_distances
+
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        for i, target in targets.items():
+            self.engines[i].retarget(target)
 
     def close(self) -> None:
         """Closes the engines."""

@@ -14,6 +14,7 @@ from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sensing import first_ray
 from nnql_bullet.sim.base import Motion, Simulator, Traces, driving
 from nnql_bullet.types import NonNegative
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 
 
@@ -76,6 +77,10 @@ class FaultySimulator:
         for i in driving(active, self.size):
             ray_distances[i] = degraded(ray_distances[i], self._faults, self._noise[i], self.vehicle.sensor.range)
         return motion, ray_distances
+
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        self._simulator.retarget(targets)
 
     def close(self) -> None:
         """Closes the simulator."""

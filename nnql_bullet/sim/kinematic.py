@@ -22,6 +22,7 @@ from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, command_times
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile, wheel_speeds
 from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec, follow_tracks
 
 VEHICLES_PER_THREAD = 16
@@ -170,7 +171,7 @@ class KinematicSimulator:
             state.solids[i, count : count + moving] = _padded(world.tracks)
             state.bounds[i, : len(bounds)] = bounds
             state.counts[i] = count, moving, 0
-            state.target[i] = *world.target, world.target_radius
+            state.target[i] = *world.targets[0], world.target_radius
             state.clearance[i] = clearance_among(start.x, start.y, start.yaw, footprint, solids, bounds)
         vehicles = np.array(list(worlds), dtype=np.int64)
         self._time[vehicles], self._joint_angles[vehicles] = 0.0, 0.0
@@ -207,6 +208,11 @@ class KinematicSimulator:
                     self._extend(traces[i], i, over=bool(motion.touching[i] or motion.at_target[i]))
         self._time[vehicles] += motion.duration[vehicles]
         return motion, period.ray_distances.copy()
+
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        for i, target in targets.items():
+            self._state.target[i, :2] = target
 
     def path(self, vehicle: int) -> Array:
         """Returns a vehicle's poses in the last control period: at its start and after each command (k + 1, 3)."""

@@ -12,15 +12,18 @@ from dataclasses import fields
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, no_motion
+from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, no_motion
+from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
+
+T = TypeVar("T")
 
 EXIT_TIMEOUT = 5.0
 """Time limit for a worker to end by itself [s]."""
@@ -64,10 +67,7 @@ class WorkerSimulator:
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
         """See `Simulator.reset`."""
-        workers = len(self._pipes)
-        asked: dict[int, dict[int, WorldSpec]] = {}
-        for i, world in worlds.items():
-            asked.setdefault(i % workers, {})[i // workers] = world
+        workers, asked = len(self._pipes), self._shared(worlds)
         for worker, share in asked.items():
             self._send(worker, ("reset", share))
         answers = self._collect(asked)
@@ -105,6 +105,13 @@ class WorkerSimulator:
                 traces[int(share[row])].extend(some)
         return motion, ray_distances
 
+    def retarget(self, targets: Mapping[int, Point]) -> None:
+        """See `Simulator.retarget`."""
+        asked = self._shared(targets)
+        for worker, share in asked.items():
+            self._send(worker, ("retarget", share))
+        self._collect(asked)
+
     def close(self) -> None:
         """Ends the processes: closes their pipes, and kills those that do not end."""
         for pipe in self._pipes:
@@ -114,6 +121,13 @@ class WorkerSimulator:
             if process.is_alive():
                 process.kill()
                 process.join()
+
+    def _shared(self, given: Mapping[int, T]) -> dict[int, dict[int, T]]:
+        """Sorts what is given by vehicle by worker, and by the vehicle's number there."""
+        asked: dict[int, dict[int, T]] = {}
+        for i, its in given.items():
+            asked.setdefault(i % len(self._pipes), {})[i // len(self._pipes)] = its
+        return asked
 
     def _send(self, worker: int, message: Any) -> None:
         try:
@@ -163,6 +177,9 @@ def _serve(pipe: Connection, make: Callable[[int], Simulator], size: int) -> Non
             verb, *arguments = pipe.recv()
             if verb == "reset":
                 pipe.send((simulator.reset(*arguments), None))
+            elif verb == "retarget":
+                simulator.retarget(*arguments)
+                pipe.send((None, None))
             else:
                 heading_changes, active, speed_scales, traced = arguments
                 traces: dict[int, list[Sample]] = {row: [] for row in traced}

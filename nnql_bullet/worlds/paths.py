@@ -1,6 +1,6 @@
 """The shortest path of a disc through a world, and measures of the world's difficulty along it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from math import ceil, floor, inf, nan, pi, sqrt
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.blocks import bounds_of, cast_rays, clearance_among
-from nnql_bullet.geometry import Array, Circle, as_rows, squared_distance
+from nnql_bullet.geometry import Array, Circle, Pose, as_rows, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -55,7 +55,7 @@ def difficulty(world: WorldSpec, vehicle_width: float) -> Difficulty:
             narrower [m].
     """
     path, length = shortest_path(world, min(vehicle_width, world.bottleneck.width) / 2)
-    straight = float(np.hypot(world.target[0] - world.start.x, world.target[1] - world.start.y))
+    straight = sum(float(np.hypot(u - x, v - y)) for (x, y), (u, v) in world.legs)
     points = _along(path, SURVEY_SPACING) if len(path) else np.zeros((0, 2))
     closest, seen = _surroundings(points, world.solids, bounds_of(world.solids))
     return Difficulty(
@@ -87,13 +87,15 @@ def shortest_path(world: WorldSpec, radius: float) -> tuple[Array, float]:
     A cell of a grid is free if its centre is at least `radius`, less half a cell's diagonal, away from everything; so
     where a disc of this radius passes, free cells are connected. Lazy Theta* (Nash, Koenig and Tovey, AAAI 2010), an A*
     whose paths may run at any angle, searches them: to the target's centre where all cells around it are free, else to
-    the first cell within the target's radius.
+    the first cell within the target's radius. A path by way points is one from each to the next.
 
     Returns:
         Corners of the straight pieces of the path (k, 2) [m]; none if there is no path. The last is the target's
         centre, or else lies within its radius. The other value is the path's length to the target's edge and the
         target's radius [m]; infinite if there is no path.
     """
+    if world.waypoints:
+        return _by_waypoints(world, radius)
     side = max(GRID_CELL, sqrt(world.width * world.depth / MOST_CELLS))
     shape = ceil(world.depth / side), ceil(world.width / side)
     ends = (world.start.x, world.start.y), world.target
@@ -112,6 +114,16 @@ def shortest_path(world: WorldSpec, radius: float) -> tuple[Array, float]:
         return path, path_length(path)
     left = float(np.hypot(*(path[-1] - ends[1])))
     return path, max(path_length(path) + left, float(np.hypot(*np.subtract(*ends))))
+
+
+def _by_waypoints(world: WorldSpec, radius: float) -> tuple[Array, float]:
+    """Joins the shortest paths of the legs."""
+    parts = [
+        shortest_path(replace(world, start=Pose(*begin, 0.0), target=end, waypoints=()), radius)
+        for begin, end in world.legs
+    ]
+    length = sum(its for _, its in parts)
+    return (np.concatenate([path for path, _ in parts]) if length < inf else np.zeros((0, 2))), length
 
 
 def path_length(path: Array) -> float:

@@ -55,7 +55,7 @@ class Patrols:
             UserError: If the world has no room for them.
         """
         keep_free = as_rows(
-            tuple(OrientedBox(x, y, 0.0, 0.0) for x, y in ((world.start.x, world.start.y), world.target))
+            tuple(OrientedBox(x, y, 0.0, 0.0) for x, y in ((world.start.x, world.start.y), *world.targets))
         )
         patrols: list[Patrol] = []
         for _ in range(MOST_TRIES):

@@ -6,7 +6,7 @@ from math import cos, degrees, dist, pi, radians, sin
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Tag, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError
 
 from nnql_bullet import assets, paper
 from nnql_bullet.arguments import checked
@@ -22,6 +22,7 @@ from nnql_bullet.worlds.layouts.base import Densifiable
 from nnql_bullet.worlds.narrowing import as_narrow_as
 from nnql_bullet.worlds.patrols import Patrols
 from nnql_bullet.worlds.spec import WorldSpec
+from nnql_bullet.worlds.waypoints import MOST_WAYPOINTS
 
 MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
@@ -31,6 +32,7 @@ MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
 MOST_NAME = 100
 """Longest name of a world."""
+Waypoints = Annotated[tuple[tuple[Number, Number], ...], Field(max_length=MOST_WAYPOINTS)]
 WIDTH = 0.65
 """Width of the shipped vehicle [m]."""
 
@@ -64,8 +66,10 @@ class World:
     """Heading at the start [degrees]; by default towards the target."""
     target: tuple[Number, Number] = paper.TARGET
     """[m]"""
+    waypoints: Waypoints = ()
+    """Places to reach in turn before the target [m]."""
     target_radius: Extent = 2.0
-    """Distance from the rear-axle centre at which the target is reached [m]."""
+    """Distance from the rear-axle centre at which the target, or a way point, is reached [m]."""
     obstacle_height: Extent = 1.5
     """Height of boxes and walls [m]."""
     clearance: NonNegative = 0.1
@@ -82,7 +86,7 @@ class World:
         """Refuses a name that no file could be named for, and a target that is reached at the start."""
         if not (0 < len(self.name) <= MOST_NAME and self.name.isprintable()) or {"/", "\\"} & set(self.name):
             raise ValueError(f"name must be one line of at most {MOST_NAME} characters without slashes")
-        if dist(self.start, self.target) <= self.target_radius:
+        if not self.waypoints and dist(self.start, self.target) <= self.target_radius:
             raise ValueError(
                 f"the target is reached at the start: they are {dist(self.start, self.target):g} m apart and "
                 f"target_radius is {self.target_radius:g} m; move one, or lower target_radius"
@@ -104,18 +108,35 @@ class World:
         """The arena's lower left corner in the frame of the map that it was made from; at (0, 0) for other worlds."""
         return Pose(*self.origin, radians(self.origin_yaw_degrees))
 
-    def between(self, start: Sequence[float] | None = None, target: Sequence[float] | None = None) -> "World":
-        """Returns the world with another start or target.
+    def between(
+        self,
+        start: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        waypoints: Sequence[Sequence[float]] | None = None,
+    ) -> "World":
+        """Returns the world with another start or target, or with way points.
 
         Args:
             start: x, y [m] and, if given, yaw [rad], in the frame of the world's map; without a yaw it looks towards
                 the target.
             target: x, y [m] in that frame.
+            waypoints: x, y [m] in that frame of several targets in turn; the last is the target.
 
         Raises:
-            UserError: If these are no numbers of a place in the arena, or the target is reached at the start.
+            UserError: If these are no numbers of a place in the arena, the target is reached at the start, or both
+                target and way points are given.
         """
         values: dict[str, Any] = {}
+        if waypoints is not None:
+            if target is not None:
+                raise UserError("give a target or way points: the last of these is the target")
+            if not 0 < len(waypoints) <= MOST_WAYPOINTS:
+                raise UserError(f"waypoints: give 1 to {MOST_WAYPOINTS} places x,y, not {len(waypoints)}")
+            places = (checked_place("waypoints", point) for point in waypoints)
+            *between, values["target"] = [in_frame(self.frame, point) for point in places]
+            values["waypoints"] = tuple(between)
+        elif target is not None:
+            values["waypoints"] = ()
         if start is not None:
             values["start"] = in_frame(self.frame, checked_place("start", start))
             yaw = degrees(wrap_angle(start[2] - self.frame.yaw)) if len(start) == 3 else None
@@ -130,12 +151,13 @@ class World:
         return world
 
     def check_ends(self) -> None:
-        """Checks that start and target are in the arena.
+        """Checks that start, way points and target are in the arena.
 
         Raises:
             UserError: If one is not.
         """
-        for name, point in (("start", self.start), ("target", self.target)):
+        between = [(f"way point {number}", point) for number, point in enumerate(self.waypoints, 1)]
+        for name, point in (("start", self.start), *between, ("target", self.target)):
             check_inside(f"world '{self.name}': its {name}", point, (self.width, self.depth), self.frame)
 
     @staticmethod
@@ -236,8 +258,8 @@ class World:
         )
 
     def _attempt(self, seed: int, attempt: int, layout: Layout) -> WorldSpec:
-        arena = Arena(self.width, self.depth, (self.start, self.target))
-        yaw = bearing(Pose(*self.start, 0.0), *self.target)
+        arena = Arena(self.width, self.depth, (self.start, *self.waypoints, self.target))
+        yaw = bearing(Pose(*self.start, 0.0), *(*self.waypoints, self.target)[0])
         if self.start_yaw_degrees is not None:
             yaw = radians(self.start_yaw_degrees)
         return WorldSpec(
@@ -250,6 +272,7 @@ class World:
             target=self.target,
             target_radius=self.target_radius,
             obstacle_height=self.obstacle_height,
+            waypoints=self.waypoints,
         )
 
     def _with_patrols(self, world: WorldSpec) -> WorldSpec:
@@ -264,13 +287,13 @@ def in_frame(frame: Pose, point: Sequence[float]) -> tuple[float, float]:
     return round(c * dx + s * dy, 6), round(c * dy - s * dx, 6)
 
 
-def checked_place(name: Literal["start", "target"], numbers: Sequence[float]) -> Sequence[float]:
-    """Checks the numbers of a start or target: x, y [m] and, of a start, maybe yaw [rad].
+def checked_place(name: Literal["start", "target", "waypoints"], numbers: Sequence[float]) -> Sequence[float]:
+    """Checks the numbers of a start, target or way point: x, y [m] and, of a start, maybe yaw [rad].
 
     Raises:
         UserError: If there are not so many, one is not finite or too large, or the yaw is beyond a turn.
     """
-    counts, what = {"start": ((2, 3), "x,y or x,y,yaw"), "target": ((2,), "x,y")}[name]
+    counts, what = ((2, 3), "x,y or x,y,yaw") if name == "start" else ((2,), "x,y")
     if len(numbers) not in counts or not all(abs(number) <= LARGEST for number in numbers):
         raise UserError(f"{name}: must be {what}, finite numbers in metres{' and radians' if name == 'start' else ''}")
     if len(numbers) == 3 and abs(numbers[2]) > 2 * pi:

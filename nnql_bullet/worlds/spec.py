@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import hypot
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from nnql_bullet.blocks import by_place
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, Shape, as_rows
 from nnql_bullet.jit import njit
-from nnql_bullet.worlds.passages import Passage, is_passable, narrowest_passage
+from nnql_bullet.worlds.passages import Passage, Point, is_passable, narrowest_passage
 
 WALL_THICKNESS = 1.0
 """[m]"""
@@ -91,6 +92,18 @@ class WorldSpec:
     target_radius: float
     obstacle_height: float
     patrols: tuple[Patrol, ...] = ()
+    waypoints: tuple[Point, ...] = ()
+    """Places to reach in turn before the target, each within the target's radius [m]."""
+
+    @property
+    def targets(self) -> tuple[Point, ...]:
+        """The way points and the target, in turn [m]."""
+        return (*self.waypoints, self.target)
+
+    @property
+    def legs(self) -> tuple[tuple[Point, Point], ...]:
+        """From the start to the first way point, and so on to the target [m]."""
+        return tuple(pairwise(((self.start.x, self.start.y), *self.targets)))
 
     @property
     def walls(self) -> tuple[OrientedBox, ...]:
@@ -124,12 +137,12 @@ class WorldSpec:
 
     @cached_property
     def bottleneck(self) -> Passage:
-        """The narrowest place of the widest path from the start to the target, without patrols."""
-        return narrowest_passage(self.solids, (self.start.x, self.start.y), self.target)
+        """The narrowest place of the widest path from the start, by all way points, to the target, without patrols."""
+        return min((narrowest_passage(self.solids, *leg) for leg in self.legs), key=lambda its: its.width)
 
     def admits(self, width: float) -> bool:
         """Whether the bottleneck admits a disc of a width [m], found faster than the bottleneck itself."""
-        return is_passable(self.solids, (self.start.x, self.start.y), self.target, width)
+        return all(is_passable(self.solids, *leg, width) for leg in self.legs)
 
     @property
     def cover(self) -> float:
@@ -145,6 +158,7 @@ class WorldSpec:
                 numbers += [shape.x, shape.y, -shape.radius]
             else:
                 numbers += [shape.x, shape.y, shape.half_length, shape.half_width, shape.yaw]
+        numbers += [number for point in self.waypoints for number in point]
         for patrol in self.patrols:
             box = patrol.box
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw, *patrol.end, patrol.speed, patrol.phase]

@@ -29,7 +29,7 @@ from nnql_bullet.runs import load_policy, load_run
 from nnql_bullet.session import check
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
-from nnql_bullet.worlds.importers.barn import read_reference_path
+from nnql_bullet.worlds.importers.barn import reference_length
 
 Changed = Callable[[bytes, Random], bytes]
 
@@ -212,7 +212,7 @@ def _draw_folder(folder: Path) -> None:
 def _import(folder: Path) -> None:
     changed = _changed_file(folder)
     if changed.suffix == ".npy":
-        read_reference_path(changed)
+        reference_length(changed)
         return
     path = changed.with_suffix(".yaml") if changed.suffix in (".pgm", ".png") else changed
     nb.import_world(path).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)

@@ -146,7 +146,7 @@ class Crowd(NoValues):
     def act(self, observations: Observation, state: CrowdState) -> tuple[Actions, CrowdState]:
         """Chooses the action with the largest output of each vehicle's network."""
         driven = state.genomes >= 0
-        self.remaining[state.genomes[driven]] = observations.target_distance[driven]
+        self.remaining[state.genomes[driven]] = observations.distance_left[driven]
         actions, _ = Networks(self._genomes[state.genomes], self._scale).act(observations, None)
         return actions, state
 

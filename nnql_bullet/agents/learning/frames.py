@@ -138,15 +138,18 @@ class FrameMaker:
         """Enters the observations of n vehicles into a copy of their memory."""
         o, new = observations, memory.age == 0
         rays, away = o.ray_distances[:, self._taken] / self._scale, o.target_distance / self._scale
-        first = grid_map.first_poses(away, o.target_bearing)
-        later = grid_map.tracked(memory.poses, memory.steps, away, o.target_bearing)
+        mark = o.landmark_distance / self._scale
+        first = grid_map.first_poses(mark, o.landmark_bearing)
+        later = grid_map.tracked(memory.poses, memory.steps, mark, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
         before = np.where(new[:, None], poses, memory.poses)[:, :2]
         corners, cells = memory.corners.copy(), memory.cells.copy()
         if self.with_map:
             cells[new] = 0
             grid_map.add_scans(cells, corners, poses, rays, self._origin, self._angles, self._range)
-            around, ways, progress = grid_map.sensed(cells, corners, poses, before)
+            targets = grid_map.places_of(poses, away, o.target_bearing)
+            targets[o.target_distance == o.landmark_distance] = 0.0  # rounding would move them off the frame's origin
+            around, ways, progress = grid_map.sensed(cells, corners, poses, before, targets)
         else:
             around, ways = np.zeros((len(new), 0)), away
             progress = np.hypot(*before.T) - away

@@ -120,7 +120,7 @@ def _box(along_x: Span, along_y: Span) -> OrientedBox:
 
 def _stands_across(rows: Array, arena: Arena) -> bool:
     """Whether a box of rows (n, 7) of `as_rows` stands across the straight line from start to target."""
-    (x, y), (target_x, target_y) = arena.keep_free
+    (x, y), *_, (target_x, target_y) = arena.keep_free
     length = hypot(target_x - x, target_y - y)
     toward = bearing(Pose(x, y, 0.0), target_x, target_y)
     return bool(ray_distances((x, y), np.array([toward]), rows, length)[0] < length)

@@ -22,7 +22,7 @@ class Arena:
     depth: float
     """[m]"""
     keep_free: tuple[tuple[float, float], ...]
-    """Start and target [m]."""
+    """Start, way points and target [m]."""
 
     @property
     def limits(self) -> tuple[Array, Array]:

@@ -68,7 +68,7 @@ class Traps:
 
     def _across(self, arena: Arena, rng: np.random.Generator) -> list[OrientedBox]:
         """Draws a trap; the straight line to the target crosses the middle halves of its opening and back wall."""
-        (x, y), (target_x, target_y) = arena.keep_free
+        (x, y), *_, (target_x, target_y) = arena.keep_free
         width, depth, thickness = self._sizes(rng)
         there, enters, ends = rng.uniform((0.0, -width / 4, -width / 4), (1.0, width / 4, width / 4)).tolist()
         yaw = atan2(target_y - y, target_x - x) - atan2(ends - enters, depth)
