@@ -238,7 +238,13 @@ class TestAggregates:
     ]
 
     def test_every_pair_stands_where_it_ended(self) -> None:
-        assert outcome_matrix(self.PAIRS).tolist() == [[2, 1, 1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0] * 4]
+        assert outcome_matrix(self.PAIRS).tolist() == [
+            [2, 1, 1, 0, 0],
+            [0, 1, 0, 0, 0],
+            [1, 0, 0, 0, 0],
+            [0] * 5,
+            [0] * 5,
+        ]
 
     def test_mcnemar_counts_successes_on_one_side_alone(self) -> None:
         assert success_p_value(self.PAIRS) == pytest.approx(mcnemar(2, 1))
