@@ -75,7 +75,7 @@ class TestJson:
     @pytest.mark.parametrize(
         "words",
         [
-            ("barn", "no/folder"),
+            ("barn", "no/folder", "straight"),
             ("drive", "nobody"),
             ("evaluate", "nobody"),
             ("robot", "no.urdf"),
