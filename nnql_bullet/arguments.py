@@ -51,6 +51,8 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             plain = given.arguments[name] = value.item() if isinstance(value, np.generic) else value
             if isinstance(plain, str | Path) and not _can_name(plain):
                 raise UserError(f"'{name}': no file can be named '{plain}'")
+            if plain == "":
+                raise UserError(f"'{name}' is empty text")
             if isinstance(plain, int) and abs(plain) > _LARGEST:
                 raise UserError(f"'{name}' is a number of too many digits")
             if not _fits(plain, hints()[name]):

@@ -15,10 +15,12 @@ import numpy as np
 import tomlkit
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
+from pydantic_core import ErrorDetails
 from typing_extensions import dataclass_transform
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import read_text
+from nnql_bullet.text import listed
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -44,7 +46,7 @@ def options(cls: type[T]) -> type[T]:
         try:
             init(self, *unnamed, **{name: _plain_number(value) for name, value in values.items()})
         except ValidationError as error:
-            raise UserError(f"{cls.__name__}: {_first_mistake(made, error)}") from None
+            raise UserError(f"{cls.__name__}: {_mistakes(made, error)}") from None
 
     made.__init__ = checked_init  # type: ignore[assignment]
     return made  # type: ignore[return-value]
@@ -71,13 +73,13 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         where: Names the source in errors.
 
     Raises:
-        UserError: For the first key that is unknown, missing, of the wrong type or out of range.
+        UserError: For all keys that are unknown, missing, of the wrong type or out of range.
     """
     try:
         # Strict reading of JSON accepts an integer for a float and an array for a tuple, which TOML users write.
         return TypeAdapter(cls).validate_json(json.dumps(values, default=_plain_value))
     except ValidationError as error:
-        raise UserError(f"{where}: {_first_mistake(cls, error)}") from None
+        raise UserError(f"{where}: {_mistakes(cls, error)}") from None
     except RecursionError:
         raise UserError(f"{where}: its values are nested too deeply") from None
     except (TypeError, ValueError) as error:  # of JSON: a key that is no text, a whole number of thousands of digits
@@ -269,16 +271,27 @@ def nearest(name: str, names: Iterable[str], most: int = 3) -> list[str]:
     return ([one for one in found if one.rpartition(".")[0] == table] or found)[:most]
 
 
-def _first_mistake(cls: type, error: ValidationError) -> str:
-    mistakes = error.errors()
-    # An unknown key comes first: it is often the misspelt name of a missing one.
-    mistake = next((mistake for mistake in mistakes if mistake["type"] in _UNKNOWN_KEY), mistakes[0])
+def _mistakes(cls: type, error: ValidationError) -> str:
+    """All that is wrong, an unknown key first: it is often the misspelt name of a missing one."""
+    found = sorted(error.errors(), key=lambda mistake: mistake["type"] not in _UNKNOWN_KEY)
+    meant = [name for its in found if its["type"] in _UNKNOWN_KEY for name in _meant(cls, its)]
+    said = [f"key '{name}' is missing" for name in meant]  # by the hint of the unknown one
+    return listed([text for text in (_mistake(cls, its) for its in found) if text not in said])
+
+
+def _meant(cls: type, unknown: ErrorDetails) -> list[str]:
+    """The keys that an unknown one may be the misspelt name of."""
+    name = ".".join(_walk(cls, unknown["loc"])[0])
+    return nearest(name, (key.name for key in keys(cls) if key.name != name))
+
+
+def _mistake(cls: type, mistake: ErrorDetails) -> str:
     path, members = _walk(cls, mistake["loc"])
     name = ".".join(path)
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
         valid = sorted({field.name for member in members for field in fields(member)})
-        close = nearest(name, (key.name for key in keys(cls) if key.name != name))
+        close = _meant(cls, mistake)
         hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
         return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):

@@ -1,4 +1,7 @@
-"""Checks for `doctor`: this machine, and whether the engines, the encoder and the renderers work here."""
+"""Checks for `doctor`: this machine, and whether the engines, the encoder and the renderers work here.
+
+Each check imports what it needs: where a library does not load, the others still say what they find.
+"""
 
 import locale
 import os
@@ -15,15 +18,8 @@ from importlib.metadata import packages_distributions, version
 from math import cos, hypot, sin
 from pathlib import Path
 
-import numpy as np
-
-from nnql_bullet.errors import UserError
-from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import placed, ray_distances, wrap_angle
+from nnql_bullet.errors import UserError, failed_import
 from nnql_bullet.machine import allowed_cores, pybullet_package
-from nnql_bullet.render.video import check_encoder
-from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sim.scene_trial import works
 
 GIGABYTE = 1e9
 """[bytes]"""
@@ -65,9 +61,15 @@ def check_pybullet() -> Finding:
 
 def check_drive() -> Finding:
     """Drives four seconds straight ahead and compares the position with the expected one."""
+    import numpy as np
+
+    from nnql_bullet.experiment import Experiment
+    from nnql_bullet.jit import announced
+    from nnql_bullet.run_config import RunConfig
+
     experiment = Experiment(RunConfig(world="empty"))
     world, periods = experiment.world(0), 8
-    with closing(experiment.simulator) as simulator:
+    with announced(), closing(experiment.simulator) as simulator:
         simulator.reset({0: world})
         for _ in range(periods):
             motion, _ = simulator.advance(np.zeros(1))
@@ -80,6 +82,10 @@ def check_drive() -> Finding:
 
 def check_rays() -> Finding:
     """Compares the rays with the analytic distances to the same boxes."""
+    from nnql_bullet.experiment import Experiment
+    from nnql_bullet.geometry import placed, ray_distances
+    from nnql_bullet.run_config import RunConfig
+
     experiment = Experiment(RunConfig(world="cover_20"))
     world = experiment.world(0)
     with closing(experiment.simulator) as simulator:
@@ -87,7 +93,7 @@ def check_rays() -> Finding:
     sensor = experiment.vehicle.sensor
     origin = placed(world.start, *sensor.position[:2])
     expected = ray_distances(origin, sensor.angles + world.start.yaw, world.solids, sensor.range)
-    off = float(np.abs(found - expected).max())
+    off = float(abs(found - expected).max())
     text = f"{sensor.rays} rays within {1000 * off:.2f} mm of the analytic distance"
     well = off < 0.002
     return Finding(well, text if well else f"{text}: more than 2 mm; report this with your machine's name")
@@ -110,11 +116,13 @@ def check_mujoco() -> Finding:
 
 def check_caches() -> Finding:
     """Checks that compiled code and fonts can be kept on disk."""
+    import matplotlib
+
+    from nnql_bullet.geometry import wrap_angle
+
     compiled = wrap_angle.stats.cache_path  # type: ignore[attr-defined]  # a function that Numba has compiled
     if compiled is None:
         return Finding(False, "none can be written to, so each start compiles; set NUMBA_CACHE_DIR", needed=False)
-    import matplotlib  # not at the top: with a wrong MPLBACKEND it raises
-
     fonts = Path(matplotlib.get_cachedir())
     if not os.access(fonts, os.W_OK):
         return Finding(False, f"{fonts} cannot be written to; set MPLCONFIGDIR", needed=False)
@@ -145,6 +153,8 @@ def check_disk() -> Finding:
 
 def check_ffmpeg() -> Finding:
     """Checks that ffmpeg, which encodes videos, starts and has what they need."""
+    from nnql_bullet.render.video import check_encoder
+
     try:
         return Finding(True, check_encoder())
     except UserError as error:
@@ -167,6 +177,8 @@ def check_chromium() -> Finding:
 
 def check_renderer() -> Finding:
     """Checks that EGL or TinyRenderer draws a picture."""
+    from nnql_bullet.sim.scene_trial import works
+
     if works("egl", PROGRAM_TIMEOUT):
         return Finding(True, "EGL (hardware or Mesa)")
     if works("tiny", PROGRAM_TIMEOUT):
@@ -192,7 +204,7 @@ def examined(check: Callable[[], Finding]) -> Finding:
     try:
         return check()
     except Exception as error:
-        return Finding(False, f"the check itself failed: {_line(error)}")
+        return Finding(False, failed_import(error) or f"the check itself failed: {_line(error)}")
 
 
 CHECKS: dict[str, Callable[[], Finding]] = {

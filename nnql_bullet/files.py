@@ -117,8 +117,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
             temporary.chmod(mode)  # some writers replace the file, for example safetensors
             temporary.replace(path)
     except OSError as error:
-        error.filename, error.filename2 = str(path), None  # what the caller knows
-        raise
+        raise _naming(path, error) from None
+
+
+def _naming(path: Path, error: OSError) -> OSError:
+    """The error with the path that the caller knows, in place of a temporary one."""
+    return OSError(error.errno or errno.EIO, error.strerror or str(error), str(path))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -171,8 +175,7 @@ def staged(folder: Path, last: str, old: Iterable[str] = ()) -> Iterator[Path]:
                 else:
                     path.replace(target)
     except OSError as error:
-        error.filename, error.filename2 = str(folder), None  # what the caller knows
-        raise
+        raise _naming(folder, error) from None
 
 
 def sweep(folder: Path) -> None:

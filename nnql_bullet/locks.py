@@ -52,13 +52,16 @@ def locked(folder: Path | None) -> Iterator[None]:
 
 
 def _taken(path: Path) -> TextIO:
-    """Opens and locks the file.
+    """Opens and locks the file, which is no link: what it led to would be overwritten.
 
     Raises:
-        UserError: If somebody else holds the lock.
+        UserError: If somebody else holds the lock, or there is a link of that name.
     """
     while True:
-        file = path.open("a+", encoding="utf-8")
+        if path.is_symlink():
+            raise UserError(f"{path}: is a symbolic link; remove it")
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o666)
+        file = os.fdopen(descriptor, "a+", encoding="utf-8")
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _is_at(file, path):

@@ -1,4 +1,4 @@
-"""What this machine allows this process: processor cores, a folder for what may be lost, PyBullet's wheels."""
+"""What this machine allows this process: cores, a folder for what may be lost, streams, variables, wheels."""
 
 import multiprocessing
 import os
@@ -6,7 +6,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from math import ceil
 from pathlib import Path
@@ -121,3 +121,21 @@ def open_streams() -> Iterator[None]:
     finally:
         for one in opened:
             os.close(one)
+
+
+@contextmanager
+def variable(name: str, value: str) -> Iterator[None]:
+    """Sets an environment variable that is not set, and takes it away again."""
+    if name in os.environ:
+        yield
+        return
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        os.environ.pop(name, None)
+
+
+def one_thread_for_mesa() -> AbstractContextManager[None]:
+    """Lets Mesa's software renderer, while it starts, choose one thread; several processes draw at a time."""
+    return variable("LP_NUM_THREADS", "1")

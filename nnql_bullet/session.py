@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from nnql_bullet.agents import Trainable
 from nnql_bullet.agents.learning.options import DoubleDqnOptions, Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
-from nnql_bullet.errors import UserError, WorkFailed
+from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.locks import locked
@@ -24,7 +24,6 @@ from nnql_bullet.memory import refuse_beyond
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import CHECKPOINT, Run, load_run
-from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.training.base import RECENT, Trainer
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep

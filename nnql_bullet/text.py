@@ -1,9 +1,12 @@
 """Text that is safe to show: in one line, for a terminal, and for a shell."""
 
 import shlex
+from collections.abc import Sequence
 
 MOST_SHOWN = 2000
 """Characters of a line; of a longer one the middle is left out."""
+MOST_LISTED = 10
+"""Problems that are listed in a line; the others are counted."""
 
 
 def printable(text: str, encoding: str = "utf-8") -> str:
@@ -21,6 +24,15 @@ def one_line(text: str) -> str:
     line = printable(" ".join(text.split()))
     half = MOST_SHOWN // 2
     return line if len(line) <= MOST_SHOWN else f"{line[:half]} ... {line[-half:]}"
+
+
+def listed(problems: Sequence[str]) -> str:
+    """Writes problems in a line: one as it is, several with numbers."""
+    if len(problems) == 1:
+        return problems[0]
+    shown = [f"({number}) {problem}" for number, problem in enumerate(problems[:MOST_LISTED], 1)]
+    more = [f"and {len(problems) - MOST_LISTED} more"] if len(problems) > MOST_LISTED else []
+    return f"{len(problems)} things are wrong: {'; '.join(shown + more)}"
 
 
 def shell_line(*words: str) -> str:

@@ -335,6 +335,10 @@ BAD_ARGUMENTS = [
     (["gap", "paper", "--against", "twin"], ["--against twin is now --against kinematic"]),
     (["drive", "--friction", "0.5"], ["--friction is now --conditions.wheel-friction"]),
     (["evaluate", "paper", "--noise=0.1"], ["--noise is now --conditions.sensor-noise"]),
+    # no empty value is another word for the working folder, or for a default
+    (["train", "--out", ""], ["--out has an empty value"]),
+    (["train", "--config="], ["--config has an empty value"]),
+    (["drive", " "], ["an argument has an empty value"]),
     (["train", "--training.disturbances.noise", "1"], ["is now --training.domain-randomization.noise"]),
 ]
 
@@ -506,6 +510,19 @@ class TestBadRobot:
         assert [word for word in words if word not in line] == []
         assert len(list(here.iterdir())) == 3
 
+    def test_all_mistakes_of_a_robot_file_are_said_at_once(self, run_cli: Cli, here: Path) -> None:
+        (here / "mine.toml").write_text("urdf = 3\nlimit = 4\n[contact]\nwheel_friction = -1.0\n[sensor]\nrays = 71\n")
+        line = refused(run_cli("drive", "straight", "--robot", "mine.toml"))
+        wrong = [
+            "'urdf'",
+            "'limit'",
+            "'limits' is missing",
+            "contact.wheel_friction",
+            "contact.rolling_friction",
+            "rays",
+        ]
+        assert [word for word in wrong if word not in line] == []
+
     def test_a_good_copy_of_the_robot_is_taken(self, run_cli: Cli, here: Path, small_world: Path) -> None:
         for name in ("tricycle.toml", "tricycle.urdf"):
             (here / name).write_text((ROBOTS / name).read_text())
@@ -527,6 +544,11 @@ class TestReadOnly:
     def test_a_folder_without_permission(self, run_cli: Cli, here: Path) -> None:
         (here / "locked").mkdir(mode=0o500)
         assert "--out" in refused(run_cli("train", "--episodes", 1, "--out", "locked/run"))
+
+
+def test_drive_into_a_link_to_nothing_is_refused(run_cli: Cli, here: Path) -> None:
+    (here / "out").symlink_to("nowhere")
+    assert "link to nothing" in refused(run_cli("drive", "straight", "--sim", "kinematic", "--out", "out"))
 
 
 def test_drive_into_a_file_is_refused(run_cli: Cli, tiny_run: Path, here: Path) -> None:

@@ -33,13 +33,13 @@ from nnql_bullet.env import (
     Observation,
     heading_change,
 )
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, ray_angles, sector_readings
-from nnql_bullet.sim.base import Simulator, WorkerDied
+from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.training.base import LearningAgent

@@ -14,8 +14,7 @@ import pytest
 
 from nnql_bullet.cli import main
 from nnql_bullet.cli.parser import VERBS
-from nnql_bullet.errors import UserError, WorkFailed
-from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
 
 Cli = Callable[..., tuple[int, str, str]]
 

@@ -104,6 +104,13 @@ def test_mode_is_that_of_any_new_file(tmp_path, umask, mask, mode):
     assert umask(mask) == mask
 
 
+def test_an_error_names_the_file_that_was_wanted(tmp_path):
+    wanted = tmp_path / "none" / "a"
+    with pytest.raises(FileNotFoundError) as caught:
+        write_text(wanted, "")
+    assert str(caught.value) == f"[Errno 2] No such file or directory: '{wanted}'"
+
+
 def test_missing_folder_is_an_os_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_text(tmp_path / "nowhere" / "a.txt", "text")

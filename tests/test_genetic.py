@@ -28,13 +28,13 @@ from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Simulator, WorkerDied
+from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.training.base import LearningAgent, Trainable

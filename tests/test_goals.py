@@ -170,9 +170,9 @@ class TestWayPoints:
         env.reset(seed=0)
         for action in (0, 5, 5):
             env.step(action)
-        before = env._navigation.observation
+        before = env._fleet.navigation.observation
         vector = env.set_target((20.0, 40.0), (60.0, 20.0))
-        now = env._navigation.observation
+        now = env._fleet.navigation.observation
         assert vector[8] == pytest.approx(now.target_distance[0])
         assert now.landmark_distance == pytest.approx(before.target_distance)
         assert now.distance_left[0] == pytest.approx(now.target_distance[0] + hypot(40.0, 20.0))
@@ -182,7 +182,7 @@ class TestWayPoints:
         while not (terminated or truncated):
             vector, _, terminated, truncated, info = env.step(5)
         assert info["ending"] == "goal"
-        x, y, _ = env._navigation._poses[0]
+        x, y, _ = env._fleet.navigation._poses[0]
         assert hypot(x - 60.0, y - 20.0) <= 2.0
         env.close()
 

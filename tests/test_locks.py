@@ -46,6 +46,15 @@ def test_the_second_process_is_told_who_holds_the_folder(holder: subprocess.Pope
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_a_link_in_place_of_the_lock_is_refused_and_what_it_leads_to_is_kept(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    (tmp_path / ".lock").symlink_to(precious)
+    with pytest.raises(UserError, match="is a symbolic link"), locked(tmp_path):
+        pass
+    assert precious.read_text() == "precious"
+
+
 def test_the_lock_of_a_dead_process_is_taken_over_and_its_temporary_files_go(
     holder: subprocess.Popen[str], tmp_path: Path
 ) -> None:

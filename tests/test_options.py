@@ -77,7 +77,7 @@ class TestHelp:
         assert all(len(line) <= WIDEST for line in about.splitlines() if not line.startswith("usage:"))
         assert examples or verb == "doctor"
         for line in examples.splitlines():
-            words = shlex.split(line.partition(";")[0])
+            words = shlex.split(line)
             if words[:1] == ["nnql-bullet"]:
                 called(words[1], words[2:])  # raises if one is wrong
 

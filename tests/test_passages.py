@@ -5,7 +5,9 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from nnql_bullet.geometry import Circle, OrientedBox, Pose, Shape
+from nnql_bullet.errors import UserError
+from nnql_bullet.geometry import Circle, OrientedBox, Pose, Shape, as_rows
+from nnql_bullet.worlds import passages
 from nnql_bullet.worlds.passages import ROUNDING, Passage, narrowest_passage
 from nnql_bullet.worlds.spec import WorldSpec
 
@@ -88,3 +90,11 @@ def test_a_passage_of_the_needed_width_is_wide_enough_whatever_is_rounded() -> N
     """Five cells of 0.15 m are 0.75 m; in the middle of a world they are 0.7499999999999991."""
     assert Passage(0.7499999999999991, 0, 0).admits(0.75)
     assert not Passage(0.749999, 0, 0).admits(0.75)
+
+
+def test_obstacles_that_overlap_again_and_again_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their pairs would fill the memory."""
+    monkeypatch.setattr(passages, "MOST_PAIRS", 1000)
+    boxes = as_rows([OrientedBox(5.0, 5.0, 1.0, 1.0)] * 50)
+    with pytest.raises(UserError, match="more than 1000 pairs of obstacles"):
+        narrowest_passage(boxes, (1.0, 1.0), (9.0, 9.0))

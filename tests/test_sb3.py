@@ -20,12 +20,12 @@ from nnql_bullet.agents.learning.options import Sb3DqnOptions
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Observation
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import training_world_seed
 from nnql_bullet.sensing import RAYS
-from nnql_bullet.sim.base import Simulator, WorkerDied
+from nnql_bullet.sim.base import Simulator
 from nnql_bullet.task import StateProperty, TaskOptions
 from nnql_bullet.training.base import LearningAgent, Trainable, TrainingEpisode
 

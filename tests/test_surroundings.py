@@ -86,6 +86,49 @@ def test_every_locale_gives_the_same_numbers(commas: dict[str, str]) -> None:
     assert with_commas == points != ""
 
 
+BROKEN = {"numba": "NUMBA_NUM_THREADS=0", "numpy": "NUMPY_MADVISE_HUGEPAGE=abc", "matplotlib": "MPLBACKEND=none"}
+"""Libraries, and settings with which they do not load."""
+
+
+class TestEnvironmentVariables:
+    @staticmethod
+    def ran(setting: str, *words: str) -> tuple[int, str, str]:
+        name, _, value = setting.partition("=")
+        command = [sys.executable, "-m", "nnql_bullet", *words]
+        env = os.environ | {"PYTHONPATH": str(ROOT), name: value}
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+        return done.returncode, done.stdout, done.stderr
+
+    @pytest.mark.parametrize("word", ["--version", "--help"])
+    def test_version_and_help_need_no_library(self, word: str) -> None:
+        names = '("numba", "numpy", "torch", "pydantic", "matplotlib")'
+        code = f"import sys; sys.modules |= dict.fromkeys({names}); from nnql_bullet.cli import main; main(['{word}'])"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+        assert (done.stdout[:1] != "", done.stderr) == (True, "")
+
+    @pytest.mark.parametrize("library", BROKEN)
+    def test_a_library_that_does_not_load_is_one_line_that_names_the_variable(
+        self, library: str, tmp_path: Path
+    ) -> None:
+        out = tmp_path / "out"
+        code, printed, err = self.ran(BROKEN[library], "drive", "straight", "--sim", "kinematic", "--out", str(out))
+        assert (code, printed, err.count("\n"), out.exists()) == (2, "", 1, False)
+        assert BROKEN[library].partition("=")[0] in err
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("library", BROKEN)
+    def test_doctor_says_which_library_does_not_load_and_goes_on(self, library: str) -> None:
+        code, printed, err = self.ran(BROKEN[library], "doctor")
+        assert (code, err) == (1, "")
+        assert f"FAIL  caches      {library} does not load" in printed
+        assert printed.count("mend or unset " + BROKEN[library]) == printed.count("FAIL")
+        assert "ok    locale" in printed
+
+    def test_a_warning_of_a_library_is_one_line(self) -> None:
+        code, printed, err = self.ran("NUMBA_OPT=9", "policies")
+        assert (code, printed != "", err.count("\n"), "NUMBA_OPT" in err) == (0, True, 1, True)
+
+
 STREAMS = """
 import os, sys
 if len(sys.argv) > 2:
@@ -110,6 +153,22 @@ def test_the_engine_can_be_silenced_where_streams_are_closed(tmp_path: Path, clo
     done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
     assert (tmp_path / "answer").read_text() == "True"
+
+
+@pytest.mark.slow
+def test_a_scene_that_is_left_open_prints_nothing_at_the_end_and_leaves_the_environment() -> None:
+    """Its words would be among the JSON that a verb prints."""
+    if not works("egl"):
+        pytest.skip("EGL does not work here")
+    code = """if True:
+        import os
+        before = dict(os.environ)
+        from nnql_bullet.sim.bullet_scene import BulletScene
+        scene = BulletScene("egl")
+        assert os.environ == before
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_silence_keeps_what_c_printed_before(capfd: pytest.CaptureFixture[str]) -> None:

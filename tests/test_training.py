@@ -27,13 +27,13 @@ from safetensors.numpy import load_file
 from nnql_bullet.agents import LearningAgent
 from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.env import Navigation, Observation, Transition
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions, EpisodeSummary, PolicyState
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.seeding import Stream, rng, training_world_seed
-from nnql_bullet.sim.base import Motion, Simulator, Traces, WorkerDied
+from nnql_bullet.sim.base import Motion, Simulator, Traces
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import REWARD_TERMS, StateProperty, TaskOptions

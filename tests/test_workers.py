@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.sensing import RAYS
 from nnql_bullet.sim import workers
-from nnql_bullet.sim.base import Motion, Sample, Traces, WorkerDied, no_motion
+from nnql_bullet.sim.base import Motion, Sample, Traces, no_motion
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec

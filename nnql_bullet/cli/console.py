@@ -6,12 +6,11 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from datetime import timedelta
 from pathlib import Path
 from time import monotonic
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn
@@ -109,25 +108,20 @@ class _Telling(logging.Handler):
 
 @contextmanager
 def messages() -> Iterator[None]:
-    """Prints what the library logs and what it warns its user of, on standard error; standard output is for results."""
-    from nnql_bullet.jit import announced  # not at the top: see UNSUPPORTED
+    """Prints in lines on standard error what the library logs, and warnings; standard output is for results."""
+
+    def warn(message: Warning | str, category: type[Warning], *_: object) -> None:
+        text = str(message).strip()
+        tell(f"nnql-bullet: {one_line(text)}" if issubclass(category, RobotWarning) else text.partition("\n")[0])
 
     logger, handler = logging.getLogger("nnql_bullet"), _Telling()
     before = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
     try:
-        with announced(), warnings.catch_warnings():
-            as_usual: Callable[..., None] = warnings.showwarning
-
-            def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-                if issubclass(category, RobotWarning):
-                    tell(f"nnql-bullet: {one_line(str(message))}")
-                else:
-                    as_usual(message, category, *where, **more)
-
+        with warnings.catch_warnings():
             warnings.simplefilter("always", RobotWarning)
-            warnings.showwarning = show
+            warnings.showwarning = warn  # type: ignore[assignment]  # takes what it does not say
             yield
     finally:
         logger.setLevel(before)

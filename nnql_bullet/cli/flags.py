@@ -65,7 +65,7 @@ WAYPOINTS = tyro.constructors.PrimitiveConstructorSpec[tuple[tuple[float, float]
     metavar="FILE|X,Y;...",
     instance_from_str=lambda words: read_waypoints(words[0]),
     is_instance=lambda its: isinstance(its, tuple),
-    str_from_instance=lambda its: [";".join(f"{x},{y}" for x, y in its)],
+    str_from_instance=lambda its: [] if its is None else [";".join(f"{x},{y}" for x, y in its)],
 )
 """Annotates way points, which may be in a file."""
 Waypoints = Annotated[tuple[tuple[float, float], ...] | None, WAYPOINTS]
@@ -147,6 +147,11 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
         UserError: If they are wrong.
         SystemExit: If they ask for help, which is then printed.
     """
+    for before, argument in zip(("", *arguments), arguments, strict=False):
+        name, is_given, value = argument.partition("=")
+        if not argument.strip() or (argument.startswith("--") and is_given and not value.strip()):
+            where = name.strip() or (before if before.startswith("--") else "an argument")
+            raise UserError(f"{where} has an empty value; see: {prog} --help")  # a path of '' would be this folder
     for_help = not {"-h", "--help"}.isdisjoint(arguments)
     about, _, examples = (getdoc(verb) or "").partition("\n\nArgs:")[0].partition("For example:\n")
     if for_help:

@@ -1,14 +1,14 @@
 """The parser: from arguments to a verb, from what goes wrong to an exit code."""
 
+import ast
 import errno
 from collections.abc import Callable
 from importlib import import_module
-from inspect import getdoc
+from pathlib import Path
 
 from nnql_bullet import __version__
 from nnql_bullet.cli.console import complain, give_up_output, is_unread, messages, say
-from nnql_bullet.errors import UserError, WorkFailed
-from nnql_bullet.sim.base import WorkerDied
+from nnql_bullet.errors import UserError, WorkerDied, WorkFailed, failed_import
 
 VERBS = (
     "train",
@@ -55,7 +55,12 @@ def run(arguments: list[str]) -> int:
     except (WorkerDied, WorkFailed) as error:
         complain(str(error))
         return 1
-    except OSError as error:
+    except Exception as error:
+        unloaded = failed_import(error)
+        if unloaded:
+            return complain(unloaded)
+        if not isinstance(error, OSError):
+            raise
         if is_unread(error):
             return give_up_output()
         return complain(f"{error.filename or 'file system'}: {_remedy(error)}")
@@ -73,14 +78,18 @@ def _run(arguments: list[str]) -> int:
         return complain(f"the verb '{verb}' is now '{RENAMED_VERBS[verb]}'")
     if verb not in VERBS:
         return complain(f"there is no verb '{verb}'; there are: {', '.join(VERBS)}")
-    from nnql_bullet.cli.flags import parse  # takes seconds, as all that configures does
+    with messages():
+        if arguments == ["doctor"]:  # before anything is imported that may not load here
+            return verb_of(verb)()
+        from nnql_bullet.cli.flags import parse  # takes seconds, as all that configures does
+        from nnql_bullet.jit import announced
 
-    try:
-        call = parse(verb_of(verb), f"nnql-bullet {verb}", rest)
-        with messages():
+        try:
+            call = parse(verb_of(verb), f"nnql-bullet {verb}", rest)
+        except SystemExit:  # help was asked for
+            return 0
+        with announced():
             return call()
-    except SystemExit:  # help was asked for
-        return 0
 
 
 def verb_of(name: str) -> Callable[..., int]:
@@ -90,19 +99,23 @@ def verb_of(name: str) -> Callable[..., int]:
 
 
 def _overview() -> str:
-    rows = [f"  {name:<10} {_first_line(verb_of(name))}" for name in VERBS]
+    rows = [f"  {name:<10} {_first_line(name)}" for name in VERBS]
     return "\n".join([ABOUT, *rows, "", START])
 
 
-def _first_line(verb: Callable[..., int]) -> str:
-    """What a verb does; empty under `python -OO`, which removes the docstrings."""
-    return (getdoc(verb) or "").partition("\n")[0]
+def _first_line(name: str) -> str:
+    """What a verb does, read from its source: to import it takes seconds, and fails where a library does not load."""
+    tree = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+    verb = next(its for its in tree.body if isinstance(its, ast.FunctionDef) and its.name == name)
+    return (ast.get_docstring(verb) or "").partition("\n")[0]
 
 
 def _remedy(error: OSError) -> str:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{reason}; free some space, or give another folder with --out"
+    if error.errno in (errno.EEXIST, errno.ENOTDIR):
+        return "there is a file, or a link to nothing, where a folder is wanted; give another folder with --out"
     if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM):
         return f"{reason}; give a folder that can be written to with --out"
     return reason

@@ -13,10 +13,9 @@ from nnql_bullet.cli.flags import KeyFlags
 from nnql_bullet.cli.signals import held_back
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.commands import flags
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.presets import load_config
 from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
-from nnql_bullet.sim.base import WorkerDied
 from nnql_bullet.text import shell_line
 from nnql_bullet.work import Progress
 

@@ -270,7 +270,7 @@ def draw_tiers(
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
-            not (setting.allow_impassable or any(setting.ends.values()))
+            not (setting.allow_impassable or setting.plan or any(setting.ends.values()))
             and draws.split is not None
             and isinstance(one, str)
             and check_frozen(

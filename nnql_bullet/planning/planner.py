@@ -30,7 +30,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 CELLS_ACROSS = 10
 """Number of cells across the vehicle's width; fewer in arenas of more than `MOST_CELLS` cells."""
-MOST_CELLS = 1_000_000
+MOST_CELLS = 400_000
 CLEARANCE = 0.1
 """How much wider than the vehicle the narrowest place of a plan is, where the world leaves a choice [m]."""
 LOOK_AHEAD = 2.5

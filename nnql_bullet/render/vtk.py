@@ -3,7 +3,6 @@
 Curved surfaces are smooth, and `light.py` gives soft shadows and darker corners.
 """
 
-import os
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonCore import vtkFloatArray, vtkLogger, vtkUnsignedCharArray
 
 from nnql_bullet.geometry import Circle, OrientedBox
+from nnql_bullet.machine import one_thread_for_mesa
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
 from nnql_bullet.render.light import SAMPLES, light_in_pixels, placed_parts, standing_boxes, with_movers
@@ -46,7 +46,6 @@ class VtkRenderer:
         world = recording.world
         self._height = world.obstacle_height
         self._boxes = standing_boxes(world)
-        os.environ.setdefault("LP_NUM_THREADS", "1")  # for Mesa's software renderer; several processes draw at a time
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # VTK reports each display that it tries
         self._plotter = pyvista.Plotter(off_screen=True, lighting="none")
         self._plotter.disable_anti_aliasing()  # a pixel has one depth
@@ -84,7 +83,8 @@ class VtkRenderer:
         view.clipping_range = camera.near, camera.far
         self._plotter.window_size = camera.width, camera.height
         window = self._plotter.render_window
-        window.Render()
+        with one_thread_for_mesa():
+            window.Render()
         colours, depths = vtkUnsignedCharArray(), vtkFloatArray()
         last = camera.width - 1, camera.height - 1
         window.GetPixelData(0, 0, *last, False, colours, 0)

@@ -5,8 +5,9 @@ straight on after it. It takes the agent's best action that stays clear of what 
 vehicle, with its load and grip, can stop before it comes near to where an obstacle may stand unseen (`prediction`,
 `mapping.seen_space`); it drives slowly where that is only so at low speed. If there is none, the vehicle brakes; once
 it stands, it turns on the spot, to one side, until there is one, or backs out (`fallback`). It leads an agent that gets
-no nearer to the target (`recovery`) and, where it is narrow or leads back, one on a plan. It completes sensors that
-read nothing against all evidence, and expects moving obstacles to come nearer (`perception`).
+no nearer to the target on the shortest way through what was seen (`recovery`, `mapping.way`) and, where it is narrow or
+leads back, one on a plan. It completes sensors that read nothing against all evidence, and expects moving obstacles to
+come nearer (`perception`).
 
 Admitting only what can still be stopped is that of Fox, Burgard and Thrun, "The Dynamic Window Approach to Collision
 Avoidance" (IEEE Robotics and Automation Magazine 4, 1997); correcting the choice of a learner from outside that of
@@ -94,6 +95,7 @@ class Shield:
         """
         self.options = options
         self.agent = agent
+        self._overridable = agent if isinstance(agent, Overridable) else None  # asked once: the answer takes a while
         self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
@@ -159,8 +161,8 @@ class Shield:
                 )
             drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
             spins.append(Spin() if drives_on else spin)
-        if isinstance(self.agent, Overridable):
-            agent_state = self.agent.override(agent_state, chosen)
+        if self._overridable is not None:
+            agent_state = self._overridable.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
         return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
 

@@ -130,7 +130,3 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Frees all resources. The simulator cannot be used after that."""
-
-
-class WorkerDied(Exception):
-    """A worker process is gone; the message names it."""

@@ -1,7 +1,7 @@
 """PyBullet's renderers and its window, which show boxes and a vehicle without physics."""
 
 import importlib.util
-import os
+import weakref
 from math import asin, atan2, cos, degrees, sin
 from xml.etree import ElementTree
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nnql_bullet.colours import Colour
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
+from nnql_bullet.machine import one_thread_for_mesa
 from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.sim.c_library import decimal_points, silenced
@@ -48,12 +49,11 @@ class BulletScene:
             if kind == "egl" and not _load_egl(self.client):
                 bullet.disconnect(self.client)
                 raise UserError(NO_EGL)
+        self._free = weakref.finalize(self, _disconnect, self.client)  # or at the end of the process, where EGL prints
 
     def close(self) -> None:
         """Frees the renderer."""
-        with silenced():
-            if bullet.isConnected(self.client):
-                bullet.disconnect(self.client)
+        self._free()
 
     def add_box(self, half_extents: tuple[float, float, float], colour: Colour) -> int:
         """Adds a box; returns the engine's number of it."""
@@ -152,10 +152,16 @@ class BulletScene:
         bullet.resetDebugVisualizerCamera(distance, degrees(yaw) - 90.0, degrees(pitch), target, self.client)
 
 
+def _disconnect(client: int) -> None:
+    with silenced():
+        if bullet.isConnected(client):
+            bullet.disconnect(client)
+
+
 def _load_egl(client: int) -> bool:
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # for Mesa's software renderer; several processes draw at a time
     found = importlib.util.find_spec("eglRenderer")
-    return found is not None and bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
+    with one_thread_for_mesa():
+        return found is not None and bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
 
 
 def _one_visual_per_link(urdf: str) -> str:

@@ -17,9 +17,9 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.geometry import Array
-from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, WorkerDied, no_motion
+from nnql_bullet.sim.base import Motion, Sample, Simulator, Traces, no_motion
 from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import WorldSpec
 

@@ -19,6 +19,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.files import plain_file
 from nnql_bullet.geometry import Array
 from nnql_bullet.markup import parse_xml
+from nnql_bullet.text import listed
 
 NUMBERS = {"xyz": 3, "rpy": 3, "size": 3, "radius": 1, "length": 1, "effort": 1, "value": 1, "rgba": 4, "scale": 3}
 NUMBERS |= dict.fromkeys(("lower", "upper", "velocity"), 1)
@@ -41,8 +42,7 @@ class Unfit(Exception):
 
     def __init__(self, *problems: str) -> None:
         self.problems = problems
-        listed = "; ".join(f"({number}) {problem}" for number, problem in enumerate(problems, 1))
-        super().__init__(f"{len(problems)} things are wrong: {listed}" if len(problems) > 1 else problems[0])
+        super().__init__(listed(problems))
 
 
 def refuse(problems: Sequence[str]) -> None:

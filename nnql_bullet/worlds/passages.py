@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, as_rows, clearance, closest_points, reach_of
 from nnql_bullet.jit import njit
 
@@ -20,6 +21,9 @@ ROUNDING = 1e-9
 """How much narrower than needed a passage may be for the sake of rounding [m]."""
 _FIRST_REACH = 1.0
 """Distance of pairs that are looked at first [m]; it doubles until a barrier closes."""
+
+MOST_PAIRS = 10_000_000
+"""Largest number of pairs that are near each other; only obstacles that overlap again and again come to so many."""
 
 Point = tuple[float, float]
 
@@ -47,11 +51,14 @@ def narrowest_passage(shapes: Array, start: Point, target: Point) -> Passage:
         shapes: Obstacles and walls, rows (n, 7) of `as_rows`; walls surround the start and the target.
         start: [m]
         target: [m]
+
+    Raises:
+        UserError: If more than `MOST_PAIRS` obstacles are near each other.
     """
     found = [_around(point, shapes) for point in (start, target)]
     reach, most = _FIRST_REACH, 2.0 * max(min(its.width for its in found), 0.0)
     while True:
-        distances, pairs, points = _close_pairs(shapes, min(reach, most))
+        distances, pairs, points = _pairs_within(shapes, min(reach, most))
         order = np.argsort(distances, kind="stable")
         closing = _first_barrier(order, pairs, points, shapes, np.array([start, target]))
         if closing >= 0:
@@ -66,10 +73,13 @@ def is_passable(shapes: Array, start: Point, target: Point, width: float) -> boo
     """Whether a disc of a width [m] passes from the start to the target, as `narrowest_passage(...).admits(width)`.
 
     It looks only at pairs that are no farther apart than the width, which are few among many shapes.
+
+    Raises:
+        UserError: See `narrowest_passage`.
     """
     if not all(_around(point, shapes).admits(width) for point in (start, target)):
         return False
-    distances, pairs, points = _close_pairs(shapes, np.nextafter(width - ROUNDING, np.inf))
+    distances, pairs, points = _pairs_within(shapes, float(np.nextafter(width - ROUNDING, np.inf)))
     return _first_barrier(np.arange(len(distances)), pairs, points, shapes, np.array([start, target])) < 0
 
 
@@ -79,9 +89,23 @@ def _around(point: Point, shapes: Array) -> Passage:
     return Passage(2.0 * float(clearance(row, shapes)), *point)
 
 
+def _pairs_within(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64], Array]:
+    """As `_close_pairs`, with no more than `MOST_PAIRS` pairs.
+
+    Raises:
+        UserError: If there are more.
+    """
+    found = _close_pairs(shapes, reach, MOST_PAIRS)
+    if len(found[0]) > MOST_PAIRS:
+        raise UserError(
+            f"more than {MOST_PAIRS} pairs of obstacles are within {reach:.2f} m of each other; merge what overlaps"
+        )
+    return found
+
+
 @njit()
-def _close_pairs(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64], Array]:
-    """Finds the pairs of shapes whose distance is less than `reach` [m].
+def _close_pairs(shapes: Array, reach: float, most: int) -> tuple[Array, NDArray[np.int64], Array]:
+    """Finds the pairs of shapes whose distance is less than `reach` [m], and gives up a little above `most` pairs.
 
     Returns:
         Distances (k,) [m], indices (k, 2), and the closest points of both (k, 2, 2) [m].
@@ -102,6 +126,8 @@ def _close_pairs(shapes: Array, reach: float) -> tuple[Array, NDArray[np.int64],
                 distances.append(apart)
                 pairs.append((i, j))
                 points.append((x, y, u, v))
+        if len(distances) > most:
+            break
     count = len(distances)
     found = np.zeros(count), np.zeros((count, 2), np.int64), np.zeros((count, 2, 2))
     for k in range(count):

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
 
+from nnql_bullet.machine import variable
+
 _CACHE_FOLDER = "TORCHINDUCTOR_CACHE_DIR"
 
 
@@ -15,9 +17,5 @@ def without_cache_folder() -> Iterator[None]:
     if "torch._dynamo" in sys.modules or _CACHE_FOLDER in os.environ:
         yield
         return
-    with TemporaryDirectory(prefix="nnql-bullet-") as folder:
-        os.environ[_CACHE_FOLDER] = folder
-        try:
-            yield
-        finally:
-            os.environ.pop(_CACHE_FOLDER, None)
+    with TemporaryDirectory(prefix="nnql-bullet-") as folder, variable(_CACHE_FOLDER, folder):
+        yield
