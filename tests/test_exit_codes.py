@@ -64,16 +64,27 @@ class TestEveryVerb:
         assert err.count("\n") == (0 if what == "no reader" else 1)
 
 
-@pytest.mark.parametrize("verb", ["drive", "evaluate"])
 class TestJson:
+    @pytest.mark.parametrize("verb", ["drive", "evaluate"])
     def test_it_is_all_that_standard_output_holds(self, run_cli: Cli, tmp_path: Path, verb: str) -> None:
         some = ("--worlds", 2, "--cover", 20, "--workers", 1) if verb == "evaluate" else ()
         code, out, _ = run_cli(verb, "straight", "--sim", "kinematic", *some, "--out", tmp_path / "out", "--json")
         assert code == 0
         assert isinstance(json.loads(out), dict)
 
-    def test_there_is_none_of_what_is_refused(self, run_cli: Cli, tmp_path: Path, verb: str) -> None:
-        code, out, err = run_cli(verb, "nobody", "--out", tmp_path / "out", "--json")
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ("barn", "no/folder", "straight"),
+            ("drive", "nobody"),
+            ("evaluate", "nobody"),
+            ("robot", "no.urdf"),
+            ("worlds", "show", "no"),
+        ],
+        ids=lambda words: words[0],
+    )
+    def test_there_is_none_of_what_is_refused(self, run_cli: Cli, words: tuple[str, ...]) -> None:
+        code, out, err = run_cli(*words, "--json")
         assert (code, out, err.count("\n")) == (2, "", 1)
 
 

@@ -35,7 +35,7 @@ from nnql_bullet.run_config import Conditions
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.task import TaskOptions
+from nnql_bullet.task import ENDINGS, TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
@@ -238,7 +238,10 @@ class TestAggregates:
     ]
 
     def test_every_pair_stands_where_it_ended(self) -> None:
-        assert outcome_matrix(self.PAIRS).tolist() == [[2, 1, 1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0] * 4]
+        ended = {("goal", "goal"): 2, ("goal", "collision"): 1, ("goal", "timeout"): 1, ("timeout", "goal"): 1}
+        ended |= {("collision", "collision"): 1}
+        wanted = [[ended.get((first, second), 0) for second in ENDINGS] for first in ENDINGS]
+        assert outcome_matrix(self.PAIRS).tolist() == wanted
 
     def test_mcnemar_counts_successes_on_one_side_alone(self) -> None:
         assert success_p_value(self.PAIRS) == pytest.approx(mcnemar(2, 1))

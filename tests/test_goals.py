@@ -186,7 +186,7 @@ class TestWayPoints:
         assert hypot(x - 60.0, y - 20.0) <= 2.0
         env.close()
 
-    @pytest.mark.parametrize("simulator", ["kinematic", "bullet"])
+    @pytest.mark.parametrize("simulator", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
     def test_vectors_take_targets_by_vehicle(self, simulator):
         envs = nb.make_env(world="empty", simulator=simulator, physics="fast", n_envs=3, workers=2)
         envs.reset(seed=0)

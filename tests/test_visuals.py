@@ -1,18 +1,20 @@
 """What a vehicle looks like, against what PyBullet makes of the same URDF."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pybullet
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Pose
 from nnql_bullet.vehicle.payload import urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
-from nnql_bullet.vehicle.visuals import UNPAINTED, Visuals, upright
+from nnql_bullet.vehicle.visuals import UNPAINTED, Visuals, recorded_urdf, upright
 
 ANGLES = (0.7, -1.9, 2.5, 0.4)  # left and right drive, swivel, caster roll
 KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_CYLINDER: "cylinder", pybullet.GEOM_SPHERE: "sphere"}
@@ -91,3 +93,28 @@ def test_what_has_no_colour_is_grey(vehicle: VehicleSpec) -> None:
 def test_a_recording_that_does_not_say_is_refused() -> None:
     with pytest.raises(UserError, match="record it again"):
         Visuals({"name": "tricycle"})
+
+
+def with_mesh(file: object) -> dict[str, Any]:
+    """A recording's vehicle: a body with the look of a mesh and the collision shape of a box."""
+    body = (
+        '<link name="body"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+        f'</inertial><visual><geometry><mesh filename="{file}" scale="2 1 1"/></geometry></visual>'
+        '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'
+    )
+    return {"urdf": f'<robot name="m">{body}</robot>'}
+
+
+def test_a_mesh_that_is_found_is_drawn_scaled_and_anything_else_is_not_opened(tmp_path: Path) -> None:
+    drawn = tmp_path / "drawn"
+    drawn.mkdir()
+    trimesh.creation.box([0.2, 0.4, 0.6]).export(tmp_path / "body.stl")
+    (tmp_path / "text.stl").write_text("solid")
+    assert "obj" in (shown := recorded_urdf(with_mesh(tmp_path / "body.stl"), drawn))
+    (file,) = drawn.iterdir()
+    assert str(file) in shown and "scale" not in shown
+    assert trimesh.load(file, force="mesh").extents == pytest.approx([0.4, 0.4, 0.6])
+    for name in ("body.stl", tmp_path / "lost.stl", tmp_path / "text.stl", "/etc/passwd", tmp_path):
+        shown = recorded_urdf(with_mesh(name), drawn)
+        assert 'box size="1 1 1"' in shown and "mesh" not in shown
+    assert "mesh" not in recorded_urdf(with_mesh(tmp_path / "body.stl"))

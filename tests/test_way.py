@@ -42,7 +42,7 @@ def scanned(*boxes: OrientedBox, pose: tuple[float, float, float] = START) -> Su
 
 
 def ahead(surroundings: Surroundings) -> float:
-    return way_ahead(surroundings, VEHICLE, MARGIN, REACH)
+    return way_ahead(surroundings, VEHICLE, MARGIN, REACH, np.zeros(2))
 
 
 def test_in_the_open_the_way_is_straight() -> None:

@@ -69,9 +69,7 @@ def evaluate(
         start: Start in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
         waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
-        plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.
-            For goals beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m],
-            --plan.room [m], --plan.caution.
+        plan: Lead each policy along a plan of the way through the whole world; see `drive`.
         sim: Simulator; bullet and mujoco are contact physics.
         physics: Solver settings of contact physics.
         shield: Drive each policy in a shield too.

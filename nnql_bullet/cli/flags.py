@@ -65,7 +65,7 @@ WAYPOINTS = tyro.constructors.PrimitiveConstructorSpec[tuple[tuple[float, float]
     metavar="FILE|X,Y;...",
     instance_from_str=lambda words: read_waypoints(words[0]),
     is_instance=lambda its: isinstance(its, tuple),
-    str_from_instance=lambda its: [";".join(f"{x},{y}" for x, y in its)],
+    str_from_instance=lambda its: [] if its is None else [";".join(f"{x},{y}" for x, y in its)],
 )
 """Annotates way points, which may be in a file."""
 Waypoints = Annotated[tuple[tuple[float, float], ...] | None, WAYPOINTS]

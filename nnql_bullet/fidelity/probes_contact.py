@@ -101,12 +101,14 @@ def _hit(engine: ContactEngine, gap: float) -> tuple[float, float, float]:
     engine.set_gravity((0.0, 0.0, 0.0))
     engine.lock_joints()
     engine.set_velocity(speed, 0.0)
-    forces, depths = [], []
+    vehicle, forces, depths = engine.vehicle, [], [0.0]
+    centre = (vehicle.com_ahead, vehicle.com_left, vehicle.com_height - vehicle.wheel_radius)
     while engine.time() < 2 * gap / speed:
         engine.step()
         forces.append(engine.obstacle_force())
-        depths.append(engine.pose().x + front - face)
-    return sum(forces) * engine.time_step, engine.velocity()[0], float(np.max(depths))
+        if engine.velocity_at(centre)[0] > 0:  # afterwards it may turn, if it was not hit at its centre of mass
+            depths.append(engine.pose().x + front - face)
+    return sum(forces) * engine.time_step, engine.velocity_at(centre)[0], float(np.max(depths))
 
 
 def _wall(bench: Bench) -> list[Measurement]:

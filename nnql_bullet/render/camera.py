@@ -9,6 +9,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array
 from nnql_bullet.render.timeline import Moment, Timeline
+from nnql_bullet.vehicle.scale import length_scale
 
 CameraName = Literal["chase", "top", "orbit", "split"]
 
@@ -91,6 +92,14 @@ STEP = 1 / 30
 """Time step of that filter [s]."""
 LAP = 24.0
 """Period of an orbiting camera [s]."""
+CLOSEST = 0.3
+"""Smallest factor by which these cameras go closer to a vehicle that is smaller than the shipped one: further off they
+show what is around it."""
+
+
+def _nearness(timeline: Timeline) -> float:
+    """Computes the factor on the distances of a camera from a vehicle: its scale, or `CLOSEST`."""
+    return max(length_scale(timeline.recording.footprint), CLOSEST)
 
 
 def chase(timeline: Timeline, width: int, height: int) -> Path:
@@ -100,21 +109,25 @@ def chase(timeline: Timeline, width: int, height: int) -> Path:
     followed = yaws[:1]
     for yaw in yaws[1:]:
         followed.append(followed[-1] + (yaw - followed[-1]) * STEP / CHASE_TIME_CONSTANT)
+    k = _nearness(timeline)
 
     def camera(moment: Moment) -> Camera:
         yaw, (x, y) = float(np.interp(moment.time, times, followed)), (moment.pose.x, moment.pose.y)
-        c, s = cos(yaw), sin(yaw)
-        return Camera((x - 5.6 * c, y - 5.6 * s, 3.3), (x + 2.6 * c, y + 2.6 * s, 0.0), radians(52), width, height, 2.4)
+        c, s = k * cos(yaw), k * sin(yaw)
+        eye, target = (x - 5.6 * c, y - 5.6 * s, 3.3 * k), (x + 2.6 * c, y + 2.6 * s, 0.0)
+        return Camera(eye, target, radians(52), width, height, 2.4 * k)
 
     return camera
 
 
 def orbit(timeline: Timeline, width: int, height: int) -> Path:
     """Circles around the vehicle."""
+    k = _nearness(timeline)
 
     def camera(moment: Moment) -> Camera:
         angle, (x, y) = 2 * np.pi * moment.time / LAP + np.pi * 1.25, (moment.pose.x, moment.pose.y)
-        return Camera((x + 5 * cos(angle), y + 5 * sin(angle), 3.6), (x, y, 0.2), radians(50), width, height, 2.4)
+        eye = x + 5 * k * cos(angle), y + 5 * k * sin(angle), 3.6 * k
+        return Camera(eye, (x, y, 0.2 * k), radians(50), width, height, 2.4 * k)
 
     return camera
 

@@ -1,6 +1,8 @@
 """Draws the solid bodies of a recording (boxes, walls, the vehicle) without ground and light."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
 import numpy as np
@@ -68,20 +70,11 @@ class BulletRenderer:
         from nnql_bullet.sim.bullet_scene import BulletScene  # here because other renderers need no PyBullet
 
         vehicle = recording.about["vehicle"]
-        urdf = recorded_urdf(vehicle)
-        self.scene = BulletScene(kind)
-        world = recording.world
-        self._height = world.obstacle_height
-        for its in world.obstacles:
-            if isinstance(its, Circle):
-                pole = self.scene.add_disc(its.radius, self._height / 2, BOX)
-                self.scene.place(pole, its.x, its.y, self._height / 2, 0.0)
-            else:
-                self._add_box(its, BOX)
-        for wall in world.walls:
-            self._add_box(wall, WALL)
-        self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
-        self._vehicle, joints = self.scene.add_robot(urdf)
+        with TemporaryDirectory(prefix="nnql-bullet-") as folder:
+            urdf = recorded_urdf(vehicle, Path(folder))
+            self.scene = BulletScene(kind)
+            self._add_world(recording)
+            self._vehicle, joints = self.scene.add_robot(urdf)
         self._joints = [joints[name] for name in vehicle["joints"].values()]
         self._axle_height = vehicle["wheel_radius"]
 
@@ -102,6 +95,19 @@ class BulletRenderer:
     def close(self) -> None:
         """Frees the engine."""
         self.scene.close()
+
+    def _add_world(self, recording: Recording) -> None:
+        world = recording.world
+        self._height = world.obstacle_height
+        for its in world.obstacles:
+            if isinstance(its, Circle):
+                pole = self.scene.add_disc(its.radius, self._height / 2, BOX)
+                self.scene.place(pole, its.x, its.y, self._height / 2, 0.0)
+            else:
+                self._add_box(its, BOX)
+        for wall in world.walls:
+            self._add_box(wall, WALL)
+        self._movers = [self._add_box(patrol.box, MOVING) for patrol in world.patrols]
 
     def _add_box(self, box: OrientedBox, colour: Colour) -> int:
         body = self.scene.add_box((box.half_length, box.half_width, self._height / 2), colour)

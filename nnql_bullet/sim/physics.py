@@ -184,6 +184,15 @@ class VehiclePhysics(ABC):
         """Velocity of the chassis [m/s]."""
         return self._velocities()[0]
 
+    def velocity_at(self, point: Vector) -> Vector:
+        """Velocity of a point of the chassis, which is given in the chassis frame [m/s]."""
+        _, (x, y, z, w) = self._frame()
+        linear, angular = self._velocities()
+        axis, arm = np.array([x, y, z]), np.subtract(point, self._com)
+        turned = arm + 2 * np.cross(axis, np.cross(axis, arm) + w * arm)
+        vx, vy, vz = (np.asarray(linear) + np.cross(angular, turned)).tolist()
+        return vx, vy, vz
+
     def speed(self) -> float:
         """Speed of the rear-axle centre along the vehicle [m/s]."""
         (vx, vy, _), (_, _, yaw_rate) = self._velocities()

@@ -5,6 +5,7 @@ which touch the ground in a point, as wheels do; they turn about y. A ball is a 
 """
 
 from collections.abc import Sequence
+from copy import deepcopy
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -85,6 +86,10 @@ def _add_link(
         for look in looks_of(source, meshes.find):
             place(look, part.placed[name])
             link.append(look)
+    if part is mechanism.body and solid is not None and link.find("visual") is None:
+        visual = ElementTree.SubElement(link, "visual")
+        ElementTree.SubElement(visual, "origin", xyz=words(np.asarray(at, dtype=float).tolist()), rpy="0 0 0")
+        ElementTree.SubElement(visual, "geometry").append(deepcopy(solid))
     if solid is not None:
         collision = ElementTree.SubElement(link, "collision")
         ElementTree.SubElement(collision, "origin", xyz=words(np.asarray(at, dtype=float).tolist()), rpy="0 0 0")

@@ -217,10 +217,14 @@ def for_physics(robot: Element) -> str:
     return text_of(bare)
 
 
-def for_drawing(robot: Element) -> str:
-    """Returns the text that renderers load, which names no other file.
+def for_drawing(robot: Element, mesh: Callable[[Element], Path | None] = lambda _: None) -> str:
+    """Returns the text that renderers load, which names no other files than those of `mesh`.
 
     A link that looks like meshes alone gets the looks of its collision shapes; of other links, meshes are left out.
+
+    Args:
+        robot: The URDF.
+        mesh: Returns the file to draw for a <mesh>, in metres and its own scale; None if there is none.
     """
     bare = Element("robot", name=robot.get("name", ""))
     bare.extend(map(_paint, robot.findall("material")))
@@ -229,6 +233,13 @@ def for_drawing(robot: Element) -> str:
         kept.extend(_inertial(link))
         looks, solids = link.findall("visual"), link.findall("collision")
         drawn = [_look(look, look) for look in looks if _is_drawable(look)]
+        for look in looks:
+            found = look.find("geometry/mesh")
+            if found is not None and (file := mesh(found)):
+                drawn.append(shown := _look(look, look))
+                for its in shown.findall("geometry/mesh"):
+                    its.attrib.clear()
+                    its.set("filename", str(file))
         kept.extend(drawn or [_look(solid, looks[0]) for solid in solids if looks and _is_drawable(solid)])
     bare.extend(map(_bare_joint, robot.findall("joint")))
     return text_of(bare)

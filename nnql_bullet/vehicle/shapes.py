@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -111,16 +112,25 @@ def _is_mesh_file(path: Path) -> bool:
 
 
 def _hull_of(path: Path) -> Array | None:
+    mesh = read_mesh(path)
+    try:
+        return None if mesh is None else np.asarray(mesh.convex_hull.vertices, dtype=float)
+    except Exception:  # of meshes without a volume
+        return None
+
+
+def read_mesh(path: Path) -> Any:
+    """Reads the triangles of a mesh file as a `trimesh.Trimesh` in metres; None if they cannot be read."""
     import trimesh  # here because few programs need it
 
     try:
-        mesh = trimesh.load(path, force="mesh")
-        points = np.asarray(mesh.convex_hull.vertices, dtype=float)
+        mesh = trimesh.load(path, force="mesh") if _is_mesh_file(path) else trimesh.Trimesh()
+        bare = trimesh.Trimesh(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
     except Exception:  # trimesh passes on all errors of its many parsers
         return None
     if path.suffix.lower() == ".dae":
-        points = points * _collada_unit(path)
-    return points if len(points) >= 3 and np.isfinite(points).all() else None
+        bare.apply_scale(_collada_unit(path))
+    return bare if len(bare.faces) and np.isfinite(bare.vertices).all() else None
 
 
 def _collada_unit(path: Path) -> float:

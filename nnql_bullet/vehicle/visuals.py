@@ -3,18 +3,25 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from pathlib import Path
 from typing import Any, Literal
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.vehicle.description import Unfit, for_drawing, parse
+from nnql_bullet.vehicle.shapes import read_mesh
 
 Kind = Literal["box", "cylinder", "sphere"]
 Colour = tuple[float, float, float]
 """Red, green, blue, from 0 to 1."""
 
+MESHES = (".stl", ".obj", ".dae")
+"""Mesh files that are drawn."""
+MOST_TRIANGLES = 20_000
+"""Most triangles of a mesh that are drawn one by one."""
 UNPAINTED: Colour = (0.8, 0.8, 0.8)
 
 
@@ -73,8 +80,13 @@ class Visuals:
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
 
 
-def recorded_urdf(vehicle: Mapping[str, Any]) -> str:
+def recorded_urdf(vehicle: Mapping[str, Any], meshes: Path | None = None) -> str:
     """Returns the text to draw of the URDF in a recording's entry `vehicle`; see `description.for_drawing`.
+
+    Args:
+        vehicle: The recording's entry.
+        meshes: Folder for the meshes that it looks like, which are written anew, as bare triangles; without it the
+            collision shapes are drawn.
 
     Raises:
         UserError: If the entry has none, or one that cannot be read.
@@ -82,9 +94,26 @@ def recorded_urdf(vehicle: Mapping[str, Any]) -> str:
     if "urdf" not in vehicle:
         raise UserError("this recording has no shapes of the vehicle; record it again with: nnql-bullet drive")
     try:
-        return for_drawing(parse(str(vehicle["urdf"])))
+        robot = parse(str(vehicle["urdf"]))
+        return for_drawing(robot) if meshes is None else for_drawing(robot, lambda mesh: _rewritten(mesh, meshes))
     except Unfit as error:
         raise UserError(f"the vehicle in this recording {error}; record it again with: nnql-bullet drive") from None
+
+
+def _rewritten(mesh: Element, folder: Path) -> Path | None:
+    """Writes a mesh that is found as an OBJ, scaled; one of very many triangles as its convex hull."""
+    path = Path(mesh.get("filename", ""))
+    found = read_mesh(path) if path.is_absolute() and path.suffix.lower() in MESHES else None
+    if found is None:
+        return None
+    try:
+        drawn = found if len(found.faces) <= MOST_TRIANGLES else found.convex_hull
+        drawn.apply_scale([float(factor) for factor in mesh.get("scale", "1 1 1").split()])
+        file = folder / f"{len(list(folder.iterdir()))}.obj"
+        drawn.export(file)
+    except Exception:  # trimesh passes on all errors of its writers
+        return None
+    return file
 
 
 def upright(x: float, y: float, z: float, yaw: float) -> Array:
