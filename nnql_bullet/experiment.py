@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import NoReturn
 
 from nnql_bullet.agents import LearningAgent, Trainable
+from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Pose, as_rows, bearing, clearance_at
@@ -15,7 +16,7 @@ from nnql_bullet.machine import allowed_cores, may_start_processes
 from nnql_bullet.planning.course import Course
 from nnql_bullet.planning.planner import Planner
 from nnql_bullet.rollout import Policy
-from nnql_bullet.run_config import RunConfig, changed
+from nnql_bullet.run_config import RunConfig, changed, migrated
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Simulator
@@ -26,6 +27,7 @@ from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer, TrainsItself
+from nnql_bullet.training.checkpoint import Weights, load_weights, policy_file
 from nnql_bullet.training.loop import Training
 from nnql_bullet.training.selection import Candidates, count_goals
 from nnql_bullet.vehicle.controller import DriveOptions, own_speed
@@ -269,13 +271,42 @@ class Experiment:
             raise UserError(f"'{self.config.agent.kind}' does not learn step by step")
         return self.trainable
 
+    @cached_property
+    def start(self) -> Weights | None:
+        """The weights that the training begins with; None if the agent draws its own.
+
+        Raises:
+            UserError: If they are not those of such an agent.
+        """
+        policy, mine = self.config.start_from, self.config.agent
+        if policy is None:
+            return None
+        if self._given is not None:
+            raise UserError("start_from: an agent of your own begins with what it has learned; leave this key out")
+        file = policy_file(policy)
+        weights = load_weights(file)
+        its = parse(RunConfig, migrated(weights.config), str(file)).agent
+        if its.kind != mine.kind:
+            remedy = f"train a {its.kind}, such as with the preset of that kind, or start from a {mine.kind}"
+            raise UserError(f"start_from '{policy}': it is a {its.kind}, and this run trains a {mine.kind}; {remedy}")
+        for key in getattr(mine, "network", ()):
+            if getattr(its, key) != getattr(mine, key):
+                raise UserError(
+                    f"start_from '{policy}': its weights are for agent.{key} {getattr(its, key)}, and this run has "
+                    f"{getattr(mine, key)}; give this run the same, or start from another policy"
+                )
+        return weights
+
     def trainer(self, navigation: Navigation) -> Trainer:
         """Makes the trainer of the agent's kind.
 
         Raises:
-            UserError: If the agent is a rule, or a package that its training needs is not installed.
+            UserError: If the agent is a rule, a package that its training needs is not installed, or the training
+                cannot begin with the weights that it should.
         """
         agent, world_of, seed = self.trainable, self.training_world, self.config.seed
+        if self.start:
+            agent.load_state_dict(self.start.arrays)
         if isinstance(agent, TrainsItself):
             return agent.make_trainer(navigation, world_of, seed)
         return Training(self.learning_agent, navigation, world_of, seed)

@@ -1,7 +1,8 @@
 """Run folders, which hold a training, and policies that are loaded from them.
 
 - config.toml: the configuration, every key resolved
-- sources.json, robot/: what the world and robot files that the configuration names said (`sources.py`)
+- sources.json, robot/, start.safetensors: what the files of worlds, of the robot and of the policy that the training
+  began from said, which the configuration names (`sources.py`)
 - episodes.csv: a line for each finished episode
 - checkpoint.safetensors: the agent's weights after the last line of episodes.csv, and the state of the training then;
   with a selection (`training/selection.py`) the candidates too
@@ -35,16 +36,15 @@ from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
-from nnql_bullet.sources import ROBOT, SOURCES, changed_robots, changed_worlds, keep_sources, located
+from nnql_bullet.sources import ROBOT, SOURCES, START, changed_robots, changed_worlds, keep_sources, located
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
-from nnql_bullet.training.checkpoint import Weights, load_weights, save_weights
+from nnql_bullet.training.checkpoint import POLICY, Weights, load_weights, policy_file, save_weights
 from nnql_bullet.training.selection import Candidates, most_goals
 from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
-POLICY, LEARNING_CURVE = "policy.safetensors", "learning_curve.png"
-SELECTION, REPORT = "selection.csv", "report.html"
+LEARNING_CURVE, SELECTION, REPORT = "learning_curve.png", "selection.csv", "report.html"
 _log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
@@ -100,17 +100,19 @@ class Run:
         this is cut short, either the old run can be resumed, or the folder holds nothing that would be lost.
 
         Raises:
-            UserError: If it holds a run and `overwrite` is False, or holds something else.
+            UserError: If it holds a run and `overwrite` is False, holds something else, or the run begins from it.
         """
-        folder = self.folder
+        folder, start = self.folder, self.config.start_from
+        if start is not None and policy_file(start).resolve().parent == folder.resolve():
+            raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
-        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT}:
+        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START}:
             if not overwrite:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if CONFIG not in found:
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
         # The checkpoint can restore the files before it.
-        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, EPISODES):
+        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EPISODES):
             (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
@@ -255,7 +257,7 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
     if not os.path.exists(path) and not _is_shipped(path):
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
-    file = path / POLICY if path.is_dir() else assets.policies()[name] if _is_shipped(path) else path
+    file = policy_file(policy)
     weights = load_weights(file)
     config = located(parse(RunConfig, migrated(weights.config), str(file)), file.parent)
     experiment = _experiment(config, changes)

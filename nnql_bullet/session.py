@@ -175,6 +175,12 @@ class _Session:
                     trainer.load_state_dict(run.state.under_way)
                 prepare(run)
                 _log.info("training %s", _title(config))
+                if experiment.start and not run.state:
+                    _log.info(
+                        "it begins with what '%s' learned in %d episodes; schedules of exploration and learning rate "
+                        "begin anew",
+                        *(config.start_from, experiment.start.episodes),
+                    )
                 hopeless = next(filter(None, map(experiment.out_of_reach, experiment.training_sources)), "")
                 if hopeless:
                     _log.warning("%s", hopeless)

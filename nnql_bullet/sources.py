@@ -1,12 +1,14 @@
 """The files that a run or an evaluation is made of: its folder keeps what they say, so that it can go anywhere.
 
 `sources.json` has the worlds that were files, by the names that they were given by, and names the copy of the robot's
-description in `robot/`, unless that is a shipped one.
+description in `robot/`, unless that is a shipped one. A policy that a training began from is copied, shipped or not.
 """
 
 import json
 import logging
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import field
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -16,12 +18,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from nnql_bullet.config import dotted, options, read_toml, to_values
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import is_file, read_json, write_atomically, write_text
+from nnql_bullet.files import is_file, plain_file, read_json, write_atomically, write_text
 from nnql_bullet.run_config import RunConfig, changed
+from nnql_bullet.training.checkpoint import policy_file
 from nnql_bullet.vehicle.urdf import collision_meshes, load_vehicle
 from nnql_bullet.worlds.source import World
 
-SOURCES, ROBOT = "sources.json", "robot"
+SOURCES, ROBOT, START = "sources.json", "robot", "start.safetensors"
 NAMED, LONGEST = 3, 40
 """Most values that a difference names, and the longest text of a value in it."""
 _log = logging.getLogger(__name__)
@@ -35,6 +38,8 @@ class Sources:
     """Worlds by the names of their files."""
     robots: dict[str, str]
     """Copies in the folder by the names of the robot's files."""
+    start: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of the policy that a training began from by the name that it was given by; START is its copy."""
 
     def robot(self, name: str | None, folder: Path) -> str | None:
         """Returns the path of the copy of a robot in their folder; None if there is none."""
@@ -43,11 +48,11 @@ class Sources:
 
 def keep_sources(config: RunConfig, folder: Path) -> None:
     """Writes what the files of a configuration say into a run folder; see `keep_files`."""
-    keep_files(_world_files(config), config.robot, folder)
+    keep_files(_world_files(config), config.robot, folder, config.start_from)
 
 
-def keep_files(worlds: Sequence[str], robot: str | None, folder: Path) -> None:
-    """Writes what the files of worlds and of a robot say into a folder; nothing if none is a file.
+def keep_files(worlds: Sequence[str], robot: str | None, folder: Path, start: str | None = None) -> None:
+    """Writes what the files of worlds, of a robot and of a policy to start from say into a folder, if there are any.
 
     Raises:
         UserError: If a file cannot be read.
@@ -55,8 +60,13 @@ def keep_files(worlds: Sequence[str], robot: str | None, folder: Path) -> None:
     """
     kept = {name: to_values(World.load(name)) for name in dict.fromkeys(worlds) if is_file(name)}
     robots = {robot: _copied(robot, folder / ROBOT)} if robot and is_file(robot) else {}
-    if kept or robots:
-        write_text(folder / SOURCES, json.dumps({"worlds": kept, "robots": robots}, indent=1, sort_keys=True) + "\n")
+    said: dict[str, Any] = {"worlds": kept, "robots": robots}
+    if start is not None:
+        weights = _policy_bytes(start)
+        write_atomically(folder / START, partial(Path.write_bytes, data=weights))
+        said["start"] = {start: sha256(weights).hexdigest()}
+    if any(said.values()):
+        write_text(folder / SOURCES, json.dumps(said, indent=1, sort_keys=True) + "\n")
 
 
 def _copied(robot: str, folder: Path) -> str:
@@ -93,7 +103,8 @@ def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
     Raises:
         UserError: If a file cannot be read.
     """
-    said = [to_values(World.load(name)) for name in _world_files(config, worlds)]
+    said: list[Any] = [to_values(World.load(name)) for name in _world_files(config, worlds)]
+    said += [sha256(_policy_bytes(config.start_from)).hexdigest()] if config.start_from is not None else []
     robot = load_vehicle(config.robot).digest if is_file(config.robot) else ""
     return sha256(json.dumps([robot, said], sort_keys=True).encode()).hexdigest()[:16] if said or robot else ""
 
@@ -112,7 +123,8 @@ def located(config: RunConfig, folder: Path) -> RunConfig:
     if config.training.selection:
         selection = [_kept(world, sources) for world in config.training.selection.worlds]
         changes["training"]["selection"] = {"worlds": selection}
-    return changed(config, **changes) if sources.worlds or robot else config
+    changes["start_from"] = str(folder / START) if config.start_from in sources.start else None
+    return changed(config, **changes) if sources.worlds or robot or sources.start else config
 
 
 def changed_sources(folder: Path) -> dict[str, str]:
@@ -120,7 +132,7 @@ def changed_sources(folder: Path) -> dict[str, str]:
 
     One that is gone does not matter, nor one never read.
     """
-    return changed_worlds(folder) | changed_robots(folder)
+    return changed_worlds(folder) | changed_robots(folder) | _changed_start(folder)
 
 
 def changed_worlds(folder: Path) -> dict[str, str]:
@@ -147,6 +159,25 @@ def changed_robots(folder: Path) -> dict[str, str]:
                 toml = copy.suffix == ".toml"
                 found[str(file)] = _difference(read_toml(file), read_toml(copy)) if toml else "its text differs"
     return found
+
+
+def _changed_start(folder: Path) -> dict[str, str]:
+    """Finds such a file of the policy that a training began from."""
+    found: dict[str, str] = {}
+    for name, digest in read_sources(folder).start.items():
+        with suppress(UserError, OSError):
+            found |= {name: "its weights differ"} if sha256(_policy_bytes(name)).hexdigest() != digest else {}
+    return found
+
+
+def _policy_bytes(policy: str) -> bytes:
+    """Reads the file of a policy, as it is.
+
+    Raises:
+        UserError: If there is none.
+        OSError: If it cannot be read.
+    """
+    return plain_file(policy_file(policy)).read_bytes()
 
 
 def _difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from nnql_bullet import assets
 from nnql_bullet.api.evaluate import EvaluationResults
 from nnql_bullet.commands import train_arguments
 from nnql_bullet.config import to_values, write_toml
-from nnql_bullet.runs import POLICY
+from nnql_bullet.training.checkpoint import POLICY
 
 FOLDER = Path(assets.__file__).parent / "_data" / "policies"
 WORK = Path("runs/ship")

@@ -56,8 +56,8 @@ def train(
         check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress after every episode.
         stop: Asked after every episode; True ends the training with a checkpoint to resume from.
-        **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, world, simulator, physics,
-            vehicles, task={...} and so on.
+        **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, start_from, world,
+            simulator, physics, vehicles, task={...} and so on.
 
     Raises:
         UserError: If a key or value is wrong, or the folder holds something; nothing is written then.

@@ -28,6 +28,7 @@ RENAMED_FLAGS = {
 }
 """Flags of version 0.1, and their names now."""
 SHORT_FLAGS = {
+    "start_from": "--from",
     "drive.speed": "--speed",
     "conditions.rays": "--rays",
     "conditions.sensor_range": "--sensor-range",

@@ -15,8 +15,9 @@ from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.presets import load_config
-from nnql_bullet.runs import LEARNING_CURVE, POLICY, SELECTION, load_run
+from nnql_bullet.runs import LEARNING_CURVE, SELECTION, load_run
 from nnql_bullet.text import shell_line
+from nnql_bullet.training.checkpoint import POLICY
 from nnql_bullet.work import Progress
 
 
@@ -40,6 +41,9 @@ def train(
     step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
     model.
 
+    --from begins with the weights of a run, policy file or shipped policy, to fine-tune it in another world, vehicle or
+    engine; kind and sizes of the agent have to be its own.
+
     Every key of the configuration is a flag, such as --agent.discount, --speed, --conditions.payload or --rays; to list
     them: nnql-bullet keys --config double_dqn
 
@@ -48,6 +52,7 @@ def train(
         nnql-bullet train --config literal --seed 3 --out runs/mine
         nnql-bullet train --config double_dqn --agent.discount 0.8 --conditions.payload 80
         nnql-bullet train --resume runs/mine --episodes 2000
+        nnql-bullet train --config double_dqn --from double_dqn --world aisles --sim mujoco
 
     Args:
         config: Preset, or TOML file with keys over a preset.

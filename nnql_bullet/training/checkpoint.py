@@ -1,6 +1,7 @@
 """Weights with their configuration, as safetensors: a policy to drive with, or a checkpoint to resume from."""
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,13 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from nnql_bullet import __version__
+from nnql_bullet import __version__, assets
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import is_file, parse_json, write_atomically
 from nnql_bullet.geometry import Array
 
+POLICY = "policy.safetensors"
+"""What a run folder has to drive with."""
 FORMAT = "nnql-bullet weights 1"
 _METADATA = "nnql-bullet"
 """The only key of a file's metadata: the library writes several in an order that changes from run to run."""
@@ -27,6 +30,20 @@ class Weights:
     episodes: int
     """Training episodes finished."""
     arrays: dict[str, Array]
+
+
+def policy_file(policy: str | Path) -> Path:
+    """Finds the weights of a run folder, of a policy file or of a shipped policy; an existing file comes first.
+
+    Raises:
+        UserError: If there is none of that name; the message lists the shipped ones.
+    """
+    path, shipped = Path(policy), assets.policies()
+    if path.is_dir():
+        return path / POLICY
+    if not os.path.exists(path) and str(policy) not in shipped:
+        raise UserError(f"{policy}: no such run or policy file, and no shipped policy; these are: {', '.join(shipped)}")
+    return path if os.path.exists(path) else shipped[str(policy)]
 
 
 def save_weights(weights: Weights, path: Path) -> None:

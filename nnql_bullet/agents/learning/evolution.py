@@ -13,7 +13,7 @@ from its beginning, with the same results bit for bit.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,8 @@ class Evolution:
         self._seed = seed
         self._generation = 0
         self._genomes = first_generation(agent.options, seed)
+        if agent.start is not None:
+            self._genomes = mutants(agent.start, agent.options, rng(seed, Stream.WEIGHTS))
         self._sums = np.zeros(len(self._genomes))
         self._tries = np.zeros(len(self._genomes))
         self._given = 0
@@ -173,6 +175,12 @@ def genome_fitness(sums: Array, tries: Array, average: float, prior: float) -> A
 def fittest(fitness: Array, count: int) -> NDArray[np.int64]:
     """The best `count` of a fitness (m,), the best first; of equals, those that came first."""
     return np.argsort(-fitness, kind="stable")[:count]
+
+
+def mutants(genome: Array, options: GeneticOptions, generator: np.random.Generator) -> Array:
+    """A generation (m, 89) of a genome (89,), which comes first, and of mutants of it."""
+    same = np.repeat(genome[None], options.population, axis=0)
+    return np.concatenate([same[:1], bred(same, np.zeros(len(same)), replace(options, elites=1), generator)])
 
 
 def bred(genomes: Array, fitness: Array, options: GeneticOptions, generator: np.random.Generator) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import prod
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ GENES = sum(prod(shape) for shape in LAYERS.values())
 class GeneticOptions:
     """Options of the genetic search."""
 
+    network: ClassVar[tuple[str, ...]] = ()
+    """Keys that two agents have to share for the weights of one to be those of the other."""
     kind: Literal["genetic"] = "genetic"
     population: Population = 50
     """Genomes in a generation."""
@@ -77,6 +79,8 @@ class Genetic(TurnChooser):
     def __init__(self, options: GeneticOptions, seed: int, scale: float = 1.0) -> None:
         self.options, self.scale = options, scale
         self._genome = first_generation(options, seed)[0]
+        self.start: Array | None = None
+        """Genome that it was given last, whose mutants a search begins with; by default with random ones."""
 
     def values(self, observations: Observation, asked: NDArray[np.bool_]) -> Array:
         """What its network puts out."""
@@ -102,7 +106,7 @@ class Genetic(TurnChooser):
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
         check(arrays, LAYERS, "a network", (paper.SECTORS, paper.HIDDEN_UNITS, len(paper.TURNS)))
-        self._genome = np.concatenate([arrays[name].ravel() for name in LAYERS])
+        self._genome = self.start = np.concatenate([arrays[name].ravel() for name in LAYERS])
 
 
 def first_generation(options: GeneticOptions, seed: int) -> Array:

@@ -6,7 +6,7 @@ The other agents' options stand in the agents' own modules.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,8 @@ class NnqlOptions(QLearningOptions):
     results/ablation compares the values of each open choice.
     """
 
+    network: ClassVar[tuple[str, ...]] = ("hidden_units", "encoding")
+    """Keys that two agents have to share for the weights of one to be those of the other."""
     kind: Literal["nnql"] = "nnql"
     hidden_units: Units = paper.HIDDEN_UNITS
     """Units of the hidden layer."""
@@ -84,6 +86,8 @@ class DoubleDqnOptions:
     results/ablation-double_dqn compares some of them.
     """
 
+    network: ClassVar[tuple[str, ...]] = ("rays", "frames", "grid_map", "hidden")
+    """Keys that two agents have to share for the weights of one to be those of the other."""
     kind: Literal["double_dqn"] = "double_dqn"
     rays: Literal[8, 24, 72] = 24
     """Readings of the network: each is the nearest of its share of the 72 rays."""
@@ -164,6 +168,8 @@ class DoubleDqnOptions:
 class Sb3DqnOptions:
     """The hyper-parameters that differ from the library's defaults, or matter most; they were hardly tuned."""
 
+    network: ClassVar[tuple[str, ...]] = ("hidden",)
+    """Keys that two agents have to share for the weights of one to be those of the other."""
     kind: Literal["sb3_dqn"] = "sb3_dqn"
     hidden: Layers = (64, 64)
     """Units of the hidden layers."""

@@ -4,7 +4,7 @@ In numbers: by default 27 states of five values, 1080 bytes, against the 89 weig
 sectors with the same two edges make 6561 states, 262 kB; with four edges 390 625 states, 15.6 MB.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ Edge = Annotated[float, Field(gt=0, le=paper.SENSOR_RANGE)]
 class QTableOptions(QLearningOptions):
     """The paper's numbers, and how readings become states."""
 
+    network: ClassVar[tuple[str, ...]] = ("edges", "sectors")
+    """Keys that two agents have to share for the weights of one to be those of the other."""
     kind: Literal["q_table"] = "q_table"
     edges: Annotated[tuple[Edge, ...], Field(max_length=100)] = (3.5, 5.0)
     """Readings from which the next level begins [m], rising."""

@@ -35,6 +35,8 @@ class Sb3Dqn(NoMemory):
         with fenced(rng(seed, Stream.WEIGHTS)):
             hidden = [layer for sizes in pairwise(widths) for layer in (torch.nn.Linear(*sizes), torch.nn.ReLU())]
             self.network = torch.nn.Sequential(*hidden, torch.nn.Linear(widths[-1], ACTIONS))
+        self.start: dict[str, Array] | None = None
+        """Weights that it was given last, which a training begins with; by default with the library's."""
 
     def act(self, observations: Observation, state: None) -> tuple[Actions, None]:
         """Chooses the action with the largest Q-value."""
@@ -51,6 +53,7 @@ class Sb3Dqn(NoMemory):
     def load_state_dict(self, arrays: dict[str, Array]) -> None:
         """Replaces weights and biases."""
         weights.load_state_dict(self.network, arrays, "a network", (SB3_INPUTS, *self.options.hidden, ACTIONS))
+        self.start = arrays
 
     def make_trainer(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], seed: int) -> Trainer:
         """Builds the training.

@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import SB3_INPUTS
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
-from nnql_bullet.agents.learning.weights import state_dict
+from nnql_bullet.agents.learning.weights import load_state_dict, state_dict
 from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
@@ -38,6 +38,7 @@ class DqnTraining:
         self._world_of = world_of
         self._seed = seed
         self._given = 0
+        self._start = agent.start
 
     def episodes(self) -> Iterator[TrainingEpisode]:
         """See `Trainer`; after `load_state_dict` the episodes finished before are repeated, and not yielded again."""
@@ -79,6 +80,9 @@ class DqnTraining:
                 policy_kwargs={"net_arch": list(o.hidden)},
                 device="cpu",
             )
+        if self._start is not None:
+            for network in (dqn.q_net.q_net, dqn.q_net_target.q_net):
+                load_state_dict(network, self._start)
         dqn.set_logger(Logger(None, []))  # else it makes one at every call of `learn`
         dqn.exploration_schedule = lambda _: o.exploration(dqn.num_timesteps)
         for update in count():

@@ -1,0 +1,186 @@
+"""What researchers expect of a training: to begin with a policy."""
+
+import json
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import same
+from safetensors.numpy import load_file
+
+import nnql_bullet as nb
+from nnql_bullet import assets, session
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.presets import load_config
+from nnql_bullet.runs import Run
+from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.sources import changed_sources
+
+Cli = Callable[..., tuple[int, str, str]]
+
+SMALL: dict[str, Any] = {"simulator": "kinematic", "vehicles": 3, "episodes": 6, "seed": 5, "task": {"max_steps": 40}}
+KINDS: dict[str, dict[str, Any]] = {
+    "nnql": {},
+    "q_table": {},
+    "genetic": {"population": 2, "worlds": 2, "elites": 1},
+    "double_dqn": {
+        "hidden": [8],
+        "learning_starts": 30,
+        "buffer_size": 500,
+        "batch_size": 8,
+        "exploration_episodes": 2,
+    },
+    "sb3_dqn": {"hidden": [8], "learning_starts": 8, "buffer_size": 500, "exploration_steps": 20},
+}
+LIBRARIES = {"genetic": "deap", "sb3_dqn": "stable_baselines3"}
+
+
+def small(kind: str, **changes: Any) -> dict[str, Any]:
+    return {**SMALL, "agent": {"kind": kind, **KINDS[kind]}, **changes}
+
+
+def train(out: Path, **asked: Any) -> Run:
+    """Trains by a preset and keys over it, without a picture."""
+    config = load_config("paper", {key: str(its) if isinstance(its, Path) else its for key, its in asked.items()})
+    return session.train(config, out, workers=1)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file of a run."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A run of a kind, made when it is first asked for."""
+    home = tmp_path_factory.mktemp("policies")
+
+    def run(kind: str) -> Path:
+        if kind in LIBRARIES:
+            pytest.importorskip(LIBRARIES[kind])
+        if not (home / kind).exists():
+            train(home / kind, **small(kind))
+        return home / kind
+
+    return run
+
+
+class TestStart:
+    @pytest.mark.parametrize("kind", list(KINDS))
+    def test_it_begins_with_these_weights_in_another_world_and_goes_on_bit_for_bit(
+        self, kind: str, policies: Callable[[str], Path], tmp_path: Path
+    ) -> None:
+        source = policies(kind)
+        asked = small(kind, start_from=source, world="cover_10", seed=6)
+        whole = train(tmp_path / "whole", **asked)
+        train(tmp_path / "parts", **{**asked, "episodes": 2})
+        hidden = source.rename(source.with_name("hidden"))  # the run has a copy
+        try:
+            session.resume(tmp_path / "parts", 6, workers=1)
+        finally:
+            hidden.rename(source)
+        assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+        drawn = train(tmp_path / "drawn", **{**asked, "start_from": None})
+        assert not same(*(load_file(run.folder / "policy.safetensors") for run in (whole, drawn)))
+        assert (tmp_path / "whole" / "start.safetensors").read_bytes() == (source / "policy.safetensors").read_bytes()
+        digest = sha256((source / "policy.safetensors").read_bytes()).hexdigest()
+        assert json.loads((tmp_path / "whole" / "sources.json").read_text())["start"] == {str(source): digest}
+        nb.drive(tmp_path / "whole")
+
+    @pytest.mark.parametrize("kind", ["nnql", "q_table", "double_dqn"])
+    def test_the_first_decisions_are_those_of_the_policy(self, kind: str, policies: Callable[[str], Path]) -> None:
+        source = policies(kind)
+        config = load_config("paper", small(kind, start_from=str(source)))
+        experiment = Experiment(config)
+        experiment.trainer(experiment.navigation)
+        assert same(experiment.trainable.state_dict(), load_file(source / "policy.safetensors"))
+
+    def test_both_networks_of_double_dqn_do(self, policies: Callable[[str], Path]) -> None:
+        source = policies("double_dqn")
+        experiment = Experiment(load_config("paper", small("double_dqn", start_from=str(source), vehicles=1)))
+        training = experiment.trainer(experiment.navigation)
+        episode = next(training.episodes())
+        state = training.state_dict()
+        online = {n.removeprefix("agent/online/"): a for n, a in state.items() if n.startswith("agent/online/")}
+        assert episode.diagnostics["exploration"] == 1.0  # anew
+        assert same(online, load_file(source / "policy.safetensors"))  # too few steps yet to learn from
+
+    def test_a_search_begins_with_the_genome_and_mutants_of_it(self) -> None:
+        evolution = pytest.importorskip("nnql_bullet.agents.learning.evolution", reason="needs the extra [baselines]")
+        options = GeneticOptions(population=30, mutation_share=0.2, mutation_step=0.1)
+        genome = rng(1, Stream.WEIGHTS).normal(size=89)
+        first = evolution.mutants(genome, options, rng(2, Stream.WEIGHTS))
+        changed = first != genome
+        assert first.shape == (30, 89)
+        assert not changed[0].any()
+        assert abs(changed[1:].mean() - 0.2) < 0.05
+        assert abs((first - genome)[changed].std() - 0.1) < 0.02
+
+    def test_the_command_line_says_what_it_begins_with_and_that_schedules_begin_anew(
+        self, run_cli: Cli, policies: Callable[[str], Path], small_config: Path, compiled_kernels: None, tmp_path: Path
+    ) -> None:
+        source = policies("nnql")
+        flags = ("--config", small_config, "--sim", "kinematic", "--episodes", 2, "--out", tmp_path / "run")
+        code, _, err = run_cli("train", "--from", source, *flags)
+        assert code == 0
+        assert f"it begins with what '{source}' learned in 6 episodes; schedules of exploration" in err
+        assert f'start_from = "{source}"' in (tmp_path / "run" / "config.toml").read_text()
+        assert "exploration" not in run_cli("train", "--resume", tmp_path / "run", "--episodes", 3)[2]
+
+    def test_a_shipped_policy_is_kept_and_no_episode_is_its_own(self, tmp_path: Path) -> None:
+        run = nb.train("double_dqn", start_from="double_dqn", vehicles=2, episodes=1, out=tmp_path / "run")
+        shipped = assets.policies()["double_dqn"]
+        assert (run.folder / "start.safetensors").read_bytes() == shipped.read_bytes()
+        assert same(load_file(run.folder / "policy.safetensors"), load_file(shipped))  # nothing is learned that soon
+        assert run.policy.episodes == 1
+
+    def test_a_policy_that_changed_is_named(self, policies: Callable[[str], Path], tmp_path: Path) -> None:
+        source = tmp_path / "mine.safetensors"
+        source.write_bytes((policies("nnql") / "policy.safetensors").read_bytes())
+        train(tmp_path / "run", **small("nnql", start_from=source, episodes=1))
+        assert changed_sources(tmp_path / "run") == {}
+        source.write_bytes((policies("q_table") / "policy.safetensors").read_bytes())
+        assert changed_sources(tmp_path / "run") == {str(source): "its weights differ"}
+        source.unlink()
+        assert changed_sources(tmp_path / "run") == {}
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("source", "agent", "said"),
+        [
+            ("nnql", {"kind": "q_table"}, "it is a nnql, and this run trains a q_table"),
+            ("nnql", {"kind": "nnql", "hidden_units": 8}, "weights are for agent.hidden_units 6, and this run has 8"),
+            ("nnql", {"kind": "nnql", "encoding": "distance"}, "agent.encoding proximity, and this run has distance"),
+            ("q_table", {"kind": "q_table", "sectors": [0]}, "agent.sectors (0, 1, 7), and this run has (0,)"),
+            ("nnql", {"kind": "straight"}, "'straight' is a rule"),
+        ],
+    )
+    def test_weights_of_another_agent(
+        self, source: str, agent: dict[str, Any], said: str, policies: Callable[[str], Path], tmp_path: Path
+    ) -> None:
+        with pytest.raises(UserError) as refusal:
+            train(tmp_path / "run", **{**SMALL, "agent": agent}, start_from=policies(source))
+        assert said in str(refusal.value)
+        assert not (tmp_path / "run").exists()
+
+    def test_what_is_no_policy(self, tmp_path: Path) -> None:
+        with pytest.raises(UserError, match=r"no such run or policy file, and no shipped policy; these are: .*tuned"):
+            train(tmp_path / "run", **SMALL, start_from="nothing")
+        assert not (tmp_path / "run").exists()
+
+    def test_an_agent_of_ones_own(self, policies: Callable[[str], Path], tmp_path: Path) -> None:
+        agent = Experiment(load_config("paper", {})).trainable
+        with pytest.raises(UserError, match="an agent of your own begins with what it has learned"):
+            nb.train("paper", agent=agent, **SMALL, start_from=policies("nnql"), out=tmp_path / "run")
+
+    def test_to_overwrite_what_it_begins_from(self, policies: Callable[[str], Path]) -> None:
+        source = policies("nnql")
+        before = contents(source)
+        with pytest.raises(UserError, match="is what the training begins from"):
+            nb.train("paper", **small("nnql", start_from=source), out=source, overwrite=True)
+        assert contents(source) == before
