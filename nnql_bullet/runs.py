@@ -9,6 +9,7 @@
 - policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
 - selection.csv: with a selection, the goals of each candidate, once the training is over
 - learning_curve.png: the verb `train` draws it when the training stops
+- tensorboard/: with `--log tensorboard`, a log; it is outside of what equal trainings have in common
 - .lock: while a process trains there, which process it is
 """
 
@@ -16,6 +17,7 @@ import csv
 import io
 import logging
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,6 +42,7 @@ from nnql_bullet.sources import ROBOT, SOURCES, START, changed_robots, changed_w
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import POLICY, Weights, load_weights, policy_file, save_weights
+from nnql_bullet.training.log import TENSORBOARD
 from nnql_bullet.training.selection import Candidates, most_goals
 from nnql_bullet.vehicle.urdf import load_vehicle
 
@@ -106,11 +109,13 @@ class Run:
         if start is not None and policy_file(start).resolve().parent == folder.resolve():
             raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
-        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START}:
+        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD}:
             if not overwrite:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if CONFIG not in found:
                 raise UserError(f"{folder}: holds no run, so it is not overwritten; give another folder")
+        if (folder / TENSORBOARD).is_dir():
+            shutil.rmtree(folder / TENSORBOARD)
         # The checkpoint can restore the files before it.
         for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EPISODES):
             (folder / name).unlink(missing_ok=True)

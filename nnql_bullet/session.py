@@ -5,10 +5,11 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 from nnql_bullet.agents import Trainable
 from nnql_bullet.agents.learning.options import DoubleDqnOptions, Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
-from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
+from nnql_bullet.errors import UserError, WorkerDied, WorkFailed, missing_library
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.locks import locked
@@ -26,11 +27,15 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import CHECKPOINT, Run, load_run
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.training.base import RECENT, Trainer
+from nnql_bullet.training.log import TENSORBOARD, Log, scalars
 from nnql_bullet.training.selection import SelectionOptions, finalists, keep
 from nnql_bullet.work import OnProgress, Progress, silent
 
 SAVE_EVERY = 5.0
 """Time between checkpoints [s]."""
+
+LogLike = Literal["tensorboard"] | Log
+"""A log for TensorBoard in the run folder, or a function."""
 
 _log = logging.getLogger(__name__)
 
@@ -43,6 +48,7 @@ def train(
     reward: Reward | None = None,
     workers: int | None = None,
     overwrite: bool = False,
+    log: LogLike | None = None,
     on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
@@ -58,6 +64,7 @@ def train(
         workers: Number of processes (contact physics) or threads (kinematic model) that share the vehicles; by default
             one per core. The result does not depend on it.
         overwrite: Whether to start anew in a folder that already contains a run.
+        log: Receives the numbers of each episode.
         on_progress: Called after every episode.
         stop: Called after every episode; True ends the training with a checkpoint to resume from.
 
@@ -77,7 +84,7 @@ def train(
             lock.enter_context(locked(out))
             run.create(overwrite)
 
-        session = _Session(Run(out, config), Experiment(config, agent), reward, workers, on_progress, stop)
+        session = _Session(Run(out, config), Experiment(config, agent), reward, workers, log, on_progress, stop)
         return session.go(create)
 
 
@@ -88,6 +95,7 @@ def resume(
     agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = None,
+    log: LogLike | None = None,
     on_progress: OnProgress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> Run:
@@ -101,6 +109,7 @@ def resume(
         agent: See `train`.
         reward: See `train`.
         workers: See `train`.
+        log: See `train`; a log for TensorBoard that the run has goes on by default.
         on_progress: See `train`.
         stop: See `train`.
 
@@ -128,7 +137,8 @@ def resume(
     with locked(folder):
         run = load_run(folder, episodes)
         experiment = Experiment(located(run.config, folder), agent)
-        run = _Session(run, experiment, reward, workers, on_progress, stop).go(Run.go_on)
+        log = log or (TENSORBOARD if (folder / TENSORBOARD).is_dir() else None)
+        run = _Session(run, experiment, reward, workers, log, on_progress, stop).go(Run.go_on)
     for name in changed:  # again, as hours may have passed
         _log.warning("%s had changed: the run went on with its own copy, as it was when the run began", name)
     return run
@@ -155,6 +165,7 @@ class _Session:
     experiment: Experiment
     reward: Reward | None
     workers: int | None
+    log: LogLike | None
     on_progress: OnProgress
     stop: Callable[[], bool]
 
@@ -169,6 +180,7 @@ class _Session:
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
                 navigation = experiment.new_navigation(simulator, self.reward)
                 _check_terms(run, navigation)
+                open_log = _opener(self.log)
                 trainer = experiment.trainer(navigation)
                 if run.state:
                     agent.load_state_dict(run.state.learned)
@@ -185,8 +197,11 @@ class _Session:
                 if hopeless:
                     _log.warning("%s", hopeless)
                 if len(run.episodes) < config.episodes:
-                    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # `_check_finite` says it
-                        self._train(agent, trainer)
+                    with (
+                        open_log(run) as tell,
+                        np.errstate(over="ignore", invalid="ignore", divide="ignore"),  # `_check_finite` says it
+                    ):
+                        self._train(agent, trainer, tell)
                 elif not config.training.selection:  # the run ended before its last policy was written
                     run.save_policy(agent.state_dict())
                 enough = hopeless or RECENT <= len(run.episodes) == config.episodes
@@ -197,7 +212,7 @@ class _Session:
                 self._select(experiment, config.training.selection)
         return load_run(run.folder)
 
-    def _train(self, agent: Trainable, trainer: Trainer) -> None:
+    def _train(self, agent: Trainable, trainer: Trainer, tell: Log | None) -> None:
         """Trains until all episodes are done or `stop` returns True, and writes checkpoints.
 
         Raises:
@@ -220,6 +235,8 @@ class _Session:
                 rate = steps / max(now - begin, 1e-9)
                 note = f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s"
                 self.on_progress(Progress("training", done, total, note))
+                if tell:
+                    tell(done, {**scalars(run.episodes, done), "speed/steps_per_second": rate})
                 if done == schedule < total and not any(recent):
                     _log.warning(
                         "the schedule is over after %d episodes, and none of the last %d reached its target; "
@@ -269,6 +286,21 @@ class _Session:
             "selected: what was learned after %d episodes, with %d goals of %d; the %d came to %d to %d",
             *(best, goals[best], worlds, len(goals), min(goals.values()), max(goals.values())),
         )
+
+
+def _opener(log: LogLike | None) -> Callable[[Run], AbstractContextManager[Log | None]]:
+    """What opens the log of a run, once its folder is there.
+
+    Raises:
+        UserError: If the library that it needs is not installed.
+    """
+    if log != "tensorboard":
+        return lambda run: nullcontext(log)
+    try:
+        from nnql_bullet.training.tensorboard import TensorBoardLog
+    except ImportError:
+        raise missing_library("tensorboardX", "log") from None
+    return lambda run: closing(TensorBoardLog(run.folder / TENSORBOARD, run.episodes))
 
 
 def _check_terms(run: Run, navigation: Navigation) -> None:

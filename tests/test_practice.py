@@ -1,11 +1,16 @@
-"""What researchers expect of a training: to begin with a policy."""
+"""What researchers expect of a training: to begin with a policy, to log, to evaluate and to stop early."""
 
+import csv
 import json
+import shutil
+import struct
+import sys
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import same
 from safetensors.numpy import load_file
@@ -19,6 +24,7 @@ from nnql_bullet.presets import load_config
 from nnql_bullet.runs import Run
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sources import changed_sources
+from nnql_bullet.task import ENDINGS
 
 Cli = Callable[..., tuple[int, str, str]]
 
@@ -147,6 +153,102 @@ class TestStart:
         assert changed_sources(tmp_path / "run") == {str(source): "its weights differ"}
         source.unlink()
         assert changed_sources(tmp_path / "run") == {}
+
+
+def crc32c(data: bytes) -> int:
+    """The checksum of RFC 3720, bit by bit."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0x82F63B78 * (crc & 1)
+    return crc ^ 0xFFFFFFFF
+
+
+def masked(data: bytes) -> int:
+    """The checksum as records of TensorFlow hold it."""
+    crc = crc32c(data)
+    return ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF
+
+
+def logged(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    """What TensorBoard shows of a log: steps and numbers by name, without those that a later session took back."""
+    event_pb2 = pytest.importorskip("tensorboardX.proto.event_pb2", reason="needs the extra [log]")
+    found: dict[str, list[tuple[int, float]]] = {}
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        while data:
+            length, of_length = struct.unpack("<QI", data[:12])
+            record, (of_record,) = data[12 : 12 + length], struct.unpack("<I", data[12 + length : 16 + length])
+            assert (of_length, of_record) == (masked(data[:8]), masked(record))
+            data = data[16 + length :]
+            event = event_pb2.Event.FromString(record)
+            if event.session_log.status == event_pb2.SessionLog.START:
+                found = {name: [row for row in rows if row[0] < event.step] for name, rows in found.items()}
+            for value in event.summary.value:
+                found.setdefault(value.tag, []).append((event.step, value.simple_value))
+    return found
+
+
+class TestLog:
+    def test_it_has_the_numbers_of_every_episode_once_and_the_run_is_the_same(
+        self, run_cli: Cli, small_config: Path, compiled_kernels: None, tmp_path: Path
+    ) -> None:
+        flags = ("--config", small_config, "--sim", "kinematic", "--vehicles", 2, "--workers", 1)
+        plain, parts = tmp_path / "plain", tmp_path / "parts"
+        assert run_cli("train", *flags, "--episodes", 4, "--out", parts, "--log", "tensorboard")[0] == 0
+        (parts / "learning_curve.png").unlink()
+        config = nb.load_run(parts, 7).config
+        session.train(config, plain, workers=1)
+        before = shutil.copytree(parts, tmp_path / "before")
+        session.resume(parts, 6, workers=1)
+        for path in (parts / "tensorboard").iterdir():  # as after a kill: the log is ahead of the checkpoint
+            shutil.copy(path, before / "tensorboard")
+        session.resume(before, 7, workers=1)
+        found = logged(before / "tensorboard")
+        assert all([step for step, _ in rows] == list(range(1, 8)) for rows in found.values())
+        shutil.rmtree(before / "tensorboard")
+        assert contents(before) == contents(plain)
+        with (plain / "episodes.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        goals = [row["ending"] == "goal" for row in rows]
+        expected = {
+            "episode/return": [float(row["return"]) for row in rows],
+            "episode/steps": [float(row["steps"]) for row in rows],
+            "learning/td_error": [float(row["td_error"]) for row in rows],
+            "learning/temperature": [float(row["temperature"]) for row in rows],
+            "success/last_100": [np.mean(goals[:done]) for done in range(1, 8)],
+        }
+        for name, values in expected.items():
+            assert [value for _, value in found[name]] == pytest.approx(values, rel=1e-6), name
+        shares = [sum(found[f"endings_of_last_100/{ending}"][i][1] for ending in ENDINGS) for i in range(7)]
+        assert shares == pytest.approx([1.0] * 7)
+        assert all(speed > 0 for _, speed in found["speed/steps_per_second"])
+
+    def test_a_log_that_begins_late_has_the_episodes_before(self, tmp_path: Path) -> None:
+        train(tmp_path / "run", **small("nnql", episodes=2))
+        session.resume(tmp_path / "run", 4, workers=1, log="tensorboard")
+        assert [step for step, _ in logged(tmp_path / "run" / "tensorboard")["episode/return"]] == [1, 2, 3, 4]
+
+    def test_starting_anew_removes_an_older_log(self, tmp_path: Path) -> None:
+        config = load_config("paper", small("nnql", episodes=1))
+        session.train(config, tmp_path / "run", log="tensorboard")
+        session.train(config, tmp_path / "run", overwrite=True)
+        assert not (tmp_path / "run" / "tensorboard").exists()
+
+    def test_a_function_receives_the_same(self, tmp_path: Path) -> None:
+        told: list[tuple[int, float]] = []
+        config = load_config("paper", small("q_table", episodes=3))
+        run = session.train(config, tmp_path / "run", log=lambda done, its: told.append((done, its["episode/return"])))
+        assert told == [(i, e.summary.episode_return) for i, e in enumerate(run.episodes, 1)]
+
+    def test_without_the_library_it_is_refused_before_anything_is_written(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        monkeypatch.setitem(sys.modules, "nnql_bullet.training.tensorboard", None)
+        with pytest.raises(UserError, match=r"tensorboardX is not installed; .*\[log\]"):
+            session.train(load_config("paper", small("nnql")), tmp_path / "run", log="tensorboard")
+        assert not (tmp_path / "run").exists()
 
 
 class TestRefused:

@@ -31,6 +31,7 @@ def train(
     workers: int | None = 1,
     overwrite: bool = False,
     check: bool = True,
+    log: session.LogLike | None = None,
     on_progress: OnProgress | None = None,
     stop: Callable[[], bool] = never,
     **changes: Any,
@@ -54,6 +55,8 @@ def train(
             core. The result does not depend on it.
         overwrite: Whether to start anew in a folder that holds a run already.
         check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
+        log: "tensorboard" writes a log for TensorBoard into the run folder; a function receives the same: the number of
+            finished episodes, and numbers by name. The result does not depend on it.
         on_progress: Receives the progress after every episode.
         stop: Asked after every episode; True ends the training with a checkpoint to resume from.
         **changes: Keys of the configuration, with nested tables as mappings: seed, episodes, start_from, world,
@@ -81,6 +84,7 @@ def train(
             reward=reward,
             workers=workers,
             overwrite=overwrite,
+            log=log,
             on_progress=on_progress or silent,
             stop=stop,
         )
@@ -95,6 +99,7 @@ def resume(
     agent: Policy | None = None,
     reward: Reward | None = None,
     workers: int | None = 1,
+    log: session.LogLike | None = None,
     on_progress: OnProgress | None = None,
     stop: Callable[[], bool] = never,
 ) -> Run:
@@ -112,6 +117,7 @@ def resume(
         agent: The agent of your own that the run was begun with, if it was.
         reward: The reward of your own, likewise.
         workers: See `train`.
+        log: See `train`; a log for TensorBoard that the run has goes on by default.
         on_progress: See `train`.
         stop: See `train`.
 
@@ -126,6 +132,7 @@ def resume(
             agent=agent,
             reward=reward,
             workers=workers,
+            log=log,
             on_progress=on_progress or silent,
             stop=stop,
         )

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -28,6 +28,7 @@ def train(
     overwrite: bool = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     check: bool = True,
+    log: Literal["tensorboard"] | None = None,
     keys: Annotated[Mapping[str, Any], KeyFlags()] = MappingProxyType({}),
 ) -> int:
     """Train the vehicle, headless, and leave a run folder.
@@ -60,6 +61,7 @@ def train(
         resume: Continue the run in this folder as if it had never stopped (sb3_dqn redoes it first).
         overwrite: Start anew in a folder that holds a run already.
         workers: Processes (kinematic: threads); default one a core. They do not change the result.
+        log: Also write returns, success, endings, errors and speed into RUN/tensorboard; a resumed run goes on with it.
         check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Keys of the configuration.
     """
@@ -99,7 +101,7 @@ def train(
 
         try:
             if resume is not None:
-                api.resume(folder, total, workers=workers, on_progress=shown, stop=stop)
+                api.resume(folder, total, workers=workers, log=log, on_progress=shown, stop=stop)
             else:
                 api.train(
                     resolved,
@@ -107,6 +109,7 @@ def train(
                     workers=workers,
                     overwrite=overwrite,
                     check=check,
+                    log=log,
                     on_progress=shown,
                     stop=stop,
                 )

@@ -1,0 +1,25 @@
+"""What a training tells a log after each episode."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from nnql_bullet.task import ENDINGS
+from nnql_bullet.training.base import RECENT, TrainingEpisode
+
+Log = Callable[[int, Mapping[str, float]], None]
+"""Receives how many episodes are finished, and numbers by name."""
+TENSORBOARD: Final = "tensorboard"
+"""Folder of TensorBoard's log in a run folder."""
+
+
+def scalars(episodes: Sequence[TrainingEpisode], done: int) -> dict[str, float]:
+    """Returns the numbers of a training when so many of its episodes are finished, by name."""
+    last, recent = episodes[done - 1], episodes[max(done - RECENT, 0) : done]
+    shares = {name: sum(e.summary.ending == name for e in recent) / len(recent) for name in ENDINGS}
+    return {
+        "episode/return": last.summary.episode_return,
+        "episode/steps": float(last.summary.steps),
+        f"success/last_{RECENT}": shares["goal"],
+        **{f"endings_of_last_{RECENT}/{name}": share for name, share in shares.items()},
+        **{f"learning/{name}": value for name, value in last.diagnostics.items()},
+    }
