@@ -1,6 +1,7 @@
 """Makes the objects of a run from its configuration."""
 
 import math
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property, partial
@@ -15,8 +16,8 @@ from nnql_bullet.geometry import Pose, as_rows, bearing, clearance_at
 from nnql_bullet.machine import allowed_cores, may_start_processes
 from nnql_bullet.planning.course import Course
 from nnql_bullet.planning.planner import Planner
-from nnql_bullet.rollout import Policy
-from nnql_bullet.run_config import RunConfig, changed, migrated
+from nnql_bullet.rollout import Policy, run_episodes
+from nnql_bullet.run_config import RunConfig, SimulatorName, changed, migrated
 from nnql_bullet.seeding import Stream, rng, training_world_seed
 from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Simulator
@@ -28,14 +29,20 @@ from nnql_bullet.sim.workers import WorkerSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.base import Trainer, TrainsItself
 from nnql_bullet.training.checkpoint import Weights, load_weights, policy_file
+from nnql_bullet.training.evaluation import Evaluation
 from nnql_bullet.training.loop import Training
-from nnql_bullet.training.selection import Candidates, count_goals
+from nnql_bullet.training.selection import Candidates, count_goals, seeds
 from nnql_bullet.vehicle.controller import DriveOptions, own_speed
 from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import load_vehicle
-from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.source import World, WorldLike
 from nnql_bullet.worlds.spec import WorldSpec
+
+EVALUATION_WORLDS = 20
+"""Worlds of each kind that an evaluation between training episodes drives in, unless a number is given."""
+EVALUATION_VEHICLES = 256
+"""Most vehicles that an evaluation between training episodes drives at once."""
 
 
 def at_own_speed(config: RunConfig, vehicle: VehicleSpec) -> RunConfig:
@@ -142,11 +149,25 @@ class Experiment:
             UserError: If there is no such world.
         """
         selection = self.config.training.selection
-        if selection is None:
+        return self._validation_worlds(selection.worlds, selection.count) if selection else []
+
+    @cached_property
+    def evaluation_worlds(self) -> list[WorldSpec]:
+        """The validation worlds of evaluations between training episodes; none without these.
+
+        Raises:
+            UserError: If there is no such world.
+        """
+        training = self.config.training
+        if training.evaluate_every is None:
             return []
-        names = selection.worlds or self.config.training.worlds or (self.config.world,)
-        sources = [self.kind(name, name != self.config.world) for name in dict.fromkeys(names)]
-        return [self.draw(source, seed) for source in sources for seed in selection.seeds]
+        return self._validation_worlds(training.evaluate_worlds or (), training.evaluate_count or EVALUATION_WORLDS)
+
+    def _validation_worlds(self, names: Sequence[WorldLike], count: int) -> list[WorldSpec]:
+        """Validation worlds of some kinds, or of those of the training if none is named."""
+        named = names or self.config.training.worlds or (self.config.world,)
+        sources = [self.kind(name, name != self.config.world) for name in dict.fromkeys(named)]
+        return [self.draw(source, seed) for source in sources for seed in seeds(count)]
 
     def draw(self, source: World, seed: int) -> WorldSpec:
         """Draws the world of a seed, of a kind that `kind` read.
@@ -182,7 +203,7 @@ class Experiment:
     @cached_property
     def simulator(self) -> Simulator:
         """A simulator of one vehicle in this process."""
-        return self._simulator(1, 1)
+        return self._simulator(self.config.simulator, 1, 1)
 
     @cached_property
     def navigation(self) -> Navigation:
@@ -214,22 +235,22 @@ class Experiment:
         Raises:
             UserError: If the number of workers is not positive.
         """
-        workers = allowed_cores() if workers is None else workers
-        if workers < 1:
-            raise UserError(f"workers must be at least 1, not {workers}")
-        return self._simulator(self.config.vehicles, workers)
+        return self._simulator(self.config.simulator, self.config.vehicles, workers)
 
     def new_training_simulator(self, workers: int | None = None) -> Simulator:
         """Makes a simulator like `new_simulator`, with the domain randomization of the training."""
         simulator, randomization = self.new_simulator(workers), self.config.training.domain_randomization
         return RandomizedSimulator(simulator, randomization) if randomization.any else simulator
 
-    def _simulator(self, size: int, workers: int) -> Simulator:
+    def _simulator(self, name: SimulatorName, size: int, workers: int | None) -> Simulator:
         c, faults = self.config, self.config.conditions.sensor_faults
-        if c.simulator == "kinematic":
+        workers = allowed_cores() if workers is None else workers
+        if workers < 1:
+            raise UserError(f"workers must be at least 1, not {workers}")
+        if name == "kinematic":
             simulator: Simulator = KinematicSimulator(self.vehicle, c.drive, size, workers)
         else:
-            make = partial(contact_simulator, c.simulator, c.physics, self.vehicle, c.drive)
+            make = partial(contact_simulator, name, c.physics, self.vehicle, c.drive)
             workers = min(workers, size) if may_start_processes() else 1
             simulator = make(size) if workers == 1 else WorkerSimulator(make, size, workers)
         return FaultySimulator(simulator, faults) if faults.any else simulator
@@ -310,6 +331,17 @@ class Experiment:
         if isinstance(agent, TrainsItself):
             return agent.make_trainer(navigation, world_of, seed)
         return Training(self.learning_agent, navigation, world_of, seed)
+
+    def evaluate(self, episodes: int, workers: int | None = None) -> Evaluation:
+        """Drives the agent greedily, as it is after so many episodes, in `evaluation_worlds`, in the kinematic model.
+
+        Raises:
+            UserError: If there is no worker.
+        """
+        worlds = self.evaluation_worlds
+        with closing(self._simulator("kinematic", min(len(worlds), EVALUATION_VEHICLES), workers)) as simulator:
+            summaries = run_episodes(self.new_navigation(simulator), worlds, self.trainable)
+        return Evaluation(episodes, sum(summary.ending == "goal" for summary in summaries), len(worlds))
 
     def try_out(self, candidates: Candidates, workers: int | None = None) -> dict[int, int]:
         """Counts the `selection_worlds` in which each candidate reaches its target, in the kinematic model.

@@ -21,7 +21,7 @@ from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.sim.faults import SensorFaults
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.training.selection import SelectionOptions
-from nnql_bullet.types import Count, NonNegative, Number, Positive, Seed, Vehicles
+from nnql_bullet.types import Count, Few, NonNegative, Number, Positive, Seed, Vehicles
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -108,13 +108,31 @@ class Conditions:
 
 @options
 class TrainingOptions:
-    """Options of training episodes and of the selection of the policy."""
+    """Options of training episodes, of evaluations between them and of the selection of the policy."""
 
     worlds: tuple[WorldLike, ...] = ()
     """Kinds of worlds that replace the run's world; each episode draws one of them."""
     domain_randomization: DomainRandomization = DomainRandomization()
     selection: SelectionOptions | None = None
     """Selection of the policy among late states of the training; by default the last state is the policy."""
+    evaluate_every: Count | None = None
+    """Episodes from one evaluation in validation worlds, in the kinematic model, to the next; by default there is none.
+    """
+    evaluate_worlds: tuple[WorldLike, ...] | None = None
+    """Shipped worlds or TOML files to evaluate in; by default those of the training."""
+    evaluate_count: Few | None = None
+    """Validation worlds of each kind; by default 20."""
+    stop_at_success: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Share of targets reached in an evaluation that ends the training; by default none does."""
+    patience: Few | None = None
+    """Evaluations in a row, none better than the best before, that end the training; by default none do."""
+
+    def __post_init__(self) -> None:
+        """Refuses keys of evaluations where there are none."""
+        needing = ("evaluate_worlds", "evaluate_count", "stop_at_success", "patience")
+        given = [key for key in needing if getattr(self, key) is not None]
+        if given and self.evaluate_every is None:
+            raise ValueError(f"{given[0]} needs evaluations; give evaluate_every too")
 
 
 @options

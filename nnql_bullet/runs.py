@@ -8,6 +8,7 @@
   with a selection (`training/selection.py`) the candidates too
 - policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
 - selection.csv: with a selection, the goals of each candidate, once the training is over
+- evaluations.csv: with evaluations between the episodes (`training/evaluation.py`), a line for each
 - learning_curve.png: the verb `train` draws it when the training stops
 - tensorboard/: with `--log tensorboard`, a log; it is outside of what equal trainings have in common
 - .lock: while a process trains there, which process it is
@@ -42,12 +43,14 @@ from nnql_bullet.sources import ROBOT, SOURCES, START, changed_robots, changed_w
 from nnql_bullet.task import REWARD_TERMS
 from nnql_bullet.training.base import Trainer, TrainingEpisode
 from nnql_bullet.training.checkpoint import POLICY, Weights, load_weights, policy_file, save_weights
+from nnql_bullet.training.evaluation import Evaluation, reason_to_stop
 from nnql_bullet.training.log import TENSORBOARD
 from nnql_bullet.training.selection import Candidates, most_goals
 from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 LEARNING_CURVE, SELECTION, REPORT = "learning_curve.png", "selection.csv", "report.html"
+EVALUATIONS = "evaluations.csv"
 _log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
@@ -75,6 +78,8 @@ class Run:
     """Finished so far."""
     candidates: Candidates = field(default_factory=dict)
     """Late states to select the policy from."""
+    evaluations: list[Evaluation] = field(default_factory=list)
+    """Made so far."""
     state: State | None = None
     """At its last checkpoint; None before the first."""
 
@@ -88,9 +93,20 @@ class Run:
         return load_policy(self.folder)
 
     @property
+    def stopped_early(self) -> str:
+        """Why it is over before all its episodes are done; empty if it is not."""
+        training = self.config.training
+        return reason_to_stop(self.evaluations, training.stop_at_success, training.patience)
+
+    @property
+    def is_trained(self) -> bool:
+        """Whether nothing is left to learn: all its episodes are done, or an evaluation has ended it."""
+        return len(self.episodes) == self.config.episodes or bool(self.stopped_early)
+
+    @property
     def is_over(self) -> bool:
-        """Whether all its episodes are done, and its policy is what was learned or, if so configured, selected."""
-        if len(self.episodes) != self.config.episodes or not (self.folder / POLICY).is_file():
+        """Whether it is trained, and its policy is what was learned or, if so configured, selected."""
+        if not self.is_trained or not (self.folder / POLICY).is_file():
             return False
         if self.config.training.selection:
             return (self.folder / SELECTION).is_file()
@@ -109,7 +125,7 @@ class Run:
         if start is not None and policy_file(start).resolve().parent == folder.resolve():
             raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
-        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD}:
+        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD, EVALUATIONS}:
             if not overwrite:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if CONFIG not in found:
@@ -117,7 +133,7 @@ class Run:
         if (folder / TENSORBOARD).is_dir():
             shutil.rmtree(folder / TENSORBOARD)
         # The checkpoint can restore the files before it.
-        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EPISODES):
+        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
             (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
@@ -134,6 +150,9 @@ class Run:
         for old in (SELECTION, REPORT):
             (self.folder / old).unlink(missing_ok=True)
         write_text(self.folder / EPISODES, _as_csv(self.episodes))
+        if self.evaluations:
+            lines = [f"{one.episodes},{one.goals},{one.worlds}" for one in self.evaluations]
+            write_text(self.folder / EVALUATIONS, "\n".join(["episodes,goals,worlds", *lines, ""]))
         config, done, learned = to_values(self.config), len(self.episodes), agent.state_dict()
         under_way = {_UNDER_WAY + name: values for name, values in training.state_dict().items()}
         candidates = {
@@ -370,12 +389,13 @@ def load_run(folder: Path | str, episodes: int | None = None) -> Run:
         trained = parse(RunConfig, migrated(weights.config), str(folder / CHECKPOINT))
         if replace(trained, episodes=config.episodes) != config or len(rows) != weights.episodes:
             raise UserError(f"{folder}: {CHECKPOINT} does not belong to its {CONFIG} and {EPISODES}; train anew")
+        evaluations = _read_evaluations(folder / EVALUATIONS, weights.episodes, config.training.evaluate_every)
         parts = weights.arrays.items()
         state = State(
             learned={name: values for name, values in parts if not name.startswith((_UNDER_WAY, _CANDIDATE))},
             under_way={name.removeprefix(_UNDER_WAY): values for name, values in parts if name.startswith(_UNDER_WAY)},
         )
-        run = Run(folder, config, rows, _candidates(weights.arrays), state)
+        run = Run(folder, config, rows, _candidates(weights.arrays), evaluations, state)
     if episodes is None:
         return run
     if episodes < len(run.episodes):
@@ -419,6 +439,25 @@ def _read_csv(path: Path) -> list[TrainingEpisode]:
             return [_episode(row, terms, [name for name in others if name not in terms]) for row in rows]
     except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
         raise UserError(f"{path}: damaged or missing ({error}); the run cannot be gone on with") from None
+
+
+def _read_evaluations(path: Path, episodes: int, every: int | None) -> list[Evaluation]:
+    """Reads the evaluations that were made in so many episodes.
+
+    Raises:
+        UserError: If one is missing or damaged.
+    """
+    done = range(every, episodes + 1, every) if every else ()
+    if not done:
+        return []
+    try:
+        with plain_file(path).open(encoding="utf-8-sig", newline="") as file:
+            rows = [Evaluation(**{name: int(value) for name, value in row.items()}) for row in csv.DictReader(file)]
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise UserError(f"{path}: damaged or missing ({error}); the run cannot be gone on with") from None
+    if [one.episodes for one in rows[: len(done)]] != list(done) or any(one.worlds < 1 for one in rows):
+        raise UserError(f"{path}: its evaluations are not those of {episodes} episodes; the run cannot be gone on with")
+    return rows[: len(done)]
 
 
 def _episode(row: dict[str, str], terms: list[str], diagnostics: list[str]) -> TrainingEpisode:

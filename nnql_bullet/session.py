@@ -175,7 +175,8 @@ class _Session:
         check(config)
         agent = experiment.trainable
         experiment.training_world(0)
-        experiment.selection_worlds  # noqa: B018 (raises if a world is wrong)
+        for worlds in ("selection_worlds", "evaluation_worlds"):
+            getattr(experiment, worlds)  # raises if a world is wrong
         with _one_thread:
             with closing(experiment.new_training_simulator(self.workers)) as simulator:
                 navigation = experiment.new_navigation(simulator, self.reward)
@@ -196,19 +197,22 @@ class _Session:
                 hopeless = next(filter(None, map(experiment.out_of_reach, experiment.training_sources)), "")
                 if hopeless:
                     _log.warning("%s", hopeless)
-                if len(run.episodes) < config.episodes:
+                if not run.is_trained:
                     with (
                         open_log(run) as tell,
                         np.errstate(over="ignore", invalid="ignore", divide="ignore"),  # `_check_finite` says it
                     ):
                         self._train(agent, trainer, tell)
+                    if run.stopped_early:
+                        done = len(run.episodes)
+                        _log.info("over after %d of %d episodes: %s", done, config.episodes, run.stopped_early)
                 elif not config.training.selection:  # the run ended before its last policy was written
                     run.save_policy(agent.state_dict())
-                enough = hopeless or RECENT <= len(run.episodes) == config.episodes
+                enough = hopeless or (run.is_trained and len(run.episodes) >= RECENT)
                 if enough and not any(e.summary.ending == "goal" for e in run.episodes):
                     reason = hopeless or "look at the endings in episodes.csv"
                     _log.warning("none of %d episodes reached its target; %s", len(run.episodes), reason)
-            if len(run.episodes) == config.episodes and config.training.selection:
+            if run.is_trained and config.training.selection:
                 self._select(experiment, config.training.selection)
         return load_run(run.folder)
 
@@ -219,7 +223,8 @@ class _Session:
             WorkerDied: If a worker process died; a checkpoint is written before.
         """
         run, begin = self.run, time.monotonic()
-        total, selection = run.config.episodes, run.config.training.selection
+        total, training = run.config.episodes, run.config.training
+        selection, every = training.selection, training.evaluate_every
         recent = deque((e.summary.ending == "goal" for e in run.episodes[-RECENT:]), maxlen=RECENT)
         steps, saved = 0, begin
         schedule = getattr(run.config.agent, "schedule_episodes", total)
@@ -235,8 +240,6 @@ class _Session:
                 rate = steps / max(now - begin, 1e-9)
                 note = f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s"
                 self.on_progress(Progress("training", done, total, note))
-                if tell:
-                    tell(done, {**scalars(run.episodes, done), "speed/steps_per_second": rate})
                 if done == schedule < total and not any(recent):
                     _log.warning(
                         "the schedule is over after %d episodes, and none of the last %d reached its target; "
@@ -244,8 +247,12 @@ class _Session:
                         done,
                         len(recent),
                     )
-                over = done == total or self.stop()
                 self._check_finite({"td_error": episode.diagnostics.get("td_error", 0.0)})
+                if every and done % every == 0:
+                    run.evaluations.append(self.experiment.evaluate(done, self.workers))
+                if tell:
+                    tell(done, {**scalars(run.episodes, run.evaluations, done), "speed/steps_per_second": rate})
+                over = run.is_trained or self.stop()
                 if over or now - saved >= SAVE_EVERY:
                     self._check_finite(agent.state_dict())
                     run.save(agent, trainer)
@@ -300,7 +307,7 @@ def _opener(log: LogLike | None) -> Callable[[Run], AbstractContextManager[Log |
         from nnql_bullet.training.tensorboard import TensorBoardLog
     except ImportError:
         raise missing_library("tensorboardX", "log") from None
-    return lambda run: closing(TensorBoardLog(run.folder / TENSORBOARD, run.episodes))
+    return lambda run: closing(TensorBoardLog(run.folder / TENSORBOARD, run.episodes, run.evaluations))
 
 
 def _check_terms(run: Run, navigation: Navigation) -> None:

@@ -103,8 +103,7 @@ def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
     Raises:
         UserError: If a file cannot be read.
     """
-    said: list[Any] = [to_values(World.load(name)) for name in _world_files(config, worlds)]
-    said += [sha256(_policy_bytes(config.start_from)).hexdigest()] if config.start_from is not None else []
+    said = [to_values(World.load(name)) for name in _world_files(config, worlds)]
     robot = load_vehicle(config.robot).digest if is_file(config.robot) else ""
     return sha256(json.dumps([robot, said], sort_keys=True).encode()).hexdigest()[:16] if said or robot else ""
 
@@ -120,6 +119,9 @@ def located(config: RunConfig, folder: Path) -> RunConfig:
     changes: dict[str, Any] = {"robot": robot, "training": {}}
     changes["world"] = _kept(config.world, sources)
     changes["training"]["worlds"] = [_kept(world, sources) for world in config.training.worlds]
+    if config.training.evaluate_worlds:
+        evaluated = [_kept(world, sources) for world in config.training.evaluate_worlds]
+        changes["training"]["evaluate_worlds"] = evaluated
     if config.training.selection:
         selection = [_kept(world, sources) for world in config.training.selection.worlds]
         changes["training"]["selection"] = {"worlds": selection}
@@ -212,8 +214,9 @@ def read_sources(folder: Path) -> Sources:
 
 
 def _world_files(config: RunConfig, worlds: Sequence[str] = ()) -> list[str]:
-    selection = config.training.selection
-    named = (config.world, *config.training.worlds, *(selection.worlds if selection else ()), *worlds)
+    training = config.training
+    selection = training.selection.worlds if training.selection else ()
+    named = (config.world, *training.worlds, *selection, *(training.evaluate_worlds or ()), *worlds)
     return [name for name in dict.fromkeys(named) if isinstance(name, str) and is_file(name)]
 
 

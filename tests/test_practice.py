@@ -21,10 +21,12 @@ from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
+from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.runs import Run
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sources import changed_sources
 from nnql_bullet.task import ENDINGS
+from nnql_bullet.training.evaluation import Evaluation, reason_to_stop
 
 Cli = Callable[..., tuple[int, str, str]]
 
@@ -249,6 +251,111 @@ class TestLog:
         with pytest.raises(UserError, match=r"tensorboardX is not installed; .*\[log\]"):
             session.train(load_config("paper", small("nnql")), tmp_path / "run", log="tensorboard")
         assert not (tmp_path / "run").exists()
+
+
+def evaluations(*goals: int) -> list[Evaluation]:
+    return [Evaluation(10 * i, its, 20) for i, its in enumerate(goals, 1)]
+
+
+class TestEvaluations:
+    @pytest.mark.parametrize("kind", list(KINDS))
+    def test_they_change_nothing_and_go_on_as_if_never_stopped(
+        self, kind: str, policies: Callable[[str], Path], tmp_path: Path
+    ) -> None:
+        plain = policies(kind)
+        asked = small(kind, training={"evaluate_every": 2, "evaluate_count": 3})
+        whole = train(tmp_path / "whole", **asked)
+        train(tmp_path / "parts", **{**asked, "episodes": 3})
+        session.resume(tmp_path / "parts", 6, workers=1)
+        assert contents(tmp_path / "parts") == contents(whole.folder)
+        assert [(one.episodes, one.worlds) for one in whole.evaluations] == [(2, 3), (4, 3), (6, 3)]
+        for name in ("checkpoint.safetensors", "policy.safetensors"):
+            assert same(load_file(whole.folder / name), load_file(plain / name))
+        assert (whole.folder / "episodes.csv").read_bytes() == (plain / "episodes.csv").read_bytes()
+
+    def test_each_is_that_of_a_run_stopped_there(self, small_world: Path, tmp_path: Path) -> None:
+        keys = {"world": str(small_world), "task": {"max_steps": 60}, "seed": 7}
+        evaluated = {"evaluate_every": 4, "evaluate_count": 4, "evaluate_worlds": [str(small_world), "empty"]}
+        run = train(tmp_path / "run", **small("nnql", **keys, episodes=8, training=evaluated))
+        expected = []
+        for episodes in (4, 8):
+            policy = train(tmp_path / str(episodes), **small("nnql", **keys, episodes=episodes)).policy
+            endings = [
+                nb.drive(policy, world=world, seed=seed, simulator="kinematic").about["ending"]
+                for world in (str(small_world), "empty")
+                for seed in range(99_996, 100_000)
+            ]
+            expected.append(Evaluation(episodes, endings.count("goal"), 8))
+        assert run.evaluations == expected
+        assert (run.folder / "evaluations.csv").read_text().splitlines() == [
+            "episodes,goals,worlds",
+            *(f"{one.episodes},{one.goals},8" for one in expected),
+        ]
+
+    @pytest.mark.parametrize(
+        ("goals", "success", "patience", "stops"),
+        [
+            ((), 0.1, 1, False),
+            ((18, 19), 0.95, None, True),
+            ((18, 18), 0.95, None, False),
+            ((5, 7, 7, 6), None, 2, True),
+            ((5, 7, 7), None, 2, False),
+            ((5, 7, 6, 8), None, 2, False),
+            ((0, 0), None, 1, True),
+            ((20,), None, 1, False),
+            ((20, 20), None, None, False),
+        ],
+    )
+    def test_what_ends_a_training(
+        self, goals: tuple[int, ...], success: float | None, patience: int | None, stops: bool
+    ) -> None:
+        assert bool(reason_to_stop(evaluations(*goals), success, patience)) == stops
+
+    def test_a_training_that_is_good_enough_stops_selects_and_stays_over(self, run_cli: Cli, tmp_path: Path) -> None:
+        config = tmp_path / "config.toml"
+        config.write_text(
+            'world = "empty"\nsimulator = "kinematic"\nvehicles = 2\n[task]\nmax_steps = 200\n[training]\n'
+            "evaluate_every = 2\nevaluate_count = 2\nstop_at_success = 1.0\n[training.selection]\ncount = 2\n"
+        )
+        out = tmp_path / "run"
+        code, said, err = run_cli("train", "--config", config, "--episodes", 9, "--workers", 1, "--out", out)
+        assert code == 0
+        assert "over after 2 of 9 episodes: 2 goals in 2 validation worlds are enough" in err
+        assert f"policy: {out / 'policy.safetensors'}" in said
+        assert len(nb.load_run(out).episodes) == nb.load_policy(out).episodes == 2
+        assert (out / "selection.csv").is_file()
+        before = contents(out)
+        code, said, _ = run_cli("train", "--resume", out, "--episodes", 20)
+        assert (code, said.strip()) == (
+            0,
+            f"{out} is over after 2 episodes: 2 goals in 2 validation worlds are enough",
+        )
+        assert contents(out) == before
+
+    def test_they_are_logged(self, tmp_path: Path) -> None:
+        config = load_config("paper", small("nnql", training={"evaluate_every": 2, "evaluate_count": 1}))
+        run = session.train(config, tmp_path / "run", workers=1)
+        session.resume(tmp_path / "run", 8, workers=1, log="tensorboard")
+        assert logged(run.folder / "tensorboard")["success/validation"] == [(i, 0.0) for i in (2, 4, 6, 8)]
+
+    @pytest.mark.parametrize("key", ["patience", "stop_at_success", "evaluate_worlds", "evaluate_count"])
+    def test_keys_of_evaluations_without_these_are_refused(self, key: str) -> None:
+        value = {"patience": 3, "stop_at_success": 0.5, "evaluate_worlds": ["traps"], "evaluate_count": 3}[key]
+        with pytest.raises(UserError, match=f"{key} needs evaluations; give evaluate_every too"):
+            load_config("paper", {"training": {key: value}})
+
+    @pytest.mark.parametrize("text", ["", "episodes,goals,worlds\n", "episodes,goals,worlds\n2,x,1\n", "a\n1\n"])
+    def test_a_damaged_table_is_refused(self, text: str, tmp_path: Path) -> None:
+        train(tmp_path / "run", **small("nnql", training={"evaluate_every": 2, "evaluate_count": 1}))
+        (tmp_path / "run" / "evaluations.csv").write_text(text)
+        with pytest.raises(UserError, match=r"evaluations\.csv: "):
+            nb.load_run(tmp_path / "run")
+
+    def test_the_learning_curve_shows_them(self, tmp_path: Path) -> None:
+        run = train(tmp_path / "run", **small("q_table", episodes=2))
+        draw_learning_curve(run.episodes, tmp_path / "with.png", evaluations=[Evaluation(2, 1, 2)])
+        draw_learning_curve(run.episodes, tmp_path / "without.png")
+        assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
 
 
 class TestRefused:

@@ -26,7 +26,7 @@ from nnql_bullet.run_config import changed
 from nnql_bullet.runs import load_policy
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import ENDINGS
-from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals
+from nnql_bullet.training.selection import Candidates, SelectionOptions, finalists, keep, most_goals, seeds
 
 Cli = Callable[..., tuple[int, str, str]]
 Train = Callable[..., tuple[int, str, str]]
@@ -57,7 +57,7 @@ class TestCandidates:
         assert most_goals(goals) == best
 
     def test_it_is_tried_in_the_last_validation_worlds(self) -> None:
-        assert SelectionOptions(count=3).seeds == range(99_997, 100_000)
+        assert seeds(3) == range(99_997, 100_000)
 
     @pytest.mark.parametrize(
         ("changes", "names"),

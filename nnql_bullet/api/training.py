@@ -141,5 +141,5 @@ def resume(
 
 def _with_curve(run: Run) -> Run:
     if run.episodes:
-        draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE)
+        draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE, evaluations=run.evaluations)
     return run

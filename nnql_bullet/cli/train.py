@@ -74,7 +74,8 @@ def train(
         folder, total = resume, run.config.episodes
         if run.is_over:
             api.resume(folder, total)  # draws the learning curve, which a run that was killed may be without
-            say(f"{folder} has its {total} episodes already; give more with --episodes")
+            early = f"{folder} is over after {len(run.episodes)} episodes: {run.stopped_early}"
+            say(early if run.stopped_early else f"{folder} has its {total} episodes already; give more with --episodes")
             return 0
     else:
         # A world that is asked for takes the place of a mix of worlds.

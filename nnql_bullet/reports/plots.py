@@ -26,6 +26,7 @@ from nnql_bullet.reports.drawing import (
 from nnql_bullet.run_config import DEFAULT_ROBOT
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.evaluation import Evaluation
 from nnql_bullet.worlds.spec import WorldSpec
 
 BAND_PLACES = 400
@@ -61,8 +62,10 @@ def draw_trajectory(recording: Recording, path: Path) -> None:
         legend_below(figure, len(handles), handles)
 
 
-def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window: int = 50) -> None:
-    """Draws endings, returns and path lengths of training episodes, as means over a trailing window.
+def draw_learning_curve(
+    episodes: Sequence[TrainingEpisode], path: Path, window: int = 50, evaluations: Sequence[Evaluation] = ()
+) -> None:
+    """Draws endings, returns and path lengths of training episodes, as means over a trailing window, and evaluations.
 
     With several vehicles, episodes are ordered by their end, and temperatures by their beginning.
     """
@@ -73,6 +76,10 @@ def draw_learning_curve(episodes: Sequence[TrainingEpisode], path: Path, window:
         for name, colour in colours.ENDINGS.items():
             share = np.array([100.0 * (e.summary.ending == name) for e in episodes])
             ends.plot(number, _trailing_mean(share, window), color=colour, lw=1.8, label=name)
+        if evaluations:
+            rates = [100.0 * one.success for one in evaluations]
+            label = "goal, validation"
+            ends.plot([one.episodes for one in evaluations], rates, "o-", color=INK, ms=4, lw=1.0, label=label)
         ends.set(ylabel="episodes [%]", ylim=(-2, 102))
         ends.legend(loc="center left", frameon=False)
         temperature = np.array([e.diagnostics.get("temperature", np.nan) for e in episodes])

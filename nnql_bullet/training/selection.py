@@ -10,9 +10,6 @@ that nothing was chosen on.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
-
-from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.env import Navigation
@@ -39,13 +36,13 @@ class SelectionOptions:
     stopped and resumed."""
     worlds: tuple[WorldLike, ...] = ()
     """Shipped worlds or TOML files to try them in, each once; by default those of the training."""
-    count: Annotated[int, Field(ge=1, le=1000)] = 100
+    count: Few = 100
     """Validation worlds of each kind."""
 
-    @property
-    def seeds(self) -> range:
-        """Seeds of the validation worlds."""
-        return VALIDATION_WORLDS[-self.count :]
+
+def seeds(count: int) -> range:
+    """Seeds of so many validation worlds of each kind."""
+    return VALIDATION_WORLDS[-count:]
 
 
 def keep(candidates: Candidates, episodes: int, agent: Trainable, options: SelectionOptions) -> None:

@@ -9,6 +9,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.evaluation import Evaluation
 from nnql_bullet.training.log import scalars
 
 
@@ -18,19 +19,20 @@ class TensorBoardLog:
     When a training goes on from a checkpoint, readers are told to forget what was logged after it.
     """
 
-    def __init__(self, folder: Path, finished: Sequence[TrainingEpisode]) -> None:
+    def __init__(self, folder: Path, finished: Sequence[TrainingEpisode], evaluations: Sequence[Evaluation]) -> None:
         """Opens a file.
 
         Args:
             folder: The log's, which is made if it is not there.
             finished: Episodes that are finished; a log that begins here begins with these.
+            evaluations: That were made between them.
         """
         begins = not folder.is_dir()
         folder.mkdir(parents=True, exist_ok=True)
         self._writer = EventsWriter(str(folder / f"from-{len(finished):09d}"))
         if begins:
             for done in range(1, len(finished) + 1):
-                self._add(done, scalars(finished, done))
+                self._add(done, scalars(finished, evaluations, done))
         else:
             start = SessionLog(status=SessionLog.START)
             self._writer.write_event(Event(wall_time=time.time(), step=len(finished) + 1, session_log=start))
