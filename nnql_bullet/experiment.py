@@ -293,7 +293,7 @@ class Experiment:
         return self.trainable
 
     @cached_property
-    def start(self) -> Weights | None:
+    def first_weights(self) -> Weights | None:
         """The weights that the training begins with; None if the agent draws its own.
 
         Raises:
@@ -326,8 +326,8 @@ class Experiment:
                 cannot begin with the weights that it should.
         """
         agent, world_of, seed = self.trainable, self.training_world, self.config.seed
-        if self.start:
-            agent.load_state_dict(self.start.arrays)
+        if self.first_weights:
+            agent.load_state_dict(self.first_weights.arrays)
         if isinstance(agent, TrainsItself):
             return agent.make_trainer(navigation, world_of, seed)
         return Training(self.learning_agent, navigation, world_of, seed)

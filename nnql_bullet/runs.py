@@ -195,7 +195,7 @@ class Run:
     def go_on(self) -> None:
         """Writes what the folder lacks before it goes on: a run that was cut short in its beginning may lack files."""
         self.save_config()
-        if self.state is None:
+        if self.state is None and not (self.folder / SOURCES).is_file():
             keep_sources(self.config, self.folder)
 
     def save_config(self) -> None:

@@ -188,11 +188,11 @@ class _Session:
                     trainer.load_state_dict(run.state.under_way)
                 prepare(run)
                 _log.info("training %s", _title(config))
-                if experiment.start and not run.state:
+                if experiment.first_weights and not run.state:
                     _log.info(
                         "it begins with what '%s' learned in %d episodes; schedules of exploration and learning rate "
                         "begin anew",
-                        *(config.start_from, experiment.start.episodes),
+                        *(config.start_from, experiment.first_weights.episodes),
                     )
                 hopeless = next(filter(None, map(experiment.out_of_reach, experiment.training_sources)), "")
                 if hopeless:
@@ -239,6 +239,8 @@ class _Session:
                 done, now = len(run.episodes), time.monotonic()
                 rate = steps / max(now - begin, 1e-9)
                 note = f"success {sum(recent) / len(recent):4.0%} of last {len(recent)}  {rate:.0f} steps/s"
+                if run.evaluations:
+                    note += f"  validation {run.evaluations[-1].success:.0%}"
                 self.on_progress(Progress("training", done, total, note))
                 if done == schedule < total and not any(recent):
                     _log.warning(
@@ -250,6 +252,7 @@ class _Session:
                 self._check_finite({"td_error": episode.diagnostics.get("td_error", 0.0)})
                 if every and done % every == 0:
                     run.evaluations.append(self.experiment.evaluate(done, self.workers))
+                    begin += time.monotonic() - now  # the rate is that of the training
                 if tell:
                     tell(done, {**scalars(run.episodes, run.evaluations, done), "speed/steps_per_second": rate})
                 over = run.is_trained or self.stop()

@@ -22,6 +22,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.presets import load_config
 from nnql_bullet.reports.plots import draw_learning_curve
+from nnql_bullet.rollout import run_episode
 from nnql_bullet.runs import Run
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sources import changed_sources
@@ -98,6 +99,20 @@ class TestStart:
         digest = sha256((source / "policy.safetensors").read_bytes()).hexdigest()
         assert json.loads((tmp_path / "whole" / "sources.json").read_text())["start"] == {str(source): digest}
         nb.drive(tmp_path / "whole")
+
+    def test_a_run_without_a_checkpoint_goes_on_with_its_copy(
+        self, policies: Callable[[str], Path], tmp_path: Path
+    ) -> None:
+        source = tmp_path / "mine.safetensors"
+        source.write_bytes((policies("nnql") / "policy.safetensors").read_bytes())
+        whole = train(tmp_path / "whole", **small("nnql", start_from=source))
+        cut = tmp_path / "cut"  # as a kill before the first checkpoint leaves it
+        cut.mkdir()
+        for name in ("config.toml", "sources.json", "start.safetensors"):
+            shutil.copy(whole.folder / name, cut)
+        source.unlink()
+        session.resume(cut, workers=1)
+        assert contents(cut) == contents(whole.folder)
 
     @pytest.mark.parametrize("kind", ["nnql", "q_table", "double_dqn"])
     def test_the_first_decisions_are_those_of_the_policy(self, kind: str, policies: Callable[[str], Path]) -> None:
@@ -280,13 +295,16 @@ class TestEvaluations:
         expected = []
         for episodes in (4, 8):
             policy = train(tmp_path / str(episodes), **small("nnql", **keys, episodes=episodes)).policy
-            endings = [
-                nb.drive(policy, world=world, seed=seed, simulator="kinematic").about["ending"]
-                for world in (str(small_world), "empty")
-                for seed in range(99_996, 100_000)
-            ]
+            endings = []
+            for world in (str(small_world), "empty"):
+                drive = nb.load_policy(policy, {"world": world}).experiment
+                driven = (
+                    run_episode(drive.navigation, drive.world(its), drive.agent) for its in range(99_996, 100_000)
+                )
+                endings += [summary.ending for summary in driven]
             expected.append(Evaluation(episodes, endings.count("goal"), 8))
         assert run.evaluations == expected
+        assert any(one.goals for one in expected)
         assert (run.folder / "evaluations.csv").read_text().splitlines() == [
             "episodes,goals,worlds",
             *(f"{one.episodes},{one.goals},8" for one in expected),
