@@ -144,8 +144,7 @@ class RunConfig:
     episodes: Count = paper.EPISODES
     """Number of training episodes."""
     start_from: str | None = None
-    """A run folder, policy file or shipped policy whose weights the training begins with; by default they are drawn.
-    Schedules of exploration and learning rate begin anew."""
+    """Run folder, policy file or shipped policy whose weights to begin with; schedules begin anew."""
     world: WorldLike = "paper"
     """A shipped world, a path to a TOML file or to a map or world of another program, or a `World`."""
     start: Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)] | None = None

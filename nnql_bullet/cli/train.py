@@ -42,9 +42,6 @@ def train(
     step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
     model.
 
-    --from begins with the weights of a run, policy file or shipped policy, to fine-tune it in another world, vehicle or
-    engine; kind and sizes of the agent have to be its own.
-
     Every key of the configuration is a flag, such as --agent.discount, --speed, --conditions.payload or --rays; to list
     them: nnql-bullet keys --config double_dqn
 
@@ -61,7 +58,7 @@ def train(
         resume: Continue the run in this folder as if it had never stopped (sb3_dqn redoes it first).
         overwrite: Start anew in a folder that holds a run already.
         workers: Processes (kinematic: threads); default one a core. They do not change the result.
-        log: Also write returns, success, endings, errors and speed into RUN/tensorboard; a resumed run goes on with it.
+        log: Also write returns, success, errors and speed into RUN/tensorboard.
         check: Leave out the check of a robot of your own when it is first driven in contact physics.
         keys: Keys of the configuration.
     """
