@@ -663,7 +663,7 @@ class TestEscape:
             assert recovery.recoveries == count
             distance = recovery.led_until - 1.0
 
-    @pytest.mark.parametrize(("width", "place"), [(1.0, 0.0), (1.3, -4.05), (2.0, -3.7)])
+    @pytest.mark.parametrize(("width", "place"), [(1.0, 0.5), (1.3, -4.05), (2.0, -3.7)])
     def test_it_finds_the_only_way_out_of_a_room(
         self,
         kinematic: KinematicSimulator,
