@@ -97,12 +97,13 @@ def drive(
     experiment, config = loaded.experiment, loaded.experiment.config
     if check:
         check_at_first_use(config.robot, config.simulator, config.physics, on_progress)
+    drawn = experiment.world(seed)
     hopeless = experiment.out_of_reach(experiment.worlds)
     if hopeless:
         _log.warning("%s", hopeless)
     recorder = Recorder(experiment.vehicle)
     navigation = experiment.new_navigation(experiment.simulator, reward)
-    summary = run_episode(navigation, experiment.world(seed), experiment.policy, watcher=recorder)
+    summary = run_episode(navigation, drawn, experiment.policy, watcher=recorder)
     experiment.simulator.close()
     return recorder.recording(
         policy=loaded.label,

@@ -47,6 +47,10 @@ def failed_import(error: BaseException) -> str:
     if library in (__package__, "__main__"):
         return ""
     begin = _VARIABLES.get(library, (f"{library.upper()}_",))
-    given = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith(begin)]
+    given = [
+        f"{name}={value}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith(begin) or repr(value) in str(error)  # such as SOURCE_DATE_EPOCH, which NumPy reads
+    ]
     advice = f"mend or unset {', '.join(given)}" if given else "install it again"
     return one_line(f"{library} does not load: {type(error).__name__}: {str(error).rstrip('.')}; {advice}")

@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
-import numba
-from numba.core import event
+from nnql_bullet.machine import private_folder, warned_once
 
-from nnql_bullet.machine import private_folder
+with warned_once():
+    import numba
+    from numba.core import event
 
 F = TypeVar("F", bound=Callable[..., Any])
 

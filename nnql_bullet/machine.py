@@ -5,6 +5,7 @@ import os
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
@@ -121,6 +122,15 @@ def open_streams() -> Iterator[None]:
     finally:
         for one in opened:
             os.close(one)
+
+
+@contextmanager
+def warned_once() -> Iterator[None]:
+    """Ignores warnings in a worker process, for an import of which its parent has warned."""
+    with warnings.catch_warnings():
+        if multiprocessing.current_process().name != "MainProcess":  # its parent is not known before it has imported
+            warnings.simplefilter("ignore")
+        yield
 
 
 @contextmanager

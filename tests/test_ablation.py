@@ -162,7 +162,7 @@ class TestCommand:
         ("arguments", "message"),
         [
             (("--only", "colour"), "only: there is no factor 'colour'; factors: period, front, "),
-            (("--only", ""), "only: there is no factor ''"),
+            (("--only", ""), "--only has an empty value"),
             (("sb3_dqn",), "there is no ablation of 'sb3_dqn'; presets: paper, "),
             (("--seeds", 0), "seeds must be from 1 to 1000, not 0"),
             (("--worlds", 0), "the number of worlds must be from 1 to 1000"),

@@ -256,7 +256,7 @@ class TestHelp:
 
     def test_help_of_training_fits_a_screen(self, run_cli: Cli) -> None:
         out = run_cli("train", "--help")[1]
-        assert len(out.splitlines()) <= 55
+        assert len(out.splitlines()) <= 65
         assert "nnql-bullet keys" in out
         assert "--agent.learning-rate" not in out
 

@@ -239,12 +239,12 @@ class TestMap:
         generator = np.random.default_rng(int(100 * share))
         cells = (generator.random((grid_map.SIZE, grid_map.SIZE)) < share).astype(np.int8)
         at = np.array(corner)
-        assert grid_map.path_lengths(cells, at) == pytest.approx(dijkstra(cells, at), abs=1e-6)
+        assert grid_map.path_lengths(cells, at, np.zeros(2)) == pytest.approx(dijkstra(cells, at), abs=1e-6)
 
     def test_without_anything_seen_the_way_is_the_straight_one(self) -> None:
         """But for the eight directions of steps between cells, which make it up to 8 % longer."""
         corner = np.array([-70, -60])
-        left = grid_map.path_lengths(np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), corner)
+        left = grid_map.path_lengths(np.zeros((grid_map.SIZE, grid_map.SIZE), np.int8), corner, np.zeros(2))
         for place in ((-30.0, -20.0), (-40.5, -12.5), (-27.3, -33.1)):
             assert hypot(*place) - 0.1 <= grid_map.path_length_at(left, corner, *place) <= 1.09 * hypot(*place)
 
@@ -255,7 +255,8 @@ class TestMap:
         cells[middle + 6, middle - 9 : middle + 10] = 1
         cells[middle - 6 : middle + 7, middle - 9] = cells[middle - 6 : middle + 7, middle + 9] = 1
         pose = np.array([[cell * (middle - 99.5), cell / 2, 0.0]])
-        around, ways, progress = grid_map.sensed(cells[None], corner[None], pose, pose[:, :2] - [[1.0, 0.0]])
+        before, target = pose[:, :2] - [[1.0, 0.0]], np.zeros((1, 2))
+        around, ways, progress = grid_map.sensed(cells[None], corner[None], pose, before, target)
         far = around[0, grid_map.BEARINGS :]
         assert far[0] == grid_map.BARRED  # ahead
         assert around[0, 0] > 1.0
@@ -350,6 +351,7 @@ def mirrored(observation: Observation) -> Observation:
         readings=sector_readings(rays),
         ray_distances=rays,
         target_bearing=-observation.target_bearing,
+        landmark_bearing=-observation.landmark_bearing,
         yaw_rate=-observation.yaw_rate,
     )
 

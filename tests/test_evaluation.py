@@ -222,7 +222,7 @@ class TestFolders:
         out = tmp_path / "out"
         code, _, complaint = run_cli("evaluate", "straight", "--world", maps, "--sim", "kinematic", "--out", out)
         assert code == 2
-        assert f"all 3 worlds are refused; the first, {maps}/key.toml: unknown key 'widht'" in complaint
+        assert f"all 3 worlds are refused; the first, {maps}/key.toml: 2 things are wrong: (1) unknown key" in complaint
         assert not out.exists()
 
     def test_seeds_of_ones_own_draw_the_worlds(self, maps: Path, tmp_path: Path, run_cli: RunCli) -> None:

@@ -106,14 +106,14 @@ class TestEnvironmentVariables:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
         assert (done.stdout[:1] != "", done.stderr) == (True, "")
 
-    @pytest.mark.parametrize("library", BROKEN)
+    @pytest.mark.parametrize("setting", [*BROKEN.values(), "SOURCE_DATE_EPOCH=abc"])
     def test_a_library_that_does_not_load_is_one_line_that_names_the_variable(
-        self, library: str, tmp_path: Path
+        self, setting: str, tmp_path: Path
     ) -> None:
         out = tmp_path / "out"
-        code, printed, err = self.ran(BROKEN[library], "drive", "straight", "--sim", "kinematic", "--out", str(out))
+        code, printed, err = self.ran(setting, "drive", "straight", "--sim", "kinematic", "--out", str(out))
         assert (code, printed, err.count("\n"), out.exists()) == (2, "", 1, False)
-        assert BROKEN[library].partition("=")[0] in err
+        assert setting.partition("=")[0] in err
 
     @pytest.mark.slow
     @pytest.mark.parametrize("library", BROKEN)
@@ -127,6 +127,12 @@ class TestEnvironmentVariables:
     def test_a_warning_of_a_library_is_one_line(self) -> None:
         code, printed, err = self.ran("NUMBA_OPT=9", "policies")
         assert (code, printed != "", err.count("\n"), "NUMBA_OPT" in err) == (0, True, 1, True)
+
+    @pytest.mark.slow
+    def test_a_warning_of_a_library_is_not_said_again_by_workers(self, tmp_path: Path) -> None:
+        words = ("--vehicles", "2", "--workers", "2", "--episodes", "2", "--task.max-steps", "5")
+        code, _, err = self.ran("NUMBA_NUM_THREADS=abc", "train", *words, "--out", str(tmp_path / "run"))
+        assert (code, err.count("NUMBA_NUM_THREADS"), "Traceback" in err) == (0, 1, False)
 
 
 STREAMS = """

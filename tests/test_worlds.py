@@ -1,5 +1,6 @@
 from dataclasses import replace
 from math import pi
+from time import process_time
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,6 +16,7 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Circle, OrientedBox, Pose
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.worlds.layouts import Arena, random_boxes
+from nnql_bullet.worlds.layouts.base import as_rounded
 from nnql_bullet.worlds.source import MOST_ATTEMPTS, World, load_world
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
@@ -352,6 +354,33 @@ def test_a_bottleneck_that_no_density_gives_is_refused():
         source.draw(0, 0.65)
 
 
+def test_the_search_for_a_bottleneck_ends_after_so_many_obstacles(monkeypatch):
+    monkeypatch.setattr("nnql_bullet.worlds.source.MOST_DRAWN", 10_000)
+    layout = {"kind": "cells", "fill": 0.5, "cell": 0.2}
+    source = source_of(layout=layout, max_clearance=1.0, width=20.0, depth=20.0, start=[4, 4], target=[16, 16])
+    arena = Arena(20.0, 20.0, ((4.0, 4.0), (16.0, 16.0)))
+    counts = np.cumsum([len(source.layout.place(arena, rng(0, Stream.LAYOUT, attempt))) for attempt in range(50)])
+    with pytest.raises(UserError, match=rf"in {1 + np.argmax(counts > 10_000)} attempts none had a bottleneck"):
+        source.draw(0, 0.65)
+
+
+def test_poles_without_room_are_refused_soon():
+    """A world of the fuzz harness: dense, with ends too free for a narrow place."""
+    layout = {"kind": "poles", "count": 40, "spacing": 0.4}
+    source = source_of(layout=layout, max_clearance=1.35, width=24.0, depth=24.0, target=[21, 21], target_radius=1.0)
+    begin = process_time()
+    with pytest.raises(UserError, match=r"as dense as it can be, its bottleneck is 6\.00 m"):
+        source.draw(1, 0.65)
+    assert process_time() - begin < 5.0
+
+
+@pytest.mark.parametrize("digits", [3, 4])
+def test_numbers_are_rounded_as_python_rounds_them(digits):
+    ties = np.arange(-20_001, 20_001, 2) / (2 * 10**digits)
+    values = np.concatenate([ties, np.nextafter(ties, np.inf), np.nextafter(ties, -np.inf), ties * np.e, ties * 1e6])
+    assert as_rounded(values, digits).tolist() == [round(value, digits) for value in values.tolist()]
+
+
 def test_a_layout_that_cannot_be_dense_enough_is_refused_at_once():
     layout = {"kind": "poles", "count": 1, "spacing": 4.0}
     source = source_of(layout=layout, max_clearance=0.2, width=16.0, depth=16.0, start=[3, 3], target=[13, 13])
@@ -421,7 +450,7 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
             r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, "
             r"max_clearance, name, obstacle_height, origin, origin_yaw_degrees, patrols, start, "
-            r"start_yaw_degrees, target, target_radius, width",
+            r"start_yaw_degrees, target, target_radius, waypoints, width",
         ),
         (
             '[layout]\nkind = "random_boxes"\ncover = 0.1\nsize = 2.0\n',

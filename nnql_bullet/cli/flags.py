@@ -317,17 +317,17 @@ def _mistake(event: tyro_errors.ParseErrorEvent, verb: Callable[..., int], argum
         case tyro_errors.UnrecognizedArgs():
             return _unknown(event.tokens[0], verb)
         case tyro_errors.InvalidChoice():
-            where = _flag_of(event.argument)
+            where = _flag_of(event.argument, arguments)
             if event.value in RENAMED_SIMULATORS:
                 return f"{where} {event.value} is now {where} {RENAMED_SIMULATORS[event.value]}"
             choices = sorted(choice for choice in event.choices if choice != "None")
             return f"{where}: '{event.value}' is not valid; give one of: {', '.join(choices)}"
         case tyro_errors.BadValue():
-            return f"{_flag_of(event.argument)} needs a value"
+            return f"{_flag_of(event.argument, arguments)} needs a value"
         case tyro_errors.MissingArgs():
-            return f"give {', '.join(_flag_of(its.arg) for its in event.missing_arguments)}"
+            return f"give {', '.join(_flag_of(its.arg, arguments) for its in event.missing_arguments)}"
         case tyro_errors.InstantiationFailure() if event.argument is not None:
-            where = _flag_of(event.argument)
+            where = _flag_of(event.argument, arguments)
             return f"{where}: not a valid value: '{' '.join(_values_of(where, arguments))}'"
         case _:
             return "the arguments are wrong"
@@ -364,9 +364,11 @@ def _mark(hint: Any) -> KeyFlags | None:
     return next((mark for mark in get_args(hint) if isinstance(mark, KeyFlags)), None)
 
 
-def _flag_of(argument: Any) -> str:
-    """The flag of an argument of tyro's, or the name of one without a flag."""
-    return str(argument.lowered.name_or_flags[0] if argument.lowered.name_or_flags[0] else argument.lowered.metavar)
+def _flag_of(argument: Any, arguments: Sequence[str]) -> str:
+    """The flag of an argument of tyro's as it was given, or the name of one without a flag."""
+    names = argument.lowered.name_or_flags
+    given = {its.partition("=")[0] for its in arguments}
+    return str(next((name for name in names if name in given), names[0]) or argument.lowered.metavar)
 
 
 def _values_of(where: str, arguments: Sequence[str]) -> list[str]:

@@ -114,6 +114,8 @@ def _remedy(error: OSError) -> str:
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"{reason}; free some space, or give another folder with --out"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"{reason}; raise the limit (ulimit -n), or give fewer --workers"
     if error.errno in (errno.EEXIST, errno.ENOTDIR):
         return "there is a file, or a link to nothing, where a folder is wanted; give another folder with --out"
     if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM):

@@ -10,47 +10,7 @@ from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profi
 
 
 @njit()
-def drives_then_stops(
-    yaw_rate: float,
-    speed: float,
-    turn: float,
-    goal: float,
-    period: float,
-    max_rate: float,
-    yaw_acceleration: float,
-    acceleration: float,
-    deceleration: float,
-) -> Array:
-    """Predicts a vehicle that carries out one decision and then brakes straight ahead, in its present frame (k, 3).
-
-    Args:
-        yaw_rate: At the start [rad/s].
-        speed: At the start [m/s].
-        turn: Heading change of the decision [rad].
-        goal: Speed that the decision asks for [m/s].
-        period: Time until the next decision [s].
-        max_rate: Limit on the yaw rate [rad/s].
-        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
-        acceleration: Limit on the acceleration [m/s2].
-        deceleration: That the vehicle reaches when it brakes [m/s2].
-    """
-    change = acceleration if goal > speed else deceleration
-    first = _course(yaw_rate, speed, turn, goal, period, max_rate, yaw_acceleration, change)
-    rate, at_end = first[-1, 3], first[-1, 4]
-    stop = max(abs(at_end) / deceleration, sum(turn_profile(rate, 0.0, max_rate, yaw_acceleration)[1:]))
-    then = _course(rate, at_end, 0.0, 0.0, stop, max_rate, yaw_acceleration, deceleration)
-    x, y, yaw = first[-1, 0], first[-1, 1], first[-1, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    poses = np.empty((len(first) + len(then), 3))
-    poses[: len(first)] = first[:, :3]
-    for k in range(len(then)):
-        ahead, left = then[k, 0], then[k, 1]
-        poses[len(first) + k] = x + c * ahead - s * left, y + s * ahead + c * left, yaw + then[k, 2]
-    return poses
-
-
-@njit()
-def _course(
+def drives(
     yaw_rate: float,
     speed: float,
     turn: float,
@@ -60,7 +20,21 @@ def _course(
     yaw_acceleration: float,
     acceleration: float,
 ) -> Array:
-    """x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s] at equal intervals up to a duration (k, 5)."""
+    """Predicts a vehicle that turns and changes its speed: its state at equal intervals, in its present frame (k, 5).
+
+    Args:
+        yaw_rate: At the start [rad/s].
+        speed: At the start [m/s].
+        turn: Heading change that is asked for [rad].
+        goal: Speed that is asked for [m/s].
+        duration: [s]
+        max_rate: Limit on the yaw rate [rad/s].
+        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
+        acceleration: Limit on acceleration and deceleration [m/s2].
+
+    Returns:
+        x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s].
+    """
     count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
     times: Array = np.arange(1.0, count + 1.0) * (duration / count)
     course, headings, rates, speeds = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
@@ -75,6 +49,29 @@ def _course(
         before, heading = speeds[k], headings[k]
         course[k] = x, y, headings[k], rates[k], speeds[k]
     return course
+
+
+@njit()
+def then_stops(driven: Array, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float) -> Array:
+    """Predicts a vehicle that has driven a course and then brakes until it stands: its poses on both (k, 3).
+
+    Args:
+        driven: Of `drives` (n, 5).
+        turn: Heading change that is asked for while it brakes [rad].
+        max_rate: Limit on the yaw rate [rad/s].
+        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
+        deceleration: That the vehicle reaches when it brakes [m/s2].
+    """
+    x, y, yaw, rate, speed = driven[-1]
+    stop = max(abs(speed) / deceleration, sum(turn_profile(rate, turn, max_rate, yaw_acceleration)[1:]))
+    then = drives(rate, speed, turn, 0.0, stop, max_rate, yaw_acceleration, deceleration)
+    c, s = np.cos(yaw), np.sin(yaw)
+    poses = np.empty((len(driven) + len(then), 3))
+    poses[: len(driven)] = driven[:, :3]
+    for k in range(len(then)):
+        ahead, left = then[k, 0], then[k, 1]
+        poses[len(driven) + k] = x + c * ahead - s * left, y + s * ahead + c * left, yaw + then[k, 2]
+    return poses
 
 
 @njit()

@@ -15,7 +15,7 @@ from nnql_bullet.env import ACTIONS, REVERSE, SLOW, speed_scale
 from nnql_bullet.geometry import Array, as_rows, wrap_angles
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
 from nnql_bullet.mapping.seen_space import RecentScans, meets_unseen
-from nnql_bullet.shield.courses import clear_courses, drives_then_stops
+from nnql_bullet.shield.courses import clear_courses, drives, then_stops
 from nnql_bullet.shield.lengths import Lengths
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, side_grip
@@ -148,23 +148,36 @@ class Predictor:
         return np.array([self.can_stop(situation, scans, manner + action, margin) for action in range(ACTIONS)])
 
     def _until_it_stands(self, situation: Situation, manoeuvre: int) -> list[Array]:
-        """Courses of one vehicle: as asked, falling behind, and straight on where braking leaves no grip for a turn.
+        """Courses of one vehicle that carries out a manoeuvre and then brakes straight ahead (k, 3).
 
-        See `drives_then_stops`.
+        It may fall behind in either part and not in the other: so what its next decision expects of braking has been
+        expected here.
         """
         turn, rate = float(situation.turns[0, manoeuvre % ACTIONS]), float(situation.yaw_rate[0])
         speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
-        followed = dict.fromkeys((self._asked, self._followed_until(goal, situation)))
-        turns = [(turn, limits) for limits in followed]
+        courses, braking = {}, self.lengths.deceleration
+        change = self._asked.acceleration if goal > speed else braking
+        for turned, limits in self._turns(turn, rate, speed, goal):
+            yaw_limits = limits.yaw_rate, limits.yaw_acceleration
+            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change)
+            for back, limits in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
+                course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking)
+                courses[course.tobytes()] = course
+        return list(courses.values())
+
+    def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits]]:
+        """How one vehicle may turn: as asked, falling behind, and no further where braking leaves no grip for a turn.
+
+        Args:
+            turn: Heading change that is asked for [rad].
+            rate: Its yaw rate [rad/s].
+            speed: Its speed [m/s].
+            goal: Speed that is asked for [m/s].
+        """
+        turns = [(turn, limits) for limits in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
         if goal < speed > self._brakes_straight_above:
             turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked))
-        return [
-            drives_then_stops(
-                *(rate, speed, turned, goal, self._drive.decision_period),
-                *(limits.yaw_rate, limits.yaw_acceleration, limits.acceleration, self.lengths.deceleration),
-            )
-            for turned, limits in turns
-        ]
+        return turns
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
         """How one vehicle reverses, as straight as it can; -1 if it cannot.
@@ -217,11 +230,11 @@ class Predictor:
 
     def stop_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that brakes along the six turns (6, k) [m], for as long as that takes."""
-        return self._worse(situation, 0.0, self._followed_until(0.0, situation))
+        return self._worse(situation, 0.0, self._followed_until(0.0, float(situation.speed[0])))
 
-    def _followed_until(self, goal: float, situation: Situation) -> Limits:
+    def _followed_until(self, goal: float, speed: float) -> Limits:
         """The limits that one vehicle follows while its speed changes to another [m/s]."""
-        stands = goal == 0 and abs(situation.speed[0]) < SLIDING * self._drive.speed
+        stands = goal == 0 and abs(speed) < SLIDING * self._drive.speed
         return self._followed_standing if stands else self._followed_changing
 
     def open_side(self, situation: Situation, target_bearing: float) -> int:

@@ -305,6 +305,7 @@ def _drives(
                 search.problems.append(f"drive joint '{its.joint.name}' {what}; {KIND}")
         if told[0] == told[1]:
             search.problems.append(f"[joints] in the TOML names joint '{told[0]}' twice")
+            return None, free
         fixed = [its for its in fixed if its not in pair]
         extra = [its for its in fixed if not its.is_ball]
     else:

@@ -28,6 +28,10 @@ MOST_ATTEMPTS = 200
 """Largest number of draws of a random layout."""
 MOST_NARROWINGS = 50
 """Largest number of random layouts that are narrowed to the bottleneck of a seed."""
+MOST_DRAWN = 300_000
+"""Number of obstacles that are drawn for a bottleneck after which no other layout is narrowed."""
+NO_ROOM = 10_000
+"""How many of them a draw counts for that finds no room, whose number of candidates is large."""
 MOST_BASES = 20
 """Longest chain of world files whose `base` is the next."""
 MOST_NAME = 100
@@ -248,12 +252,22 @@ class World:
     def _as_narrow_as_drawn(self, layout: Densifiable, seed: int, width: float, most: float) -> WorldSpec:
         """Draws the bottleneck of a seed, and a world that has it."""
         wanted = width + round(float(rng(seed, Stream.BOTTLENECK).uniform(self.clearance, most)), 3)
-        for attempt in range(MOST_NARROWINGS):
-            world = as_narrow_as(wanted, lambda share: self._attempt(seed, attempt, layout.denser(share)))  # noqa: B023
+        attempt, drawn = 0, 0
+
+        def draw(share: float) -> WorldSpec:
+            nonlocal drawn
+            drawn += NO_ROOM
+            world = self._attempt(seed, attempt, layout.denser(share))
+            drawn += len(world.obstacles) - NO_ROOM
+            return world
+
+        while attempt < MOST_NARROWINGS and drawn <= MOST_DRAWN:
+            world = as_narrow_as(wanted, draw)
             if world is not None:
                 return world
+            attempt += 1
         raise UserError(
-            f"world '{self.name}', seed {seed}: in {MOST_NARROWINGS} attempts none had a bottleneck of {wanted:.2f} m; "
+            f"world '{self.name}', seed {seed}: in {attempt} attempts none had a bottleneck of {wanted:.2f} m; "
             "make the layout sparser, or smaller obstacles possible, or change 'clearance' and 'max_clearance'"
         )
 

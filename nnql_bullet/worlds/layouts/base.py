@@ -94,15 +94,18 @@ def placed(
     Returns:
         Indices of the chosen shapes, and their amount.
     """
-    there = np.empty_like(rows)
+    there, reaches = np.empty_like(rows), np.empty(len(rows))
     chosen = np.empty(len(rows), dtype=np.int64)
     count, amount = 0, 0.0
     for i in range(len(rows)):
         if amount >= wanted:
             break
-        if leaves_room(rows[i], size, keep_free, clear_radius) and _is_apart(rows[i], there[:count], spacing):
+        if leaves_room(rows[i], size, keep_free, clear_radius) and _is_apart(
+            rows[i], there[:count], reaches[:count], spacing
+        ):
             for j in range(COLUMNS):  # numba takes seconds to compile the assignment of a row
                 there[count, j] = rows[i, j]
+            reaches[count] = reach_of(rows[i])
             chosen[count] = i
             amount += amounts[i]
             count += 1
@@ -110,15 +113,25 @@ def placed(
 
 
 @njit(nogil=True)
-def _is_apart(row: Array, others: Array, spacing: float) -> bool:
+def _is_apart(row: Array, others: Array, reaches: Array, spacing: float) -> bool:
     """Whether a shape is farther than `spacing` [m] from others; it measures only those whose circles are as near."""
     reach = reach_of(row) + spacing + 1e-9
     for k in range(len(others)):
-        far = reach + reach_of(others[k])
+        far = reach + reaches[k]
         dx, dy = row[0] - others[k, 0], row[1] - others[k, 1]
         if dx * dx + dy * dy < far * far and clearance(row, others[k : k + 1]) <= spacing:
             return False
     return True
+
+
+def as_rounded(values: Array, digits: int) -> Array:
+    """Rounds numbers to digits as Python's `round` does, from which `np.round` differs for some near a half."""
+    scaled = values * 10.0**digits
+    whole = np.rint(scaled)
+    result = whole / 10.0**digits
+    halves = np.abs(scaled - whole) > 0.499
+    result[halves] = [round(value, digits) for value in values[halves].tolist()]
+    return result
 
 
 def rounded(box: OrientedBox) -> OrientedBox:

@@ -10,7 +10,7 @@ from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import COLUMNS, Array, Circle
 from nnql_bullet.types import Extent, NonNegative
-from nnql_bullet.worlds.layouts.base import Arena, placed
+from nnql_bullet.worlds.layouts.base import Arena, as_rounded, placed
 
 MOST_POLES = 2000
 TRIES_PER_POLE = 100
@@ -49,7 +49,8 @@ class Poles:
             UserError: If the arena has no room for them.
         """
         size, keep_free = arena.limits
-        candidates = self._draw(arena, rng, self.count + self.count // 2)
+        tried = self.count + self.count // 2
+        candidates = self._draw(arena, rng, tried)
         while True:
             rows = np.zeros((len(candidates), COLUMNS))
             rows[:, [0, 1, 6]], rows[:, 4] = candidates, 1.0
@@ -57,15 +58,15 @@ class Poles:
             chosen, count = placed(rows, ones, self.count, size, keep_free, self.clear_radius, self.spacing)
             if count >= self.count:
                 return tuple(Circle(*pole) for pole in candidates[chosen].tolist())
-            more = min(len(candidates), TRIES_PER_POLE * self.count - len(candidates))
+            more = min(tried, TRIES_PER_POLE * self.count - tried)
             if more == 0:
                 break
-            candidates = np.concatenate([candidates, self._draw(arena, rng, more)])
+            candidates = np.concatenate([candidates[chosen], self._draw(arena, rng, more)])
+            tried += more
         raise UserError(f"layout: no room for {self.count} poles; lower 'count', 'spacing' or 'clear_radius'")
 
     def _draw(self, arena: Arena, rng: np.random.Generator, count: int) -> Array:
         """Draws candidates (count, 3): centre and radius [m], rounded so that all machines draw the same."""
         low, high = (0.0, 0.0, self.min_diameter), (arena.width, arena.depth, self.max_diameter)
-        drawn = rng.uniform(low, high, (count, 3)).tolist()
-        poles = [(round(x, 3), round(y, 3), round(diameter / 2, 4)) for x, y, diameter in drawn]
-        return np.array(poles).reshape(count, 3)
+        drawn = rng.uniform(low, high, (count, 3))
+        return np.column_stack([as_rounded(drawn[:, :2], 3), as_rounded(drawn[:, 2] / 2, 4)])

@@ -11,7 +11,7 @@ from nnql_bullet.config import options, refuse_crossed_ranges
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.types import Extent, NonNegative
-from nnql_bullet.worlds.layouts.base import Arena, placed
+from nnql_bullet.worlds.layouts.base import Arena, as_rounded, placed
 
 MOST_COVER = 0.4
 MOST_RANDOM = 5_000
@@ -76,14 +76,9 @@ class RandomBoxes:
         """Draws candidates (count, 5): centre, half length, half width [m] and yaw [rad], rounded as by `rounded`."""
         low = (0.0, 0.0, self.min_side, self.min_side, -pi / 2)
         high = (arena.width, arena.depth, self.max_side, self.max_side, pi / 2)
-        drawn = rng.uniform(low, high, (count, 5)).tolist()
-        # Python's `round` and not NumPy's: they differ for some numbers near a half.
-        return np.array(
-            [
-                (round(x, 3), round(y, 3), round(length / 2, 3), round(width / 2, 3), round(yaw, 4))
-                for x, y, length, width, yaw in drawn
-            ]
-        )
+        drawn = rng.uniform(low, high, (count, 5))
+        drawn[:, 2:4] /= 2
+        return np.column_stack([as_rounded(drawn[:, :4], 3), as_rounded(drawn[:, 4], 4)])
 
 
 def _rows(candidates: Array) -> Array:
