@@ -431,7 +431,7 @@ def test_the_doctor_casts_rays_from_a_sensor_off_the_middle(monkeypatch: pytest.
             aside = replace(self.vehicle.sensor, position=(ahead, 0.3, up))
             self.vehicle = replace(self.vehicle, sensor=aside)
 
-    monkeypatch.setattr(diagnosis, "Experiment", Aside)
+    monkeypatch.setattr("nnql_bullet.experiment.Experiment", Aside)
     assert diagnosis.check_rays().ok
 
 
