@@ -77,9 +77,12 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """
     try:
         # Strict reading of JSON accepts an integer for a float and an array for a tuple, which TOML users write.
-        return TypeAdapter(cls).validate_json(json.dumps(values, default=_plain_value))
+        text = json.dumps(values, default=_plain_value, ensure_ascii=False)
+        return TypeAdapter(cls).validate_json(text.encode("utf-8"))
     except ValidationError as error:
         raise UserError(f"{where}: {_mistakes(cls, error)}") from None
+    except UnicodeEncodeError:  # Python names bytes of a file's name that are not UTF-8 by halves of characters
+        raise UserError(f"{where}: the name of a file is not UTF-8; rename it") from None
     except RecursionError:
         raise UserError(f"{where}: its values are nested too deeply") from None
     except (TypeError, ValueError) as error:  # of JSON: a key that is no text, a whole number of thousands of digits

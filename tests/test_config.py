@@ -1,3 +1,4 @@
+import os
 from dataclasses import FrozenInstanceError
 from functools import partial
 from typing import Annotated, Literal
@@ -272,6 +273,11 @@ def test_mistake_in_a_file_is_one_line_that_names_the_file(tmp_path, text, messa
         load_config(str(path), {})
     assert str(refusal.value).startswith(f"{path}: {message}")
     assert "\n" not in str(refusal.value)
+
+
+def test_a_name_that_is_not_utf_8_is_refused_as_such():
+    with pytest.raises(UserError, match="mine: the name of a file is not UTF-8; rename it"):
+        parse(RunConfig, {"world": os.fsdecode(b"latin-\xe9.toml")}, "mine")
 
 
 def test_file_with_a_byte_order_mark_is_read(tmp_path):

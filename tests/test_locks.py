@@ -6,9 +6,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+import nnql_bullet as nb
 from nnql_bullet.errors import UserError
 from nnql_bullet.files import staged, sweep, write_text
 from nnql_bullet.locks import locked
@@ -88,6 +90,14 @@ def test_a_run_folder_in_use_is_refused_in_one_line(
     assert code == 2
     assert f"is in use by process {holder.pid}" in err
     assert err.count("\n") == 1
+
+
+def test_a_gap_is_measured_in_a_folder_of_its_own_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nnql_bullet.api.gap.run_all", Mock(side_effect=AssertionError))
+    with locked(tmp_path), pytest.raises(UserError, match="is in use"):
+        nb.gap("straight", world="empty", n_worlds=1, physics="fast", out=tmp_path)
 
 
 class TestStaged:

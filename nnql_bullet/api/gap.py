@@ -124,7 +124,7 @@ def gap(
         on_progress: Receives the progress.
 
     Raises:
-        UserError: If an argument is wrong or a policy or world cannot be read.
+        UserError: If an argument is wrong, a policy or world cannot be read, or another process writes to `out`.
         WorkFailed: If a piece of work fails.
     """
     if against == simulator:
@@ -149,18 +149,19 @@ def gap(
     numbers = {one: len(distinct(experiment, experiment.worlds, draws.seeds, one)) for one in set(chances)}
     driven = [draws.seeds[: numbers[one]] for one in chances]
     tasks = measure.tasks(opened, world, driven, first, second, conditions, faults, keys)
-    pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
-    drives = [drive for piece in pieces for drive in piece]
-    pairs = [drive for drive in drives if isinstance(drive, Pair)]
-    trials = [drive for drive in drives if isinstance(drive, Trial)]
-    prints = tuple(policy.fingerprint for policy in opened)
-    names = tuple(policy.path for policy in opened)
-    ends = tuple(flags({"start": start, "target": target}))
-    robots = tuple(policy.robot for policy in opened)
-    results = GapResults(
-        Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends, keys, in_shield, robots)
-    )
-    if out is not None:
-        with locked(Path(out)):
-            results.save(out)
+    folder = None if out is None else Path(out)
+    with locked(folder):
+        pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
+        drives = [drive for piece in pieces for drive in piece]
+        pairs = [drive for drive in drives if isinstance(drive, Pair)]
+        trials = [drive for drive in drives if isinstance(drive, Trial)]
+        prints = tuple(policy.fingerprint for policy in opened)
+        names = tuple(policy.path for policy in opened)
+        ends = tuple(flags({"start": start, "target": target}))
+        robots = tuple(policy.robot for policy in opened)
+        results = GapResults(
+            Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends, keys, in_shield, robots)
+        )
+        if folder:
+            results.save(folder)
     return results
