@@ -23,7 +23,17 @@ from nnql_bullet.run_config import RunConfig
 from nnql_bullet.task import REWARD_TERMS, RewardTerm, TaskOptions, paper_reward
 
 EXAMPLES = [name for name in nb.__all__ if "Example:" in (getattr(nb, name).__doc__ or "")]
-WITHOUT_EXAMPLE = {"Conditions", "Progress", "Recording", "UserError", "Vehicle", "WorkFailed", "envelope", "load_run"}
+WITHOUT_EXAMPLE = {
+    "RobotWarning",
+    "Conditions",
+    "Progress",
+    "Recording",
+    "UserError",
+    "Vehicle",
+    "WorkFailed",
+    "envelope",
+    "load_run",
+}
 SLOW = {"check_fidelity"}
 
 
