@@ -9,13 +9,10 @@ planning again costs nothing. Moving obstacles are not part of a plan.
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from math import ceil, floor, sqrt
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
@@ -27,6 +24,9 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.passages import Passage, Point, narrowest_passage
 from nnql_bullet.worlds.paths import Cell, free_cells
 from nnql_bullet.worlds.spec import WorldSpec
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 CELLS_ACROSS = 10
 """Number of cells across the vehicle's width; fewer in arenas of more than `MOST_CELLS` cells."""
@@ -67,7 +67,7 @@ class Grid:
     """Whether the vehicle passes over the centre of a cell (rows, columns)."""
     cost: Array
     """Cost of a metre in each cell, at least 1; infinite where it is not free (rows, columns)."""
-    graph: csr_array
+    graph: "csr_array"
     """Cost of the way between neighbouring free cells, each pair once."""
     ways: "OrderedDict[Point, Ways]" = field(default_factory=OrderedDict)
     """The ways to some targets."""
@@ -170,6 +170,8 @@ class Planner:
         """
         key = world.solids.tobytes(), width, slack
         if key not in self._grids:
+            from scipy.ndimage import distance_transform_edt  # loaded where a plan is made, as all of SciPy here
+
             side = self._side(world)
             distance = max(width / 2 - (side / sqrt(2) if slack else 0.0), 0.0)
             shape = ceil(world.depth / side), ceil(world.width / side)
@@ -186,6 +188,9 @@ class Planner:
         if not grid.free[end]:
             return None
         if target not in grid.ways:
+            from scipy.ndimage import distance_transform_edt
+            from scipy.sparse.csgraph import dijkstra
+
             place = end[0] * grid.free.shape[1] + end[1]
             cost, toward = dijkstra(grid.graph, directed=False, indices=place, return_predecessors=True)
             costs = np.asarray(cost).reshape(grid.free.shape)
@@ -202,8 +207,10 @@ def _kept(store: "OrderedDict[K, V]", key: K) -> V:
     return store[key]
 
 
-def _graph(free: NDArray[np.bool_], cost: Array, side: float) -> csr_array:
+def _graph(free: NDArray[np.bool_], cost: Array, side: float) -> "csr_array":
     """Links each free cell with those of its eight neighbours that are free; both cells count for half of the way."""
+    from scipy.sparse import csr_array
+
     rows, columns = free.shape
     places = np.arange(free.size, dtype=np.int32).reshape(free.shape)
     begins, ends, costs = [], [], []

@@ -5,7 +5,6 @@ from math import atan2, ceil, dist, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from nnql_bullet.geometry import Array, Pose
 from nnql_bullet.jit import njit
@@ -57,6 +56,8 @@ def _chosen(
     size: Point, solids: Array, passage: float, side: float, slack: float, start: Point | None, target: Point | None
 ) -> Ends | None:
     """Chooses ends on a grid of cells of a side [m], whose centres are half a passage away from all, less `slack`."""
+    from scipy.ndimage import label  # takes long to load
+
     shape = ceil(size[1] / side), ceil(size[0] / side)
     labels, _ = label(free_cells(shape, side, solids, passage / 2 - slack), np.ones((3, 3)))
     roomy = free_cells(shape, side, solids, ROOM * passage) & (labels > 0)

@@ -6,7 +6,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
@@ -124,6 +123,8 @@ def layers(genomes: Array) -> dict[str, Array]:
 
 def network_outputs(genomes: Array, readings: Array) -> Array:
     """What the networks of n genomes (n, 89) put out (n, 5), each for readings of its own (n, 8) [m], scaled."""
+    from scipy.special import expit  # takes long to load
+
     w1, b1, w2, b2 = layers(genomes).values()
     hidden = expit(np.einsum("nij,nj->ni", w1, encode(readings, "proximity")) + b1)
     return np.asarray(np.einsum("nij,nj->ni", w2, hidden) + b2)

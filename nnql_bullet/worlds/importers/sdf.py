@@ -12,7 +12,6 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Shape
@@ -205,6 +204,8 @@ def _pose(element: Element) -> Array:
     to = (pose.get("relative_to") or pose.get("frame") or "").strip()
     if to not in ("", "world", "__model__"):
         raise _Unread(f"its <pose> is relative to the frame '{to}'; only poses relative to the parent are read")
+    from scipy.spatial.transform import Rotation  # takes long to load, and most worlds are no SDF
+
     turned_as = pose.get("rotation_format", "euler_rpy")
     numbers = _floats(pose.text or "", 7 if turned_as == "quat_xyzw" else 6, "pose")
     if turned_as == "quat_xyzw":

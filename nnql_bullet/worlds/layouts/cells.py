@@ -9,7 +9,6 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import convolve
 
 from nnql_bullet.config import options
 from nnql_bullet.errors import UserError
@@ -65,5 +64,7 @@ class Cells:
 
 def _stepped(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Takes a step of the automaton; beyond the edge nothing is filled."""
+    from scipy.ndimage import convolve  # takes long to load
+
     count = convolve(filled.astype(np.int64), NEIGHBOURS, mode="constant")
     return np.where(count >= BIRTH, True, np.where(count <= LONELY, False, filled))
