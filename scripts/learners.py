@@ -2,9 +2,9 @@
 
 DQN, QR-DQN, PPO and recurrent PPO of stable-baselines3 and sb3-contrib, on the paper's sectors and on rays, with the
 paper's reward and the shaped one: each of these 16 combinations is tuned by Optuna on validation worlds, trained anew
-from five seeds with the best values, and driven through test worlds. All of it is in the kinematic model at 5 % cover, with
-six actions. What is done is kept in --out, so the same command goes on after an interrupt; the table is written after
-every combination.
+from five seeds with the best values, and driven through test worlds. All of it is in the kinematic model at 5 % cover,
+with six actions. What is done is kept in --out, so the same command goes on after an interrupt; the table is written
+after every combination.
 
     python scripts/learners.py                       # as in the documentation; some hours on 2 idle cores
     python scripts/learners.py --only ppo --trials 4 --steps 20000
