@@ -73,6 +73,7 @@ class Predictor:
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
+        self._followed_slowly = followed_limits(vehicle, drive.speed * drive.reverse_share)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
         self._followed_standing = followed_limits(vehicle, lengths.standstill)
         self.slides = self._followed_standing != limits
@@ -174,7 +175,9 @@ class Predictor:
             speed: Its speed [m/s].
             goal: Speed that is asked for [m/s].
         """
-        turns = [(turn, limits) for limits in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
+        slow = max(abs(goal), abs(speed)) <= (1 + SLIDING) * self._drive.reverse_share * self._drive.speed
+        steadily = self._followed_slowly if slow else self._followed
+        turns = [(turn, its) for its in dict.fromkeys((self._asked, self._followed_until(goal, speed), steadily))]
         if goal < speed > self._brakes_straight_above:
             turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked))
         return turns
