@@ -30,6 +30,8 @@ LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
 SLIDING = 0.1
 """Share of the drive's speed below which a vehicle that is to stop turns as on the spot."""
+SLOWLY = 1.2
+"""Share of the speed of slow driving up to which a vehicle that slides is expected to turn before it brakes."""
 
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 """The rear-axle centre as a footprint without size."""
@@ -158,15 +160,15 @@ class Predictor:
         speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
         courses, braking = {}, self.lengths.deceleration
         change = self._asked.acceleration if goal > speed else braking
-        for turned, limits in self._turns(turn, rate, speed, goal):
+        for turned, limits, slides in self._turns(turn, rate, speed, goal):
             yaw_limits = limits.yaw_rate, limits.yaw_acceleration
-            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change)
-            for back, limits in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
-                course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking)
+            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change, slides)
+            for back, limits, slides in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
+                course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking, slides)
                 courses[course.tobytes()] = course
         return list(courses.values())
 
-    def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits]]:
+    def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits, bool]]:
         """How one vehicle may turn: as asked, falling behind, and no further where braking leaves no grip for a turn.
 
         Args:
@@ -175,11 +177,11 @@ class Predictor:
             speed: Its speed [m/s].
             goal: Speed that is asked for [m/s].
         """
-        slow = max(abs(goal), abs(speed)) <= (1 + SLIDING) * self._drive.reverse_share * self._drive.speed
-        steadily = self._followed_slowly if slow else self._followed
-        turns = [(turn, its) for its in dict.fromkeys((self._asked, self._followed_until(goal, speed), steadily))]
+        turns = [(turn, its, False) for its in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
+        if self.slides and max(abs(goal), abs(speed)) <= SLOWLY * self._drive.reverse_share * self._drive.speed:
+            turns.append((turn, self._followed_slowly, abs(goal) < abs(speed)))
         if goal < speed > self._brakes_straight_above:
-            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked))
+            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked, False))
         return turns
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
