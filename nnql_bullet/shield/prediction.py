@@ -169,7 +169,10 @@ class Predictor:
         return list(courses.values())
 
     def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits, bool]]:
-        """How one vehicle may turn: as asked, falling behind, and no further where braking leaves no grip for a turn.
+        """How one vehicle may turn, each with whether it slides: the turn leaves it nothing to brake with meanwhile.
+
+        It may turn as asked, fall behind, and turn no further where braking leaves no grip for a turn. One that slides
+        when it turns on the spot does so when it drives slowly, too.
 
         Args:
             turn: Heading change that is asked for [rad].
