@@ -92,9 +92,9 @@ class Simulator(Protocol):
         """Options of their controllers."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
+        """Puts some vehicles on the start of a world each, whatever happened before.
 
-        The first of the world's targets is theirs.
+        They start at rest where the world says so, else at the drive's speed. The first of its targets is theirs.
 
         Returns:
             Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.
