@@ -121,7 +121,9 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def _naming(path: Path, error: OSError) -> OSError:
-    """The error with the path that the caller knows, in place of a temporary one."""
+    """The error with the path that the caller knows, in place of a temporary one; not where progress is unread."""
+    if isinstance(error, BrokenPipeError):
+        return error
     return OSError(error.errno or errno.EIO, error.strerror or str(error), str(path))
 
 
