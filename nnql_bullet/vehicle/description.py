@@ -437,13 +437,17 @@ def _transform(element: Element) -> Array:
     origin = element.find("origin")
     transform = np.eye(4)
     if origin is not None:
-        roll, pitch, yaw = _floats(origin.get("rpy", "0 0 0"))
-        about_x = np.array([[1.0, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
-        about_y = np.array([[cos(pitch), 0, sin(pitch)], [0, 1.0, 0], [-sin(pitch), 0, cos(pitch)]])
-        about_z = np.array([[cos(yaw), -sin(yaw), 0], [sin(yaw), cos(yaw), 0], [0, 0, 1.0]])
-        transform[:3, :3] = about_z @ about_y @ about_x
+        transform[:3, :3] = rotation(*_floats(origin.get("rpy", "0 0 0")))
         transform[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
     return transform
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Makes the matrix (3, 3) that turns about x, then y, then z [rad]."""
+    about_x = np.array([[1.0, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
+    about_y = np.array([[cos(pitch), 0, sin(pitch)], [0, 1.0, 0], [-sin(pitch), 0, cos(pitch)]])
+    about_z = np.array([[cos(yaw), -sin(yaw), 0], [sin(yaw), cos(yaw), 0], [0, 0, 1.0]])
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def place(element: Element, transform: Array) -> None:

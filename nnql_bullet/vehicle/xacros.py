@@ -58,13 +58,17 @@ def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
 
 @contextmanager
 def _fenced(folder: Path) -> Iterator[StringIO]:
-    """Lets xacro find packages around a folder and evaluate what `_check` allows; holds back what it prints."""
+    """Lets xacro find files in a folder and packages around it, and evaluate what `_check` allows.
+
+    xacrodoc gives xacro a text without a file, so that relative paths would begin in the working directory. What xacro
+    prints is held back.
+    """
     import xacro
     from xacrodoc import packages
 
     finder = packages.PackageFinder()
     finder.finder_funcs.insert(0, (lambda name: _package(folder, name), FileNotFoundError))
-    evaluate = xacro.safe_eval
+    evaluate, absolute = xacro.safe_eval, xacro.abs_filename_spec
 
     def evaluate_checked(expression: str, *names: Any, **more: Any) -> Any:
         _check(expression)
@@ -73,10 +77,11 @@ def _fenced(folder: Path) -> Iterator[StringIO]:
     with _lock, redirect_stderr(StringIO()) as said:
         before = packages._finder
         packages._finder, xacro.safe_eval = finder, evaluate_checked
+        xacro.abs_filename_spec = lambda name: str(folder / absolute(name))
         try:
             yield said
         finally:
-            packages._finder, xacro.safe_eval = before, evaluate
+            packages._finder, xacro.safe_eval, xacro.abs_filename_spec = before, evaluate, absolute
 
 
 def _package(folder: Path, name: str) -> str:

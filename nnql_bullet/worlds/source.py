@@ -68,6 +68,8 @@ class World:
     """Start of the rear-axle centre [m]."""
     start_yaw_degrees: Number | None = None
     """Heading at the start [degrees]; by default towards the target."""
+    at_rest: bool = False
+    """Whether the vehicle starts at rest, as in maps and where `--start` is given; else at the speed of its drive."""
     target: tuple[Number, Number] = paper.TARGET
     """[m]"""
     waypoints: Waypoints = ()
@@ -118,7 +120,7 @@ class World:
         target: Sequence[float] | None = None,
         waypoints: Sequence[Sequence[float]] | None = None,
     ) -> "World":
-        """Returns the world with another start or target, or with way points.
+        """Returns the world with another start or target, or with way points; from another start it starts at rest.
 
         Args:
             start: x, y [m] and, if given, yaw [rad], in the frame of the world's map; without a yaw it looks towards
@@ -144,7 +146,7 @@ class World:
         if start is not None:
             values["start"] = in_frame(self.frame, checked_place("start", start))
             yaw = degrees(wrap_angle(start[2] - self.frame.yaw)) if len(start) == 3 else None
-            values["start_yaw_degrees"] = yaw
+            values |= {"start_yaw_degrees": yaw, "at_rest": True}
         if target is not None:
             values["target"] = in_frame(self.frame, checked_place("target", target))
         try:
@@ -287,6 +289,7 @@ class World:
             target_radius=self.target_radius,
             obstacle_height=self.obstacle_height,
             waypoints=self.waypoints,
+            at_rest=self.at_rest,
         )
 
     def _with_patrols(self, world: WorldSpec) -> WorldSpec:
