@@ -136,11 +136,12 @@ def read_mesh(path: Path) -> Any:
     try:
         data = path.read_bytes()
         unit = _collada_unit(data) if kind == ".dae" else 1.0
-        mesh = trimesh.load(BytesIO(data), file_type=kind[1:], force="mesh", skip_materials=True)
-        bare = trimesh.Trimesh(np.asarray(mesh.vertices, dtype=float) * unit, np.asarray(mesh.faces))
+        mesh = trimesh.load(BytesIO(data), file_type=kind[1:], force="mesh", skip_materials=True, process=False)
+        vertices = np.asarray(mesh.vertices, dtype=float) * unit
+        bare = trimesh.Trimesh(vertices, np.asarray(mesh.faces))  # without what is not finite
     except Exception:  # trimesh passes on all errors of its parsers
         return None
-    return bare if len(bare.faces) and np.isfinite(bare.vertices).all() else None
+    return bare if len(bare.faces) and np.isfinite(vertices).all() else None
 
 
 def _collada_unit(data: bytes) -> float:
