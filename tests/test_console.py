@@ -71,7 +71,7 @@ class TestBrokenStreams:
 
     def test_a_full_standard_output_is_named(self, broken: Callable[[str, int], None]) -> None:
         broken("out", errno.ENOSPC)
-        with pytest.raises(UserError, match="^standard output: No space left on device; "):
+        with pytest.raises(UserError, match=r"^standard output: No space left on device; "):
             console.say("result")
 
     def test_messages_that_find_no_room_end_no_work(self, broken: Callable[[str, int], None]) -> None:
