@@ -24,6 +24,7 @@ VERBS = (
     "ablate",
     "gap",
     "report",
+    "export",
     "robot",
     "fidelity",
     "envelope",

@@ -77,7 +77,9 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
     options = experiment.config.agent
     if type(options) not in _BODIES:
         kinds = ", ".join(kind.kind for kind in _BODIES)
-        raise UserError(f"{contract.policy}: a policy of kind '{options.kind}' cannot be written in C; these can: {kinds}")
+        raise UserError(
+            f"{contract.policy}: a policy of kind '{options.kind}' cannot be written in C; these can: {kinds}"
+        )
     body, values, own = _BODIES[type(options)](contract, experiment)
     asks = any(signal.name == "safe" for signal in contract.outputs)
     d = contract.distances

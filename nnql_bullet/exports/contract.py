@@ -95,7 +95,9 @@ class Contract:
 
     def markdown(self) -> str:
         """The same as tables."""
-        head = "| | name | numbers | unit | range | meaning | when its sensor is silent |\n|---|---|---|---|---|---|---|"
+        head = (
+            "| | name | numbers | unit | range | meaning | when its sensor is silent |\n|---|---|---|---|---|---|---|"
+        )
         parts = [
             f"# Observation contract of '{self.policy}' ({self.kind})",
             f"For the vehicle '{self.vehicle}'. One decision every {self.decision_period:g} s, from inputs that were "
@@ -157,8 +159,7 @@ def contract_of(policy: LoadedPolicy) -> Contract:
         f"distances of the {sensor.rays} rays, evenly spaced counter-clockwise; ray 0 points to "
         f"{np.degrees(sensor.angles[0]):g} degrees, 0 is ahead"
         if by_rays
-        else f"readings of the eight sectors of 45 degrees, the {how} ray of each, counter-clockwise from the one "
-        "ahead"
+        else f"readings of the eight sectors of 45 degrees, the {how} ray of each, counter-clockwise from the one ahead"
     )
     nothing = f"; what meets nothing reads {sensor.range:g}, and more counts as that"
     stop = "stop"
@@ -175,7 +176,7 @@ def contract_of(policy: LoadedPolicy) -> Contract:
     if isinstance(agent, TurnChooser):
         about = "Q-values of the five turns; the action is the largest if `safe` is 0; 0 on bad input"
         outputs.append(Signal("values", about, count=len(paper.TURNS)))
-    memory = ()
+    memory: tuple[Signal, ...] = ()
     if isinstance(options, VfhOptions):
         memory = (
             Signal("heading", "heading since the drive began, by dead reckoning", "rad"),
@@ -217,4 +218,3 @@ def contract_of(policy: LoadedPolicy) -> Contract:
 def _actions() -> str:
     turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
     return f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most, {STOPPED} stop"
-

@@ -1,4 +1,7 @@
-"""Exported policies in the project's own loop: a compiled one, called through its C interface, is a policy as well."""
+"""Exported policies in the project's own loop: one compiled from C, and one in ONNX Runtime, are policies as well.
+
+The only module that imports onnxruntime.
+"""
 
 import ctypes
 import shutil
@@ -11,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents.base import NoMemory
 from nnql_bullet.env import Observation
-from nnql_bullet.errors import UserError
+from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
 from nnql_bullet.geometry import Array
@@ -90,4 +94,40 @@ class LibraryPolicy:
         _, outputs, _ = self.decide(self.contract.rows(observations), state)
         if not self.contract.has_values:
             return np.full((len(outputs), len(paper.TURNS)), np.nan)
+        return np.where(outputs["safe"][:, None] == 0, outputs["values"].astype(np.float64), np.nan)
+
+
+class OnnxPolicy(NoMemory):
+    """A policy in ONNX Runtime; see `rollout.Policy`."""
+
+    def __init__(self, model: Path, contract: Contract) -> None:
+        """Loads it.
+
+        Raises:
+            UserError: If ONNX Runtime is not installed.
+        """
+        try:
+            import onnxruntime
+        except ImportError:
+            raise missing_library("ONNX Runtime", "export") from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self.contract = contract
+        self._session: Any = onnxruntime.InferenceSession(str(model), options, providers=["CPUExecutionProvider"])
+
+    def decide(self, rows: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+        """Decides by inputs (n, numbers); the outputs (n, ...) by name, as the contract has them, and `status`."""
+        ends = np.cumsum([signal.count for signal in self.contract.inputs])[:-1]
+        parts = zip(self.contract.inputs, np.split(rows, ends, axis=1), strict=True)
+        given = {signal.name: part if signal.count > 1 else part[:, 0] for signal, part in parts}
+        names = [output.name for output in self._session.get_outputs()]
+        return dict(zip(names, self._session.run(names, given), strict=True))
+
+    def act(self, observations: Observation, state: None) -> tuple[Actions, None]:
+        """Returns the actions (n,), of bad input a stop."""
+        return self.decide(self.contract.rows(observations))["action"], None
+
+    def action_values(self, observations: Observation, state: None) -> Array:
+        """Returns Q-values of the five turns (n, 5); NaN in safe states."""
+        outputs = self.decide(self.contract.rows(observations))
         return np.where(outputs["safe"][:, None] == 0, outputs["values"].astype(np.float64), np.nan)

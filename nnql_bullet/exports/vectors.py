@@ -25,8 +25,14 @@ WORLDS = ("cover_10", "cover_20", "traps", "rooms", "aisles", "cells", "cluttere
 """Kinds of worlds that drives are recorded in."""
 DRIVES = 2
 """Drives in each kind of worlds."""
-BAD = (("distances", 0, np.nan), ("distances", 0, -1.0), ("distances", 0, np.inf), ("target_distance", -3, np.nan))
-BAD += (("target_bearing", -2, 4.0), ("yaw_rate", -1, -np.inf))
+BAD = (
+    ("distances", 0, np.nan),
+    ("distances", 0, -1.0),
+    ("distances", 0, np.inf),
+    ("target_distance", -3, np.nan),
+    ("target_bearing", -2, 4.0),
+    ("yaw_rate", -1, -np.inf),
+)
 """Inputs that are refused: name, place in the row, value."""
 _FIELDS = tuple(its.name for its in fields(Observation))
 
