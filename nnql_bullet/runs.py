@@ -34,7 +34,7 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, refuse_speed
-from nnql_bullet.files import plain_file, write_text
+from nnql_bullet.files import plain_file, real, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
@@ -122,7 +122,7 @@ class Run:
             UserError: If it holds a run and `overwrite` is False, holds something else, or the run begins from it.
         """
         folder, start = self.folder, self.config.start_from
-        if start is not None and policy_file(start).resolve().parent == folder.resolve():
+        if start is not None and real(policy_file(start)).parent == real(folder):
             raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
         if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD, EVALUATIONS}:
