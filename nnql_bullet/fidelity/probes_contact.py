@@ -13,8 +13,8 @@ from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 SHORT = 0.55
-"""How much shorter a stop may be than mechanics says, over the way in a physics step at first: an engine brakes from the
-first step on, which makes half a step; a small vehicle stops within a few."""
+"""How much shorter a stop may be than mechanics says, over the way in a physics step at first: an engine brakes from
+the first step on, which makes half a step; a small vehicle stops within a few."""
 
 
 def _rear_braking(vehicle: VehicleSpec) -> float:
