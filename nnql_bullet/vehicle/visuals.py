@@ -20,8 +20,6 @@ Kind = Literal["box", "cylinder", "sphere", "mesh"]
 Colour = tuple[float, float, float]
 """Red, green, blue, from 0 to 1."""
 
-MESHES = (".stl", ".obj", ".dae")
-"""Mesh files that are drawn."""
 MOST_TRIANGLES = 20_000
 """Most triangles of a mesh that are drawn one by one."""
 UNPAINTED: Colour = (0.8, 0.8, 0.8)
@@ -115,7 +113,7 @@ def recorded_urdf(vehicle: Mapping[str, Any], meshes: Path | None = None) -> str
 def _rewritten(mesh: Element, folder: Path) -> Path | None:
     """Writes a mesh that is found as an OBJ, scaled; one of very many triangles as its convex hull."""
     path = Path(mesh.get("filename", ""))
-    found = read_mesh(path) if path.is_absolute() and path.suffix.lower() in MESHES else None
+    found = read_mesh(path) if path.is_absolute() else None
     if found is None:
         return None
     try:

@@ -10,7 +10,7 @@ from threading import Lock
 from typing import Any
 
 from nnql_bullet.errors import UserError, missing_library
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 from nnql_bullet.vehicle.description import Unfit
 
 FORBIDDEN = {"vars", "type", "mro", "gi_frame", "cr_frame", "ag_frame", "tb_frame"}
@@ -45,7 +45,7 @@ def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
     except ImportError:
         raise missing_library("xacrodoc, which expands xacros,", "robots") from None
     try:
-        with _fenced(path.resolve().parent) as said:
+        with _fenced(real(path).parent) as said:
             options = {"subargs": dict(arguments), "resolve_packages": False, "walk_up": True}
             text = str(XacroDoc.from_file(str(path), **options).to_urdf_string())
     except Exception as error:  # xacro passes on all errors of the expressions that it evaluates

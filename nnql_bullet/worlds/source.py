@@ -12,7 +12,7 @@ from nnql_bullet import assets, paper
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 from nnql_bullet.geometry import Pose, bearing, placed, wrap_angle
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import LARGEST, Extent, NonNegative, Number
@@ -356,7 +356,7 @@ def load_world(name: str) -> World:
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
-    if path.resolve() in below:
+    if real(path) in below:
         raise UserError(f"{path}: its 'base' leads back to itself")
     if len(below) == MOST_BASES:
         raise UserError(f"{path}: more than {MOST_BASES} worlds are based on one another; write their keys in one file")
@@ -368,4 +368,4 @@ def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(f"{path}: 'base' must be the name of a world")
     beside = path.parent / f"{base}.toml"
     found = beside if is_file(beside) else assets.find("worlds", base)
-    return merged(_with_base(found, (*below, path.resolve())), values)
+    return merged(_with_base(found, (*below, real(path))), values)
