@@ -1,19 +1,22 @@
 """What a vehicle foresees of every manoeuvre: the memory behind it, and its encoding as bytes for a network."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
-from nnql_bullet.env import ACTIONS, MANOEUVRES, Observation, commands_of, heading_change, speed_scale
+from nnql_bullet.config import options
+from nnql_bullet.env import ACTIONS, MANOEUVRES, REVERSE, SLOW, STOP, Observation, commands_of, heading_change, speed_scale
 from nnql_bullet.geometry import Array, as_rows
 from nnql_bullet.mapping import body_map, foresight
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
+from nnql_bullet.mapping.search import searched
 from nnql_bullet.sensing import RAYS, nearest_rays
-from nnql_bullet.types import Bytes
+from nnql_bullet.types import Bytes, NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.scale import length_scale
@@ -37,6 +40,24 @@ WIDTH = CONTEXT + MANOEUVRES * PHI
 _ODD = 2
 """How many of the last numbers of the context change their sign in a mirror."""
 _INSTANTS = 5
+_FOLLOW = np.array([0, 1, 2, 3, 4, SLOW, SLOW + 2, SLOW + 4, STOP + 2, STOP + 4, REVERSE, REVERSE + 2, REVERSE + 4])
+"""Manoeuvres that a search tries after the first."""
+
+
+@options
+class SearchOptions:
+    """Options of the search over several manoeuvres in a row."""
+
+    depth: Annotated[int, Field(ge=1, le=10)] = 4
+    """Number of manoeuvres in a row."""
+    width: Annotated[int, Field(ge=1, le=1000)] = 24
+    """Number of states that are driven on after each."""
+    margin: Reach = 0.06
+    """Clearance from all that was seen below which a manoeuvre is a last resort [m]."""
+    room: Reach = 0.3
+    """Clearance that it keeps where that costs little [m]."""
+    room_weight: NonNegative = 1.0
+    """Length of way that each metre of clearance is worth that lacks, at every manoeuvre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +77,7 @@ class Memory:
     offsets: body_map.Offsets
     """Places of points in their cells (n, SIDE, SIDE, 2)."""
     frames: Bytes
-    """What a network sees, or saw last (n, 1, WIDTH)."""
+    """What a network sees, or saw last (n, WIDTH)."""
 
     def state_dict(self) -> dict[str, NDArray[Any]]:
         """Copies the memory, by name."""
@@ -73,10 +94,15 @@ class Look:
     foreseen: Array
     """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS)."""
 
+    targets: Array
+    """Places of the targets, in the frame of the maps (n, 2) [m]."""
+    turns: Array
+    """Heading changes of the manoeuvres (n, 24) [rad]."""
+
     @property
     def stacked(self) -> Bytes:
         """Network inputs (n, WIDTH)."""
-        return self.memory.frames[:, 0]
+        return self.memory.frames
 
 
 class Foresight:
@@ -85,8 +111,6 @@ class Foresight:
     All that it tells is relative: lengths to the vehicle, speeds to the drive's, and manoeuvres are driven in thought
     by the vehicle's own limits and footprint, so that one network may drive several vehicles.
     """
-
-    frames, width = 1, WIDTH
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self._scale, self._limits, self._drive = length_scale(vehicle.footprint), vehicle.limits, drive
@@ -127,7 +151,7 @@ class Foresight:
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, side, side), np.int8),
             offsets=np.zeros((size, side, side, 2), np.uint8),
-            frames=np.zeros((size, 1, WIDTH), np.uint8),
+            frames=np.zeros((size, WIDTH), np.uint8),
         )
 
     def look(self, memory: Memory, observations: Observation) -> Look:
@@ -151,10 +175,22 @@ class Foresight:
         )
         frame = self._frame(o, memory, new, foreseen, around, ways, turns)
         seen = replace(
-            memory, poses=poses, corners=corners, cells=cells, offsets=offsets, frames=frame[:, None]
+            memory, poses=poses, corners=corners, cells=cells, offsets=offsets, frames=frame
         )
         most = MOST_PROGRESS * self._scale
-        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen)
+        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, targets, turns)
+
+    def searched(self, look: Look, observations: Observation, o: SearchOptions) -> Array:
+        """Scores the manoeuvres by a search over several in a row (n, 24) [m]; see `mapping.search`."""
+        m, scale = look.memory, self._scale
+        rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
+        return np.asarray(
+            searched(
+                *(m.cells, m.offsets, m.corners, m.poses, look.targets, rays),
+                *(observations.speed, observations.yaw_rate, look.turns, self._goals, _FOLLOW),
+                *(o.depth, o.width, o.room * scale, o.room_weight, o.margin * scale, self._mover),
+            )
+        )
 
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
@@ -185,7 +221,7 @@ class Foresight:
         n, scale, limits = len(new), self._scale, self._limits
         nearest = (o.ray_distances[:, self._taken] / scale).reshape(n, SECTORS, RAYS // SECTORS).min(axis=-1)
         scan = _as_bytes(2 / (1 + nearest) - 1)
-        earlier = np.where(new[:, None, None], scan[:, None], memory.frames[:, :, : SECTORS * (SCANS - 1)].reshape(
+        earlier = np.where(new[:, None, None], scan[:, None], memory.frames[:, : SECTORS * (SCANS - 1)].reshape(
             n, SCANS - 1, SECTORS
         ))
         most = foresight.FARTHER * self._mover.cell

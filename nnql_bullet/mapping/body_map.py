@@ -29,11 +29,13 @@ PASSED = CELLS_ACROSS / 9
 """A ray that passes a point at less than that has shown that nothing is there [cells]; thin poles keep their points."""
 BEFORE_END = 1.0
 """Length before its end over which a ray shows nothing [cells]."""
-REACH = 3.5
+REACH = 3.0
 """Distance from an obstacle from which on a way costs its length alone [cells]."""
-BESIDE, BARRED = 3.0, 300.0
-"""Cost factors of a way beside obstacles, beyond 1, and of one where the vehicle does not fit. The latter is finite: a
-way leads through obstacles where there is no other."""
+BESIDE, TIGHT, BARRED = 2.0, 8.0, 300.0
+"""Cost factors of a way beside obstacles, beyond 1, in a gap where the vehicle hardly fits, and in one where it does not.
+The last is finite: a way leads through obstacles where there is no other."""
+HARDLY = 2.2
+"""Half a gap in which the vehicle hardly fits [cells]."""
 SHIFT = 0.75
 """How far a way may pass beside the centre of a cell [cells]: half a cell's diagonal, and rounding."""
 LOCAL = 9.0
@@ -155,7 +157,7 @@ def cost_factors(cells: Cells, offsets: Offsets) -> Lengths:
         a, b = int(x), int(y)
         for to_a in range(max(a - reach, 0), min(a + reach + 1, SIDE)):
             for to_b in range(max(b - reach, 0), min(b + reach + 1, SIDE)):
-                if room[to_a, to_b] < half_width:
+                if room[to_a, to_b] < HARDLY:
                     dx, dy = x - to_a - 0.5, y - to_b - 0.5
                     near_x, near_y = beside_x[to_a, to_b], beside_y[to_a, to_b]
                     if dx * near_x + dy * near_y < 0.0:
@@ -166,6 +168,8 @@ def cost_factors(cells: Cells, offsets: Offsets) -> Lengths:
         for b in range(SIDE):
             if half_gap[a, b] < half_width - _TIGHT:
                 factors[a, b] = BARRED
+            elif half_gap[a, b] < HARDLY:
+                factors[a, b] = TIGHT
             elif room[a, b] < REACH:
                 factors[a, b] = 1.0 + BESIDE * (1.0 - room[a, b] / REACH)
     return factors

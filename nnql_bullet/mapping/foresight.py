@@ -48,6 +48,10 @@ _NEAR = 3.6
 """Distance up to which points may be met, over the length scale [m]."""
 
 
+State = tuple[float, float, float, float, float]
+"""A vehicle: x, y [m], heading [rad], speed [m/s] and yaw rate [rad/s]."""
+
+
 class Mover(NamedTuple):
     """What the kernel knows of the vehicle and its drive."""
 
@@ -121,7 +125,7 @@ def foresee(
         most = here + FARTHER
         ways[i] = here * cell
         progress[i] = (cost_at(left, corner, before[i, 0], before[i, 1], cell, most) - here) * cell
-        count = _points_near(cells[i], offsets[i], corner, pose, rays[i], mover, points)
+        count = points_near(cells[i], offsets[i], corner, pose, rays[i], mover, points)
         for j in range(turns.shape[1]):
             _drive(
                 cells[i],
@@ -152,7 +156,7 @@ def foresee(
 
 
 @njit(nogil=True)
-def _points_near(
+def points_near(
     cells: Cells,
     offsets: Offsets,
     corner: NDArray[np.int64],
@@ -196,40 +200,16 @@ def _drive(
     seen: Array,
 ) -> None:
     """Drives one manoeuvre in thought, then to a stand, and writes what is foreseen into `seen` (COLUMNS,)."""
-    enough = MOST_ROOM * mover.scale
-    x = y = heading = 0.0
-    end_x = end_y = end_heading = 0.0
-    rooms = np.array((enough, enough))
-    poses = unseen = 0
-    contact = -1
-    for part in range(2):
-        if part == 0:
-            count, duration = _DRIVEN, mover.period
-        else:
-            turn, goal = 0.0, 0.0
-            duration = abs(speed) / mover.acceleration
-            count = min(int(np.ceil(duration / mover.period * _DRIVEN)), _STOPPING)
-        times = np.arange(1.0, count + 1.0) * (duration / max(count, 1))
-        headings, rates, reached = np.empty(count), np.empty(count), np.empty(count)
-        peak, rise, hold, fall = turn_profile(yaw_rate, turn, mover.max_rate, mover.yaw_acceleration)
-        sample_profile(yaw_rate, peak, rise, hold, fall, times, rates, headings)
-        sample_ramp(speed, goal, mover.acceleration, times, reached)
-        start = heading
-        for k in range(count):
-            length = (speed + reached[k]) / 2 * (duration / count)
-            middle = (heading + start + headings[k]) / 2
-            x, y = x + length * np.cos(middle), y + length * np.sin(middle)
-            heading, speed, yaw_rate = start + headings[k], reached[k], rates[k]
-            room = _room(x, y, heading, points, mover.footprint, rooms[part])
-            rooms[part] = min(rooms[part], room)
-            if room <= 0.0 and contact < 0:
-                contact = poses
-            poses += 1
-        if part == 0:
-            end_x, end_y, end_heading = x, y, heading
-        unseen += _unseen_corners(cells, corner, pose, x, y, heading, mover)
-    seen[ROOM], seen[STOP_ROOM] = rooms
-    seen[LASTS] = 1.0 if contact < 0 else contact / poses
+    most_room = MOST_ROOM * mover.scale
+    here_now = (0.0, 0.0, 0.0, speed, yaw_rate)
+    driven, seen[ROOM], lasts = course(here_now, turn, goal, mover.period, _DRIVEN, points, mover, most_room)
+    stop = abs(driven[3]) / mover.acceleration
+    count = min(int(np.ceil(stop / mover.period * _DRIVEN)), _STOPPING)
+    stopped, seen[STOP_ROOM], more = course(driven, 0.0, 0.0, stop, count, points, mover, most_room)
+    seen[LASTS] = (lasts + (more if lasts == _DRIVEN else 0)) / (_DRIVEN + count)
+    unseen = _unseen_corners(cells, corner, pose, driven[0], driven[1], driven[2], mover)
+    unseen += _unseen_corners(cells, corner, pose, stopped[0], stopped[1], stopped[2], mover)
+    end_x, end_y, end_heading = driven[0], driven[1], driven[2]
     most, cell = here + FARTHER, mover.cell
     c, s = np.cos(pose[2]), np.sin(pose[2])
     x, y = pose[0] + c * end_x - s * end_y, pose[1] + s * end_x + c * end_y
@@ -238,6 +218,39 @@ def _drive(
     way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
     seen[WAY_AHEAD] = (cost_at(left, corner, x + c * way, y + s * way, cell, most) - here) * cell
     seen[UNKNOWN] = unseen / 8
+
+
+@njit(nogil=True)
+def course(
+    start: State, turn: float, goal: float, duration: float, count: int, points: Array, mover: Mover, most: float
+) -> tuple[State, float, int]:
+    """Drives in thought: returns the state in the end, the smallest clearance, and the poses before the first contact.
+
+    Args:
+        start: Where it begins.
+        turn: Heading change that is asked for [rad].
+        goal: Speed that is asked for [m/s].
+        duration: [s]
+        count: Number of poses at which the clearance is computed.
+        points: That may be met, in the frame of the state (k, 2) [m].
+        mover: The vehicle.
+        most: Clearance that is enough [m].
+    """
+    x, y, heading, speed, rate = start
+    begin, room, lasts = heading, most, count
+    times = np.arange(1.0, count + 1.0) * (duration / max(count, 1))
+    headings, rates, speeds = np.empty(count), np.empty(count), np.empty(count)
+    peak, rise, hold, fall = turn_profile(rate, turn, mover.max_rate, mover.yaw_acceleration)
+    sample_profile(rate, peak, rise, hold, fall, times, rates, headings)
+    sample_ramp(speed, goal, mover.acceleration, times, speeds)
+    for k in range(count):
+        length, middle = (speed + speeds[k]) / 2 * (duration / count), (heading + begin + headings[k]) / 2
+        x, y = x + length * np.cos(middle), y + length * np.sin(middle)
+        heading, speed, rate = begin + headings[k], speeds[k], rates[k]
+        room = min(room, _room(x, y, heading, points, mover.footprint, room))
+        if room <= 0.0 and lasts == count:
+            lasts = k
+    return (x, y, heading, speed, rate), room, lasts
 
 
 @njit(nogil=True)
