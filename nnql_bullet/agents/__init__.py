@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias, get_args
 from pydantic import Field
 
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
 from nnql_bullet.agents.rules.guided_search import GuidedSearchOptions
@@ -21,7 +21,7 @@ from nnql_bullet.agents.rules.vfh import VfhOptions
 from nnql_bullet.training.base import LearningAgent, Trainable
 
 LearnerOptions: TypeAlias = (
-    NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions
+    NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | DistilledOptions | Sb3DqnOptions
 )
 RuleOptions: TypeAlias = (
     StraightOptions

@@ -12,6 +12,7 @@ from nnql_bullet.config import options
 from nnql_bullet.env import ACTIONS, MANOEUVRES, REVERSE, SLOW, STOP, Observation, commands_of, heading_change, speed_scale
 from nnql_bullet.geometry import Array, as_rows
 from nnql_bullet.mapping import body_map, foresight
+from nnql_bullet.mapping.body_map import SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
 from nnql_bullet.mapping.search import searched
@@ -56,6 +57,8 @@ class SearchOptions:
     """Clearance from all that was seen below which a manoeuvre is a last resort [m]."""
     room: Reach = 0.3
     """Clearance that it keeps where that costs little [m]."""
+    constancy: NonNegative = 0.3
+    """What it is worth to keep to the plan [m]."""
     room_weight: NonNegative = 1.0
     """Length of way that each metre of clearance is worth that lacks, at every manoeuvre."""
 
@@ -76,6 +79,8 @@ class Memory:
     """Cells of the maps (n, SIDE, SIDE)."""
     offsets: body_map.Offsets
     """Places of points in their cells (n, SIDE, SIDE, 2)."""
+    planned: NDArray[np.int64]
+    """Manoeuvres that were to come next; -1 for none (n,)."""
     frames: Bytes
     """What a network sees, or saw last (n, WIDTH)."""
 
@@ -143,14 +148,14 @@ class Foresight:
 
     def nothing(self, size: int) -> Memory:
         """Memory of vehicles at the start of an episode."""
-        side = body_map.SIDE
         return Memory(
             age=np.zeros(size, np.int64),
             poses=np.zeros((size, 3)),
             steps=np.zeros((size, 2)),
             corners=np.zeros((size, 2), np.int64),
-            cells=np.zeros((size, side, side), np.int8),
-            offsets=np.zeros((size, side, side, 2), np.uint8),
+            cells=np.zeros((size, SIDE, SIDE), np.int8),
+            offsets=np.zeros((size, SIDE, SIDE, 2), np.uint8),
+            planned=np.full(size, -1),
             frames=np.zeros((size, WIDTH), np.uint8),
         )
 
@@ -175,32 +180,41 @@ class Foresight:
         )
         frame = self._frame(o, memory, new, foreseen, around, ways, turns)
         seen = replace(
-            memory, poses=poses, corners=corners, cells=cells, offsets=offsets, frames=frame
+            memory, planned=np.where(new, -1, memory.planned), poses=poses, corners=corners, cells=cells, offsets=offsets, frames=frame
         )
         most = MOST_PROGRESS * self._scale
         return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, targets, turns)
 
-    def searched(self, look: Look, observations: Observation, o: SearchOptions) -> Array:
-        """Scores the manoeuvres by a search over several in a row (n, 24) [m]; see `mapping.search`."""
+    def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
+        """Scores the manoeuvres by a search over several in a row (n, 24) [m]; says what follows the best (n,).
+
+        What is planned to follow the last manoeuvre has an advantage, without which plans take turns.
+        """
         m, scale = look.memory, self._scale
         rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
-        return np.asarray(
-            searched(
-                *(m.cells, m.offsets, m.corners, m.poses, look.targets, rays),
-                *(observations.speed, observations.yaw_rate, look.turns, self._goals, _FOLLOW),
-                *(o.depth, o.width, o.room * scale, o.room_weight, o.margin * scale, self._mover),
-            )
+        scores, then = searched(
+            *(m.cells, m.offsets, m.corners, m.poses, look.targets, rays),
+            *(observations.speed, observations.yaw_rate, look.turns, self._goals, _FOLLOW, m.planned),
+            *(o.depth, o.width, o.room * scale, o.room_weight, o.margin * scale, o.constancy * scale, self._mover),
         )
+        return scores / scale, then
 
-    def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
-        """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
+    def after(
+        self,
+        look: Look,
+        observations: Observation,
+        actions: NDArray[np.int64],
+        planned: NDArray[np.int64] | None = None,
+    ) -> Memory:
+        """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`, and planned what follows."""
         o, memory = observations, look.memory
         commands = commands_of(actions, o.target_bearing, self._drive)
         headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
         goals = self._drive.speed * commands.speed_scales
         ways = ramp_distances(o.speed, goals, self._limits.acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
-        return replace(memory, age=memory.age + 1, steps=steps)
+        planned = np.full(len(actions), -1) if planned is None else planned
+        return replace(memory, age=memory.age + 1, steps=steps, planned=planned)
 
     def mirrored(self, stacked: Bytes) -> Bytes:
         """Mirror images of network inputs (m, WIDTH)."""

@@ -30,7 +30,7 @@ _MOST_OF_ONE = 3
 """Most states of one first manoeuvre among those that are driven on, so that several stay."""
 _AHEAD = 0.5
 """What the way from a place ahead counts beside that from the end of a course."""
-_BACKING = 0.05
+_BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
 _KEPT = 0.7
 """Share of the present clearance that a vehicle keeps where it has less than its margin."""
@@ -53,14 +53,16 @@ def searched(
     turns: Array,
     goals: Array,
     follow: NDArray[np.int64],
+    planned: NDArray[np.int64],
     depth: int,
     width: int,
     room: float,
     weight: float,
     margin: float,
+    constancy: float,
     mover: Mover,
-) -> Array:
-    """Scores the manoeuvres of n vehicles (n, m) [m]; the greatest is the best.
+) -> tuple[Array, NDArray[np.int64]]:
+    """Scores the manoeuvres of n vehicles (n, m) [m], the greatest is the best; and says what is to follow it (n,).
 
     Args:
         cells: Maps (n, SIDE, SIDE).
@@ -74,18 +76,22 @@ def searched(
         turns: Heading changes of the manoeuvres (n, m) [rad].
         goals: Speeds that they ask for (m,) [m/s].
         follow: Manoeuvres that may follow the first (k,).
+        planned: Manoeuvres that were to come now; -1 for none (n,).
         depth: Number of manoeuvres in a row.
         width: Number of states that are driven on.
         room: Clearance below which a manoeuvre costs [m].
         weight: What each metre of clearance costs that lacks.
         margin: Clearance below which a manoeuvre counts as meeting something [m].
+        constancy: What it is worth to keep to the plan [m].
         mover: The vehicle.
     """
     n, m = turns.shape
+    then = np.full(n, -1)
     scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 2))
     most = max(m, width * len(follow))
     states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
-    roots, taken = np.empty((2, most), np.int64), np.empty(m, np.int64)
+    roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
+    taken, nexts = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(n):
         factors = cost_factors(cells[i], offsets[i])
         left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
@@ -96,7 +102,7 @@ def searched(
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
         costs[0, 0] = 0.0
-        scores[i] = WORST
+        scores[i], nexts[:] = WORST, -1
         for level in range(depth):
             old, new = level % 2, (level + 1) % 2
             made = 0
@@ -119,6 +125,7 @@ def searched(
                     states[new, made] = end
                     costs[new, made] = costs[old, j] + cost
                     roots[new, made] = k if level == 0 else roots[old, j]
+                    seconds[new, made] = action if level == 1 else seconds[old, j] if level > 1 else -1
                     values[made] = -value - costs[new, made]
                     made += 1
             order = np.argsort(-values[:made])
@@ -127,21 +134,32 @@ def searched(
             for j in order:
                 root = roots[new, j]
                 if taken[root] == 0:
-                    scores[i, root] = values[j]
+                    scores[i, root], nexts[root] = values[j], seconds[new, j]
                 if level < depth - 1 and taken[root] < _MOST_OF_ONE and count < width:
                     states[old, count], costs[old, count], roots[old, count] = states[new, j], costs[new, j], root
+                    seconds[old, count] = seconds[new, j]
                     count += 1
                 taken[root] += 1
             states[new, :count], costs[new, :count] = states[old, :count], costs[old, :count]
-            roots[new, :count] = roots[old, :count]
+            roots[new, :count], seconds[new, :count] = roots[old, :count], seconds[old, :count]
             if count == 0:
                 break
-    return scores
+        if planned[i] >= 0:
+            scores[i, planned[i]] += constancy
+        then[i] = nexts[np.argmax(scores[i])]
+    return scores, then
 
 
 @njit(nogil=True)
 def _tried(
-    start: State, turn: float, goal: float, points: Array, room: float, weight: float, least: float, mover: Mover
+    start: State,
+    turn: float,
+    goal: float,
+    points: Array,
+    room: float,
+    weight: float,
+    least: float,
+    mover: Mover,
 ) -> tuple[State, float, float]:
     """Drives a manoeuvre, and then to a stand: its end, what lacks in room, and for how long it meets nothing (0 to 1)."""
     end, driven, lasts = course(start, turn, goal, mover.period, _POSES, points, mover, room)

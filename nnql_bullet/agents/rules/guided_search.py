@@ -58,21 +58,15 @@ class GuidedSearch:
     def act(self, observations: Observation, state: GuidedState) -> tuple[Actions, GuidedState]:
         """Chooses the manoeuvre with the best score."""
         look = self._foresight.look(state.memory, observations)
-        actions = np.asarray(self._scores(look, observations).argmax(axis=-1))
-        return actions, self._after(look, observations, actions)
+        scores, then = self._foresight.searched(look, observations, self.options)
+        actions = np.asarray(scores.argmax(axis=-1))
+        return actions, GuidedState(self._foresight.after(look, observations, actions, then), (look, observations))
 
     def override(self, state: GuidedState, actions: Actions) -> GuidedState:
         """Returns the state after these actions in place of those last chosen."""
-        return self._after(*state.last, actions) if state.last else state
+        return GuidedState(self._foresight.after(*state.last, actions), state.last) if state.last else state
 
     def action_values(self, observations: Observation, state: GuidedState) -> Array:
         """Scores of the five turns ahead (n, 5) [m]."""
-        scores = self._scores(self._foresight.look(state.memory, observations), observations)
-        return scores[:, : len(paper.TURNS)]
-
-    def _scores(self, look: Look, observations: Observation) -> Array:
-        """Scores of the manoeuvres (n, 24); the greatest is the best."""
-        return self._foresight.searched(look, observations, self.options)
-
-    def _after(self, look: Look, observations: Observation, actions: Actions) -> GuidedState:
-        return GuidedState(self._foresight.after(look, observations, actions), (look, observations))
+        look = self._foresight.look(state.memory, observations)
+        return self._foresight.searched(look, observations, self.options)[0][:, : len(paper.TURNS)]
