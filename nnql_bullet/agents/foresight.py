@@ -9,10 +9,20 @@ from pydantic import Field
 
 from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, MANOEUVRES, REVERSE, SLOW, STOP, Observation, commands_of, heading_change, speed_scale
+from nnql_bullet.env import (
+    ACTIONS,
+    MANOEUVRES,
+    REVERSE,
+    SLOW,
+    STOP,
+    Observation,
+    commands_of,
+    heading_change,
+    speed_scale,
+)
 from nnql_bullet.geometry import Array, as_rows
 from nnql_bullet.mapping import body_map, foresight
-from nnql_bullet.mapping.body_map import SIDE
+from nnql_bullet.mapping.body_map import FARTHER, SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
 from nnql_bullet.mapping.search import searched
@@ -180,7 +190,13 @@ class Foresight:
         )
         frame = self._frame(o, memory, new, foreseen, around, ways, turns)
         seen = replace(
-            memory, planned=np.where(new, -1, memory.planned), poses=poses, corners=corners, cells=cells, offsets=offsets, frames=frame
+            memory,
+            planned=np.where(new, -1, memory.planned),
+            poses=poses,
+            corners=corners,
+            cells=cells,
+            offsets=offsets,
+            frames=frame,
         )
         most = MOST_PROGRESS * self._scale
         return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, targets, turns)
@@ -193,9 +209,25 @@ class Foresight:
         m, scale = look.memory, self._scale
         rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
         scores, then = searched(
-            *(m.cells, m.offsets, m.corners, m.poses, look.targets, rays),
-            *(observations.speed, observations.yaw_rate, look.turns, self._goals, _FOLLOW, m.planned),
-            *(o.depth, o.width, o.room * scale, o.room_weight, o.margin * scale, o.constancy * scale, self._mover),
+            m.cells,
+            m.offsets,
+            m.corners,
+            m.poses,
+            look.targets,
+            rays,
+            observations.speed,
+            observations.yaw_rate,
+            look.turns,
+            self._goals,
+            _FOLLOW,
+            m.planned,
+            o.depth,
+            o.width,
+            o.room * scale,
+            o.room_weight,
+            o.margin * scale,
+            o.constancy * scale,
+            self._mover,
         )
         return scores / scale, then
 
@@ -206,7 +238,7 @@ class Foresight:
         actions: NDArray[np.int64],
         planned: NDArray[np.int64] | None = None,
     ) -> Memory:
-        """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`, and planned what follows."""
+        """The memory of vehicles after they were given manoeuvres (n,), and planned what follows (n,)."""
         o, memory = observations, look.memory
         commands = commands_of(actions, o.target_bearing, self._drive)
         headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
@@ -235,14 +267,13 @@ class Foresight:
         n, scale, limits = len(new), self._scale, self._limits
         nearest = (o.ray_distances[:, self._taken] / scale).reshape(n, SECTORS, RAYS // SECTORS).min(axis=-1)
         scan = _as_bytes(2 / (1 + nearest) - 1)
-        earlier = np.where(new[:, None, None], scan[:, None], memory.frames[:, : SECTORS * (SCANS - 1)].reshape(
-            n, SCANS - 1, SECTORS
-        ))
-        most = foresight.FARTHER * self._mover.cell
-        probes = np.concatenate([2 * around[:, :2] / most - 0.0, around[:, 2:] / (SIGHT * scale) * 2 - 1], axis=1)
-        probes[:, :2] = around[:, :2] / most
+        earlier = np.where(
+            new[:, None, None], scan[:, None], memory.frames[:, : SECTORS * (SCANS - 1)].reshape(n, SCANS - 1, SECTORS)
+        )
+        most = FARTHER * self._mover.cell
+        probes = np.concatenate([around[:, :2] / most, around[:, 2:] / (SIGHT * scale) * 2 - 1], axis=1)
         away = o.target_distance
-        context = [
+        context: list[Array | float] = [
             o.speed / self._drive.speed,
             1 - 2 * away / (FAR * scale),
             2 * (ways - away) / (20.0 * scale) - 1,
@@ -259,7 +290,11 @@ class Foresight:
         phi[..., foresight.WAY : foresight.WAY_AHEAD + 1] /= most
         phi[..., foresight.UNKNOWN] = 2 * phi[..., foresight.UNKNOWN] - 1
         phi[..., COLUMNS] /= np.pi / 3
-        rest = [probes.reshape(n, -1), np.stack(np.broadcast_arrays(*context), axis=-1), phi.reshape(n, -1)]
+        rest = [
+            probes.reshape(n, -1),
+            np.stack([np.broadcast_to(its, n) for its in context], axis=-1),
+            phi.reshape(n, -1),
+        ]
         return np.concatenate([scan, earlier.reshape(n, -1), _as_bytes(np.concatenate(rest, axis=-1))], axis=-1)
 
 

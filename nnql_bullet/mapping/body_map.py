@@ -1,10 +1,10 @@
 """A map at the scale of the vehicle's body: what is free, what is occupied and where exactly, and what was never seen.
 
 Cells are a third of the vehicle's width. Each occupied cell keeps the point where a ray ended in it last, so that what
-is computed from the map is as exact as the scan. `costs_to_go` gives the lengths of the shortest ways to the target, the
-unseen counted as free as in Koenig and Likhachev, "D* Lite" (AAAI 2002): a search from the target outwards in the order
-of A* toward the vehicle (Hart, Nilsson and Raphael, 1968), with its queue in buckets (Dial, CACM 1969). Poses are in the
-landmark's frame of `grid_map`.
+is computed from the map is nearly as exact as the scan. `costs_to_go` gives the costs of the best ways to the target,
+the unseen counted as free as in Koenig and Likhachev, "D* Lite" (AAAI 2002): a search from the target outwards in the
+order of A* toward the vehicle (Hart, Nilsson and Raphael, 1968), with its queue in buckets (Dial, CACM 1969). Poses are
+in the landmark's frame of `grid_map`.
 """
 
 from math import floor
@@ -32,13 +32,13 @@ BEFORE_END = 1.0
 REACH = 3.0
 """Distance from an obstacle from which on a way costs its length alone [cells]."""
 BESIDE, TIGHT, BARRED = 2.0, 8.0, 300.0
-"""Cost factors of a way beside obstacles, beyond 1, in a gap where the vehicle hardly fits, and in one where it does not.
-The last is finite: a way leads through obstacles where there is no other."""
+"""Cost factors of a way beside obstacles, beyond 1, in a gap where the vehicle hardly fits, and in one where it does
+not. The last is finite: a way leads through obstacles where there is no other."""
 HARDLY = 2.2
 """Half a gap in which the vehicle hardly fits [cells]."""
 SHIFT = 0.65
-"""How far beside the centre of a cell a way through it may pass [cells]. A way along any line passes centres at most half
-a cell from it; and one through a wall a centre less than 0.75 cells from it, which has to be barred."""
+"""How far beside the centre of a cell a way through it may pass [cells]. A way along any line passes centres at most
+half a cell from it; and one through a wall a centre less than 0.75 cells from it, which has to be barred."""
 LOCAL = 9.0
 """Distance from the vehicle, along the sides of cells, within which ways are wanted [cells]."""
 FARTHER = 9.0
@@ -205,7 +205,7 @@ def costs_to_go(factors: Lengths, corner: NDArray[np.int64], place: Array, targe
         for b in range(0, SIDE, SIDE - 1 if inner and not near else 1):
             if inner and 0 < b < SIDE - 1 and abs(b - goal_b) > 0.5:
                 continue
-            away = np.float32(np.hypot(a - goal_a, b - goal_b))
+            away = float(np.float32(np.hypot(a - goal_a, b - goal_b)))
             left[a, b] = away
             bucket = _bucket(away, a - at_a, b - at_b)
             begin = min(begin, bucket)

@@ -2,8 +2,8 @@
 
 Every manoeuvre is driven in thought for a decision, and then to a stand. The footprint's clearance from the points of
 the map and of the last scan is exact but for what stands between two points; the way left is that of `body_map`. After
-the dynamic window approach (Fox, Burgard and Thrun, 1997), with the cost to go of a map in place of the goal's direction
-(Brock and Khatib, "High-speed navigation using the global dynamic window approach", ICRA 1999).
+the dynamic window approach (Fox, Burgard and Thrun, 1997), with the cost to go of a map in place of the direction of
+the goal (Brock and Khatib, "High-speed navigation using the global dynamic window approach", ICRA 1999).
 """
 
 from math import floor

@@ -1,8 +1,8 @@
 """A search over several manoeuvres in a row: what each first manoeuvre is worth, by the best that can follow it.
 
-A beam search (Lowerre, 1976) with the vehicle's own model: of all states after k manoeuvres, those with the best scores
-are driven on. A score is the cost of the way left through the map of what was seen, the unseen counted as free, and what
-lacked in room on the way there. It is the same for every vehicle but for its lengths.
+A beam search (Lowerre, 1976) with the vehicle's own model: of all states after k manoeuvres, those with the best
+scores are driven on. A score is the cost of the way left through the map of what was seen, the unseen counted as free,
+and what lacked in room on the way there. It is the same for every vehicle but for its lengths.
 """
 
 import numpy as np
@@ -161,7 +161,7 @@ def _tried(
     least: float,
     mover: Mover,
 ) -> tuple[State, float, float]:
-    """Drives a manoeuvre, and then to a stand: its end, what lacks in room, and for how long it meets nothing (0 to 1)."""
+    """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
     end, driven, lasts = course(start, turn, goal, mover.period, _POSES, points, mover, room)
     if driven < least:
         return end, 0.0, lasts / (_POSES + _STOPPING)

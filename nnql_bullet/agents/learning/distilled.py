@@ -107,10 +107,10 @@ class Distilled:
         """Asks the search; lets it drive, or chance, with the scheduled probabilities, and else the network."""
         o, look = self.options, self._foresight.look(state.memory, observations)
         scores, _ = self._foresight.searched(look, observations, o.search)
-        led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.exploration)
+        led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
         actions = np.where(led, scores.argmax(axis=-1), self._values(look).argmax(axis=-1))
-        drawn = np.minimum(uniforms / max(o.exploration, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
-        actions, after = self._after(look, observations, np.where(uniforms < o.exploration, drawn, actions))
+        drawn = np.minimum(uniforms / max(o.random_share, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
+        actions, after = self._after(look, observations, np.where(uniforms < o.random_share, drawn, actions))
         return actions, replace(after, scores=scores)
 
     def learn(self, transitions: Transition, state: DistilledState, episodes: NDArray[np.int64]) -> Array:

@@ -21,6 +21,7 @@ from nnql_bullet.env import ACTIONS
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.mapping.body_map import SIDE
 from nnql_bullet.types import BatchSize, BufferSize, Count, Few, Frames, Layers, Number, Positive, UnitInterval, Units
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.scale import length_scale
@@ -188,7 +189,7 @@ class DistilledOptions:
     stopped and resumed."""
     led_episodes: Count = 200
     """Episodes over which the share of decisions that the search itself takes falls from all to none, linearly."""
-    exploration: UnitInterval = 0.05
+    random_share: UnitInterval = 0.05
     """Probability of a random manoeuvre, after which the search is asked what to do about it."""
     softness: Positive = 0.1
     """Difference of values that matters little [m]."""
@@ -203,7 +204,7 @@ class DistilledOptions:
 
     def training_memory(self, vehicles: int) -> int:
         """Memory that a training with so many vehicles needs at least: buffer and maps [bytes]."""
-        return (foresight.WIDTH + 100) * self.buffer_size + 3 * foresight.SIDE**2 * vehicles
+        return (foresight.WIDTH + 100) * self.buffer_size + 3 * SIDE**2 * vehicles
 
     def led(self, episodes: NDArray[np.int64]) -> Array:
         """Share of decisions by the search in training episodes (n,), counted from 0."""

@@ -9,11 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from nnql_bullet import paper
+from nnql_bullet.agents.base import NoValues
 from nnql_bullet.agents.foresight import Foresight, Look, Memory, SearchOptions
 from nnql_bullet.config import options
 from nnql_bullet.env import Observation
-from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
@@ -38,7 +37,7 @@ class GuidedState:
     last: tuple[Look, Observation] | None = None
 
 
-class GuidedSearch:
+class GuidedSearch(NoValues):
     """Keeps a map, drives several manoeuvres in a row in thought, and takes the first of the best."""
 
     def __init__(self, options: SearchOptions, vehicle: VehicleSpec, drive: DriveOptions) -> None:
@@ -65,8 +64,3 @@ class GuidedSearch:
     def override(self, state: GuidedState, actions: Actions) -> GuidedState:
         """Returns the state after these actions in place of those last chosen."""
         return GuidedState(self._foresight.after(*state.last, actions), state.last) if state.last else state
-
-    def action_values(self, observations: Observation, state: GuidedState) -> Array:
-        """Scores of the five turns ahead (n, 5) [m]."""
-        look = self._foresight.look(state.memory, observations)
-        return self._foresight.searched(look, observations, self.options)[0][:, : len(paper.TURNS)]
