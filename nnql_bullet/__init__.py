@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from nnql_bullet.api.barn import barn
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
+    from nnql_bullet.api.export import export
     from nnql_bullet.api.failures import failures
     from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
+    from nnql_bullet.api.sweep import sweep
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.api.worlds import export_world, import_world, view_world
     from nnql_bullet.driving import drive
@@ -52,6 +54,7 @@ _HOMES = {
     "drive": "driving",
     "envelope": "api.fidelity",
     "evaluate": "api.evaluate",
+    "export": "api.export",
     "export_world": "api.worlds",
     "failures": "api.failures",
     "gap": "api.gap",
@@ -61,6 +64,7 @@ _HOMES = {
     "make_env": "api.environment",
     "read_robot": "vehicle.translation",
     "resume": "api.training",
+    "sweep": "api.sweep",
     "train": "api.training",
     "view_world": "api.worlds",
 }
@@ -81,6 +85,7 @@ __all__ = [
     "drive",
     "envelope",
     "evaluate",
+    "export",
     "export_world",
     "failures",
     "gap",
@@ -90,6 +95,7 @@ __all__ = [
     "make_env",
     "read_robot",
     "resume",
+    "sweep",
     "train",
     "view_world",
 ]

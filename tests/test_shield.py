@@ -368,6 +368,42 @@ class TestStops:
             world = load_world("cover_10").draw(9, 0.8)
             assert drive(simulator, world, shield.policy, steps=120)[0].ending in ("timeout", "stuck")
 
+    def test_a_slow_vehicle_that_slides_stops_before_what_it_was_foreseen_to_clear(
+        self, vehicle: VehicleSpec, empty_world: WorldSpec
+    ) -> None:
+        """In contact physics: a slow turn and a stop, after others, beside poles that could stand anywhere."""
+        laden, chance = loaded(vehicle.gripping(0.4), deck_load(vehicle, 80.0)), np.random.default_rng(2)
+        predictor, scans = Predictor(lengths_of(ShieldOptions(), laden, DRIVE), laden, DRIVE), no_scans()
+        scans, turns = scans.followed_by(NOTHING, np.zeros(3), 0.0), np.array([[*paper.TURNS, 0.0]])
+        share, box, admitted = DRIVE.reverse_share, laden.footprint, 0
+        with Alone(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as driven:
+            for before, turn in chance.integers(5, size=(10, 2)):
+                driven.reset(empty_world)
+                for turned, scale in [(0.0, 0.0)] * 5 + [(0.0, share)] * 4 + [(paper.TURNS[before], share)]:
+                    now = driven.advance(turned, speed_scale=scale)
+                start, trace = driven.pose, list[Sample]()
+                for turned, scale in [(paper.TURNS[turn], share)] + [(0.0, 0.0)] * 4:
+                    driven.advance(turned, trace, speed_scale=scale)
+                poses = np.array([(its.pose.x, its.pose.y, its.pose.yaw) for its in trace])
+                places = seen_from(np.array([start.x, start.y, start.yaw]), poses[:, :2])
+                poles = chance.uniform([0.0, -1.2], [2.0, 1.2], size=(40, 2))
+                for pole in poles:
+                    o = Situation(
+                        *(np.array([now.yaw_rate]), np.array([now.speed]), turns),
+                        *(pole[None, None], np.zeros((1, 1), np.bool_)),
+                    )
+                    if not predictor.can_stop(o, scans, SLOW + int(turn), 0.06):
+                        continue
+                    admitted += 1
+                    away = [
+                        seen_from(np.array([*at, yaw - start.yaw]), pole[None])[0]
+                        for at, yaw in zip(places, poses[:, 2], strict=True)
+                    ]
+                    ahead, left = np.transpose(away)
+                    inside = (np.abs(ahead - box.x) < box.half_length) & (np.abs(left - box.y) < box.half_width)
+                    assert not inside.any()
+        assert admitted > 80
+
     def test_a_standing_vehicle_makes_way_for_what_comes(
         self, kinematic: KinematicSimulator, around: Callable[..., Shield], world_of: WorldOf
     ) -> None:

@@ -12,6 +12,7 @@ from nnql_bullet.errors import UserError, WorkerDied, WorkFailed, failed_import
 
 VERBS = (
     "train",
+    "sweep",
     "keys",
     "policies",
     "drive",
@@ -24,6 +25,7 @@ VERBS = (
     "ablate",
     "gap",
     "report",
+    "export",
     "robot",
     "fidelity",
     "envelope",

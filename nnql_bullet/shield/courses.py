@@ -19,6 +19,7 @@ def drives(
     max_rate: float,
     yaw_acceleration: float,
     acceleration: float,
+    slides: bool = False,
 ) -> Array:
     """Predicts a vehicle that turns and changes its speed: its state at equal intervals, in its present frame (k, 5).
 
@@ -31,6 +32,7 @@ def drives(
         max_rate: Limit on the yaw rate [rad/s].
         yaw_acceleration: Limit on the yaw acceleration [rad/s2].
         acceleration: Limit on acceleration and deceleration [m/s2].
+        slides: Whether its turn leaves no grip to change the speed with before the turn has ended.
 
     Returns:
         x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s].
@@ -40,7 +42,8 @@ def drives(
     course, headings, rates, speeds = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
     peak, rise, hold, fall = turn_profile(yaw_rate, turn, max_rate, yaw_acceleration)
     sample_profile(yaw_rate, peak, rise, hold, fall, times, rates, headings)
-    sample_ramp(speed, goal, acceleration, times, speeds)
+    kept = rise + hold + fall if slides else 0.0
+    sample_ramp(speed, goal, acceleration, np.maximum(times - kept, 0.0), speeds)
     x = y = heading = 0.0
     before = speed
     for k in range(count):
@@ -52,7 +55,9 @@ def drives(
 
 
 @njit()
-def then_stops(driven: Array, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float) -> Array:
+def then_stops(
+    driven: Array, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float, slides: bool = False
+) -> Array:
     """Predicts a vehicle that has driven a course and then brakes until it stands: its poses on both (k, 3).
 
     Args:
@@ -61,10 +66,12 @@ def then_stops(driven: Array, turn: float, max_rate: float, yaw_acceleration: fl
         max_rate: Limit on the yaw rate [rad/s].
         yaw_acceleration: Limit on the yaw acceleration [rad/s2].
         deceleration: That the vehicle reaches when it brakes [m/s2].
+        slides: See `drives`.
     """
     x, y, yaw, rate, speed = driven[-1]
-    stop = max(abs(speed) / deceleration, sum(turn_profile(rate, turn, max_rate, yaw_acceleration)[1:]))
-    then = drives(rate, speed, turn, 0.0, stop, max_rate, yaw_acceleration, deceleration)
+    brakes, turns = abs(speed) / deceleration, sum(turn_profile(rate, turn, max_rate, yaw_acceleration)[1:])
+    stop = turns + brakes if slides else max(turns, brakes)
+    then = drives(rate, speed, turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides)
     c, s = np.cos(yaw), np.sin(yaw)
     poses = np.empty((len(driven) + len(then), 3))
     poses[: len(driven)] = driven[:, :3]

@@ -66,7 +66,8 @@ def fallback(
         return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
     if situation.speed[0] >= lengths.standstill:
         order = np.argsort(np.abs(situation.turns[0]), kind="stable")
-        scores = course_scores(stops, lengths.margin) + predictor.can_stop_after(situation, scans, STOP, tight)
+        enough = lengths.tight_margin if predictor.slides else lengths.margin  # sliding, it brakes best straight ahead
+        scores = course_scores(stops, enough) + predictor.can_stop_after(situation, scans, STOP, tight)
         return STOP + int(order[scores[order].argmax()]), spin
     if spin.backs and not predictor.can_turn_round(situation):
         action = predictor.reverses(situation, scans, tight)

@@ -30,6 +30,8 @@ LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
 SLIDING = 0.1
 """Share of the drive's speed below which a vehicle that is to stop turns as on the spot."""
+SLOWLY = 1.2
+"""Share of the speed of slow driving up to which a vehicle that slides is expected to turn before it brakes."""
 
 AXLE = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 """The rear-axle centre as a footprint without size."""
@@ -73,6 +75,7 @@ class Predictor:
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
         self._asked = limits
         self._followed = followed_limits(vehicle, drive.speed)
+        self._followed_slowly = followed_limits(vehicle, drive.speed * drive.reverse_share)
         self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
         self._followed_standing = followed_limits(vehicle, lengths.standstill)
         self.slides = self._followed_standing != limits
@@ -157,16 +160,19 @@ class Predictor:
         speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
         courses, braking = {}, self.lengths.deceleration
         change = self._asked.acceleration if goal > speed else braking
-        for turned, limits in self._turns(turn, rate, speed, goal):
+        for turned, limits, slides in self._turns(turn, rate, speed, goal):
             yaw_limits = limits.yaw_rate, limits.yaw_acceleration
-            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change)
-            for back, limits in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
-                course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking)
+            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change, slides)
+            for back, limits, slides in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
+                course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking, slides)
                 courses[course.tobytes()] = course
         return list(courses.values())
 
-    def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits]]:
-        """How one vehicle may turn: as asked, falling behind, and no further where braking leaves no grip for a turn.
+    def _turns(self, turn: float, rate: float, speed: float, goal: float) -> list[tuple[float, Limits, bool]]:
+        """How one vehicle may turn, each with whether it slides: the turn leaves it nothing to brake with meanwhile.
+
+        It may turn as asked, fall behind, and turn no further where braking leaves no grip for a turn. One that slides
+        when it turns on the spot does so when it drives slowly, too.
 
         Args:
             turn: Heading change that is asked for [rad].
@@ -174,9 +180,11 @@ class Predictor:
             speed: Its speed [m/s].
             goal: Speed that is asked for [m/s].
         """
-        turns = [(turn, limits) for limits in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
+        turns = [(turn, its, False) for its in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
+        if self.slides and max(abs(goal), abs(speed)) <= SLOWLY * self._drive.reverse_share * self._drive.speed:
+            turns.append((turn, self._followed_slowly, abs(goal) < abs(speed)))
         if goal < speed > self._brakes_straight_above:
-            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked))
+            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked, False))
         return turns
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
