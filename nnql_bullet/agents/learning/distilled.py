@@ -44,6 +44,8 @@ class ManoeuvreNetwork(torch.nn.Module):
         self.value = torch.nn.Sequential(
             torch.nn.ReLU(), torch.nn.Linear(hidden[-1], per_action), torch.nn.ReLU(), torch.nn.Linear(per_action, 1)
         )
+        for parameter in self.value[-1].parameters():  # no manoeuvre is better than another yet
+            torch.nn.init.zeros_(parameter)
         self.manners = torch.eye(_MANNERS).repeat_interleave(ACTIONS, dim=0)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:

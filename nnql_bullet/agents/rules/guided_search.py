@@ -35,6 +35,10 @@ class GuidedState:
 
     memory: Memory
     last: tuple[Look, Observation] | None = None
+    actions: Actions | None = None
+    """Those last chosen (n,)."""
+    then: Actions | None = None
+    """What was planned to follow them (n,)."""
 
 
 class GuidedSearch(NoValues):
@@ -59,8 +63,12 @@ class GuidedSearch(NoValues):
         look = self._foresight.look(state.memory, observations)
         scores, then = self._foresight.searched(look, observations, self.options)
         actions = np.asarray(scores.argmax(axis=-1))
-        return actions, GuidedState(self._foresight.after(look, observations, actions, then), (look, observations))
+        memory = self._foresight.after(look, observations, actions, then)
+        return actions, GuidedState(memory, (look, observations), actions, then)
 
     def override(self, state: GuidedState, actions: Actions) -> GuidedState:
-        """Returns the state after these actions in place of those last chosen."""
-        return GuidedState(self._foresight.after(*state.last, actions), state.last) if state.last else state
+        """Returns the state after these actions in place of those last chosen; plans for others are dropped."""
+        if state.last is None or state.then is None:
+            return state
+        then = np.where(actions == state.actions, state.then, -1)
+        return replace(state, memory=self._foresight.after(*state.last, actions, then))
