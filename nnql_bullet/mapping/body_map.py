@@ -36,9 +36,9 @@ BESIDE, TIGHT, BARRED = 2.0, 8.0, 300.0
 not. The last is finite: a way leads through obstacles where there is no other."""
 HARDLY = 2.2
 """Half a gap in which the vehicle hardly fits [cells]."""
-SHIFT = 0.65
+SHIFT = 0.4
 """How far beside the centre of a cell a way through it may pass [cells]. A way along any line passes centres at most
-half a cell from it; and one through a wall a centre less than 0.75 cells from it, which has to be barred."""
+half a cell from it; and one through a wall, of points a cell apart, a centre less than a cell from one of them."""
 LOCAL = 9.0
 """Distance from the vehicle, along the sides of cells, within which ways are wanted [cells]."""
 FARTHER = 9.0
