@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.barn import barn
     from nnql_bullet.api.environment import make_env
     from nnql_bullet.api.evaluate import evaluate
+    from nnql_bullet.api.export import export
     from nnql_bullet.api.failures import failures
     from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
@@ -53,6 +54,7 @@ _HOMES = {
     "drive": "driving",
     "envelope": "api.fidelity",
     "evaluate": "api.evaluate",
+    "export": "api.export",
     "export_world": "api.worlds",
     "failures": "api.failures",
     "gap": "api.gap",
@@ -83,6 +85,7 @@ __all__ = [
     "drive",
     "envelope",
     "evaluate",
+    "export",
     "export_world",
     "failures",
     "gap",

@@ -9,7 +9,7 @@
 - policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
 - selection.csv: with a selection, the goals of each candidate, once the training is over
 - evaluations.csv: with evaluations between the episodes (`training/evaluation.py`), a line for each
-- learning_curve.png: the verb `train` draws it when the training stops
+- learning_curve.png, README.md: a picture and the policy's card, made when the training stops (`api/training.py`)
 - tensorboard/: with `--log tensorboard`, a log; it is outside of what equal trainings have in common
 - .lock: while a process trains there, which process it is
 """
@@ -50,7 +50,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 LEARNING_CURVE, SELECTION, REPORT = "learning_curve.png", "selection.csv", "report.html"
-EVALUATIONS = "evaluations.csv"
+EVALUATIONS, CARD = "evaluations.csv", "README.md"
 _log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
@@ -133,7 +133,8 @@ class Run:
         if (folder / TENSORBOARD).is_dir():
             shutil.rmtree(folder / TENSORBOARD)
         # The checkpoint can restore the files before it.
-        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
+        shown = (LEARNING_CURVE, REPORT, CARD)
+        for name in (POLICY, SELECTION, *shown, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
             (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()

@@ -25,6 +25,7 @@ VERBS = (
     "ablate",
     "gap",
     "report",
+    "export",
     "robot",
     "fidelity",
     "envelope",

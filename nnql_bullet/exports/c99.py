@@ -1,0 +1,259 @@
+"""Policies in C99: readable source of fixed sizes, in single precision, and the operations of a decision."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+from math import ceil, floor, hypot, pi, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from numpy.typing import ArrayLike, NDArray
+
+from nnql_bullet import __version__, paper
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.agents.learning.options import NnqlOptions
+from nnql_bullet.agents.learning.q_table import QTableOptions
+from nnql_bullet.agents.rules import fuzzy
+from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
+from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.potential_field import CLOSEST, PotentialFieldOptions
+from nnql_bullet.agents.rules.straight import StraightOptions
+from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
+from nnql_bullet.agents.turns import nearest_turns
+from nnql_bullet.env import MOST_YAW_RATE, TOWARD_TARGET
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract
+from nnql_bullet.geometry import wrap_angles
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
+from nnql_bullet.vehicle.scale import length_scale, scaled
+
+SOURCE, HEADER, EXAMPLE = "policy.c", "policy.h", "example.c"
+MOST_ROWS = 65_536
+"""Rows of the largest table that is written as source."""
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+@dataclass(frozen=True, slots=True)
+class Operations:
+    """Arithmetic of a decision in the worst case: operations on numbers in single precision."""
+
+    additions: int = 0
+    """Also subtractions and changes of sign."""
+    multiplications: int = 0
+    divisions: int = 0
+    comparisons: int = 0
+    """Also smaller or larger of two, and absolute values."""
+    functions: int = 0
+    """Calls of exponential, root, rounding and trigonometric functions."""
+
+    def __add__(self, other: "Operations") -> "Operations":
+        return Operations(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def __rmul__(self, times: int) -> "Operations":
+        return Operations(*(times * getattr(self, f.name) for f in fields(self)))
+
+    def text(self) -> str:
+        """In words."""
+        return ", ".join(f"{getattr(self, f.name)} {f.name}" for f in fields(self))
+
+
+_N = Operations
+Body = tuple[str, dict[str, Any], Operations]
+"""Template of a kind's functions, what it needs, and the operations of these."""
+_TOWARD = _N(additions=1, comparisons=2)
+_NEAREST = len(paper.TURNS) * _N(additions=1, comparisons=2) + _N(additions=1, comparisons=1) + _TOWARD
+_LARGEST = _N(comparisons=len(paper.TURNS) - 1)
+
+
+def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str], Operations]:
+    """The source files of a policy, by name, and the operations of a decision in the worst case.
+
+    Raises:
+        UserError: If the policy cannot be written in C.
+    """
+    options = experiment.config.agent
+    if type(options) not in _BODIES:
+        kinds = ", ".join(kind.kind for kind in _BODIES)
+        raise UserError(
+            f"{contract.policy}: a policy of kind '{options.kind}' cannot be written in C; these can: {kinds}"
+        )
+    body, values, own = _BODIES[type(options)](contract, experiment)
+    asks = any(signal.name == "safe" for signal in contract.outputs)
+    d = contract.distances
+    checks = d * _N(comparisons=2) + _N(comparisons=6) + d * _N(comparisons=1)
+    operations = checks + own + _TOWARD + (d * _N(comparisons=1) if asks else _N())
+    values |= {
+        "contract": contract,
+        "version": __version__,
+        "body": f"{body}.c.j2",
+        "asks": asks,
+        "uses_nearest": type(options) in (FuzzyOptions, PotentialFieldOptions, VfhOptions),
+        "turns": paper.TURNS,
+        "thresholds": experiment.task.thresholds,
+        "toward_target": TOWARD_TARGET,
+        "stopped": STOPPED,
+        "statuses": STATUSES,
+        "widest_bearing": WIDEST_BEARING,
+        "most_yaw_rate": MOST_YAW_RATE,
+    }
+    return {name: rendered(f"{name}.j2", values) for name in (HEADER, SOURCE, EXAMPLE)}, operations
+
+
+def rendered(template: str, values: Mapping[str, Any]) -> str:
+    """A template of this folder with values in it."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), undefined=StrictUndefined, autoescape=False, keep_trailing_newline=True
+    )
+    text = environment.get_template(template).render(f=literal, row=_row, table=_table, **values)
+    return "\n".join(line.rstrip() for line in text.rstrip().splitlines()) + "\n"
+
+
+def literal(number: float) -> str:
+    """A number as C writes it in single precision; it is read back as the nearest one."""
+    text = repr(float(f"{np.float32(number):.9g}"))
+    return f"{text}f"
+
+
+def _row(numbers: ArrayLike) -> str:
+    return f"{{ {', '.join(map(literal, np.asarray(numbers).tolist()))} }}"
+
+
+def _table(rows: Iterable[ArrayLike]) -> str:
+    return "{\n    " + ",\n    ".join(map(_row, rows)) + "\n}"
+
+
+def _state(experiment: Experiment) -> Mapping[str, NDArray[Any]]:
+    return experiment.trainable.state_dict()
+
+
+def _network(encoding: str | None, contract: Contract, experiment: Experiment) -> Body:
+    """The paper's network; its encoding is the agent's own, or this."""
+    w1, b1, w2, b2 = (_state(experiment)[name] for name in ("0.weight", "0.bias", "2.weight", "2.bias"))
+    values = {
+        **{"w1": w1, "b1": b1, "w2": w2, "b2": b2},
+        "encoding": encoding or getattr(experiment.config.agent, "encoding", ""),
+        "full_scale": paper.SENSOR_RANGE * length_scale(experiment.vehicle.footprint),
+    }
+    hidden, inputs = w1.shape
+    proximity = values["encoding"] == "proximity"
+    encoded = inputs * _N(additions=int(proximity), divisions=1, comparisons=1)
+    sums = (hidden * inputs + len(w2) * hidden) * _N(additions=1, multiplications=1)
+    units = hidden * _N(additions=2, divisions=1, functions=1)
+    return "network", values, encoded + sums + units + _LARGEST
+
+
+def _q_table(contract: Contract, experiment: Experiment) -> Body:
+    """Its table, with zeros where it never was."""
+    o = experiment.config.agent
+    if not isinstance(o, QTableOptions) or o.states > MOST_ROWS or not o.edges or not o.sectors:
+        raise UserError(f"{contract.policy}: a table is written with 2 to {MOST_ROWS} states; this one has others")
+    learned = _state(experiment)
+    table = np.zeros((o.states, len(paper.TURNS)))
+    table[learned["states"]] = learned["values"]
+    edges = length_scale(experiment.vehicle.footprint) * np.array(o.edges)
+    operations = len(o.edges) * len(o.sectors) * _N(comparisons=1) + _LARGEST
+    return "q_table", {"edges": edges, "sectors": o.sectors, "values": table}, operations
+
+
+def _straight(contract: Contract, experiment: Experiment) -> Body:
+    return "straight", {}, _N()
+
+
+def _hand_rule(contract: Contract, experiment: Experiment) -> Body:
+    angle = radians(getattr(experiment.config.agent, "turn_degrees", 0))
+    left, right = nearest_turns(np.array([angle, -angle])).tolist()
+    values = {"left": left, "right": right, "front_left": FRONT_LEFT, "front_right": FRONT_RIGHT}
+    return "hand_rule", values, _N(comparisons=3)
+
+
+_FUZZY_TERMS = (("near", "far"), ("near", "far"), ("left", "neither", "right"), ("left", "ahead", "right"))
+"""Terms of each of `fuzzy.VARIABLES`, by number."""
+
+
+def _fuzzy(contract: Contract, experiment: Experiment) -> Body:
+    points, turns = fuzzy.UNIVERSE_DEGREES, list(fuzzy.TURNS_DEGREES)
+    rules = [
+        [-1 if term is None else terms.index(term) for term, terms in zip(antecedent, _FUZZY_TERMS, strict=True)]
+        for antecedent, _ in fuzzy.RULE_BASE
+    ]
+    values = {
+        **{"o": experiment.config.agent, "scale": length_scale(experiment.vehicle.footprint)},
+        **{"variables": fuzzy.VARIABLES, "terms": 3, "rules": rules, "reading_range": paper.SENSOR_RANGE},
+        "rule_texts": [(", ".join(term or "any" for term in its), turn) for its, turn in fuzzy.RULE_BASE],
+        "rule_turns": [turns.index(turn) for _, turn in fuzzy.RULE_BASE],
+        "turns_named": turns,
+        "turn_terms": [np.maximum(1 - np.abs(points - at) / 30, 0) for at in fuzzy.TURNS_DEGREES.values()],
+        **{"degrees": 180 / pi, "first_point": points[0], "point_step": points[1] - points[0]},
+        **{"front": FRONT, "front_left": FRONT_LEFT, "front_right": FRONT_RIGHT},
+    }
+    readings = 3 * _N(divisions=1, comparisons=1) + 2 * _N(additions=3, divisions=1, comparisons=2)
+    sides = 2 * _N(additions=2, divisions=3, comparisons=6) + _N(additions=1, multiplications=1, comparisons=1)
+    fires = sum(term >= 0 for rule in rules for term in rule) * _N(comparisons=1) + len(rules) * _N(comparisons=1)
+    truths = len(points) * len(turns) * _N(comparisons=2)
+    areas = (len(points) - 1) * _N(additions=6, multiplications=4, divisions=1)
+    operations = readings + sides + fires + truths + areas + _N(divisions=2, comparisons=1) + _NEAREST
+    return "fuzzy", values, operations
+
+
+def _potential_field(contract: Contract, experiment: Experiment) -> Body:
+    o, vehicle = experiment.config.agent, experiment.vehicle
+    scale, sensor = length_scale(vehicle.footprint), vehicle.sensor
+    if not isinstance(o, PotentialFieldOptions):
+        raise TypeError
+    rays = np.flatnonzero(np.abs(wrap_angles(sensor.angles)) < radians(o.view_degrees) + 1e-9)
+    box = scaled(vehicle.footprint, 1 / scale)
+    values = {
+        **{"scale": scale, "gain": o.gain * (RAYS / sensor.rays), "influence": o.influence, "closest": CLOSEST},
+        **{"sensor": sensor.position, "rays": rays.tolist(), "directions": sensor.directions[rays]},
+        **{"rear": box.x - box.half_length, "front": box.x + box.half_length},
+        **{"right": box.y - box.half_width, "left": box.y + box.half_width},
+    }
+    each = _N(additions=8, multiplications=9, divisions=5, comparisons=7, functions=1)
+    return "potential_field", values, len(rays) * each + _N(functions=3) + _NEAREST
+
+
+def _vfh(contract: Contract, experiment: Experiment) -> Body:
+    o, vehicle, drive = experiment.config.agent, experiment.vehicle, experiment.config.drive
+    if not isinstance(o, VfhOptions):
+        raise TypeError
+    scale, sensor, limits = length_scale(vehicle.footprint), vehicle.sensor, vehicle.limits
+    ahead, left = sensor.position[0] / scale, sensor.position[1] / scale
+    corners = vehicle.footprint.corners() - sensor.position[:2]
+    radius = float(np.hypot(*corners.T).max()) / scale + o.safety_distance
+    turning = drive.speed / limits.yaw_rate / scale
+    values = {
+        **{"o": o, "bins": BINS, "pi": pi, "scale": scale, "radius": radius, "ray_weight": RAYS / sensor.rays},
+        **{"wide": radians(o.wide_degrees), "sensor": (ahead, left), "turning_radius": turning},
+        "right_reach": hypot(ahead, left + turning) + radius,
+        "left_reach": hypot(ahead, left - turning) + radius,
+        **{"period": drive.decision_period, "yaw_rate": limits.yaw_rate, "yaw_acceleration": limits.yaw_acceleration},
+        **{"bearings": wrap_angles(sensor.angles), "directions": sensor.directions},
+    }
+    wrap = _N(additions=2, multiplications=2, divisions=1, functions=1)
+    widest = floor(BINS / 4) - ceil(-BINS / 4) + 1  # bins of a ray that is enlarged by a right angle to either side
+    ray = _N(additions=3, multiplications=0, divisions=4, comparisons=3, functions=3)
+    filled = sensor.rays * (ray + widest * _N(additions=3, multiplications=2)) + BINS * _N(multiplications=1)
+    limited = sensor.rays * _N(additions=5, multiplications=4, divisions=1, comparisons=6, functions=1)
+    masked = BINS * (_N(additions=1, multiplications=1, comparisons=4) + wrap)
+    consider = 3 * (_N(additions=1, multiplications=1, comparisons=1) + wrap) + _N(additions=2, comparisons=1)
+    opening = _N(additions=5, multiplications=3, divisions=2, comparisons=3) + wrap + 3 * consider
+    chosen = BINS // 2 * opening + _N(additions=1, comparisons=1) + wrap
+    dense = BINS * (_N(additions=1, multiplications=2, divisions=1, comparisons=5) + wrap)
+    turned = _N(additions=18, multiplications=20, divisions=11, comparisons=16, functions=1) + wrap
+    operations = filled + limited + masked + chosen + dense + _N(additions=1) + wrap + _NEAREST + turned
+    return "vfh", values, operations
+
+
+_BODIES: dict[type, Callable[[Contract, Experiment], Body]] = {
+    NnqlOptions: partial(_network, None),
+    GeneticOptions: partial(_network, "proximity"),
+    QTableOptions: _q_table,
+    StraightOptions: _straight,
+    HandRuleOptions: _hand_rule,
+    FuzzyOptions: _fuzzy,
+    PotentialFieldOptions: _potential_field,
+    VfhOptions: _vfh,
+}

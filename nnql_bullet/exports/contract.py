@@ -1,0 +1,220 @@
+"""The observation contract of an exported policy: what goes in and out, in which order, units, ranges and rates."""
+
+import json
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.agents.base import Custom, TurnChooser
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
+from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
+from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
+from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, STOP, Observation, as_numbers
+from nnql_bullet.errors import UserError
+from nnql_bullet.runs import LoadedPolicy
+
+STOPPED = STOP
+"""The action on bad input: straight on, while the vehicle brakes to a stand."""
+STATUSES = ("OK", "BAD_DISTANCE", "BAD_TARGET_DISTANCE", "BAD_TARGET_BEARING", "BAD_YAW_RATE")
+"""What a decision says of its input, by number; on all but the first it stops."""
+WIDEST_BEARING = 3.1415928
+"""Largest bearing that is taken: pi rounds up in single precision [rad]."""
+BY_RAYS = (PotentialFieldOptions, VfhOptions, DoubleDqnOptions)
+"""Agents that see the rays; the others see the readings of the eight sectors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A number, or a row of numbers, that goes in or out."""
+
+    name: str
+    about: str
+    unit: str = ""
+    count: int = 1
+    """Numbers in it."""
+    low: float | None = None
+    high: float | None = None
+    whole: bool = False
+    """Whether it is a whole number."""
+    silent: str = ""
+    """What to do when what measures it is silent."""
+
+    def schema(self, rate: float) -> dict[str, Any]:
+        """JSON schema of a value at so many decisions per second."""
+        bounds = {"minimum": self.low, "maximum": self.high}
+        one = {"type": "integer" if self.whole else "number"} | {k: v for k, v in bounds.items() if v is not None}
+        row = {"type": "array", "items": one, "minItems": self.count, "maxItems": self.count}
+        told = {"description": self.about, "unit": self.unit, "rate_hz": rate, "when_silent": self.silent}
+        return (one if self.count == 1 else row) | {name: value for name, value in told.items() if value}
+
+
+@dataclass(frozen=True, slots=True)
+class Contract:
+    """What an exported policy takes and gives at each decision, in this order."""
+
+    policy: str
+    kind: str
+    vehicle: str
+    decision_period: float
+    """Time from one decision to the next [s]."""
+    sensor_range: float
+    """What a ray reads that meets nothing [m]."""
+    by_rays: bool
+    """Whether the distances are those of the rays; else they are the readings of the sectors."""
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    memory: tuple[Signal, ...] = ()
+    """What it remembers from one decision to the next; all zero when a drive begins."""
+
+    @property
+    def distances(self) -> int:
+        """Number of the distances that it sees."""
+        return self.inputs[0].count
+
+    @property
+    def has_values(self) -> bool:
+        """Whether it tells what it expects of each action."""
+        return self.outputs[-1].name == "values"
+
+    def json_schema(self) -> str:
+        """JSON schema of one decision: an object with `input` and `output`."""
+        rate = round(1 / self.decision_period, 6)
+        values: dict[str, Any] = {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "title": f"One decision of the policy '{self.policy}' ({self.kind}) for the vehicle '{self.vehicle}'",
+            **_object({"input": _signals(self.inputs, rate), "output": _signals(self.outputs, rate)}),
+            "x-memory": {signal.name: signal.schema(rate) for signal in self.memory},
+            "x-decision-period-s": self.decision_period,
+        }
+        return json.dumps(values, indent=1) + "\n"
+
+    def markdown(self) -> str:
+        """The same as tables."""
+        head = (
+            "| | name | numbers | unit | range | meaning | when its sensor is silent |\n|---|---|---|---|---|---|---|"
+        )
+        parts = [
+            f"# Observation contract of '{self.policy}' ({self.kind})",
+            f"For the vehicle '{self.vehicle}'. One decision every {self.decision_period:g} s, from inputs that were "
+            "measured since the last one.",
+        ]
+        for title, signals in (("Inputs", self.inputs), ("Outputs", self.outputs), ("Memory", self.memory)):
+            rows = [_row(place, signal) for place, signal in enumerate(signals)]
+            parts += [f"## {title}, in this order", "\n".join([head, *rows])] if rows else []
+        statuses = ", ".join(f"{number} {name}" for number, name in enumerate(STATUSES))
+        parts += [
+            "## Bad input",
+            f"Status of a decision: {statuses}. What is not a finite number or out of its range gives such a status, "
+            f"and the action {STOPPED}: brake to a stand, straight on. The memory is then as it was.",
+            "A silent sensor has no value that stands for it. Do not repeat the last one: stop, and decide again when "
+            "all sensors speak.",
+        ]
+        return "\n\n".join(parts) + "\n"
+
+    def rows(self, observations: Observation) -> NDArray[np.float32]:
+        """The inputs of n vehicles as a machine with single precision has them (n, numbers)."""
+        o = observations
+        distances = o.ray_distances if self.by_rays else o.readings
+        return np.concatenate([distances.astype(np.float32), as_numbers(o)[:, -3:]], axis=-1)
+
+
+def _row(place: int, signal: Signal) -> str:
+    ends = "" if signal.low is None else f"{signal.low:g} to {'any' if signal.high is None else f'{signal.high:g}'}"
+    return f"| {place} | `{signal.name}` | {signal.count} | {signal.unit} | {ends} | {signal.about} | {signal.silent} |"
+
+
+def _object(properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+def _signals(signals: tuple[Signal, ...], rate: float) -> dict[str, Any]:
+    return _object({signal.name: signal.schema(rate) for signal in signals})
+
+
+def contract_of(policy: LoadedPolicy) -> Contract:
+    """The contract of a policy.
+
+    Raises:
+        UserError: If it cannot be exported in any form.
+    """
+    experiment = policy.experiment
+    config, vehicle, agent = experiment.config, experiment.vehicle, experiment.agent
+    options, sensor = config.agent, vehicle.sensor
+    if isinstance(agent, Custom):
+        raise UserError(f"{policy.name}: an object of your own cannot be exported; export a trained policy or a rule")
+    if config.shield is not None:
+        raise UserError(
+            f"{policy.name}: drives in a shield, and shields are not exported; without it, it is another policy"
+        )
+    if experiment.task.hysteresis:
+        raise UserError(f"{policy.name}: 'task.hysteresis' is not exported; train a policy without it")
+    by_rays = isinstance(options, BY_RAYS)
+    how = "nearest" if config.task.sector_reading == "nearest" else "middle"
+    seen = (
+        f"distances of the {sensor.rays} rays, evenly spaced counter-clockwise; ray 0 points to "
+        f"{np.degrees(sensor.angles[0]):g} degrees, 0 is ahead"
+        if by_rays
+        else f"readings of the eight sectors of 45 degrees, the {how} ray of each, counter-clockwise from the one ahead"
+    )
+    nothing = f"; what meets nothing reads {sensor.range:g}, and more counts as that"
+    stop = "stop"
+    rule = isinstance(agent, TurnChooser) or isinstance(options, HandRuleOptions)
+    thresholds = ", ".join(f"{one:g}" for one in experiment.task.thresholds)
+    outputs = [
+        Signal("action", _actions(), low=0, high=STOPPED, whole=True),
+        Signal("heading_change", "change of heading that is asked for, left is positive", "rad", low=-pi, high=pi),
+        Signal("speed_share", "share of the drive's speed: 1, or 0 for a stop", low=0, high=1),
+    ]
+    if rule:
+        about = f"1 if no sector reads less than its threshold ({thresholds} m), else 0"
+        outputs.append(Signal("safe", about, low=0, high=1, whole=True))
+    if isinstance(agent, TurnChooser):
+        about = "Q-values of the five turns; the action is the largest if `safe` is 0; 0 on bad input"
+        outputs.append(Signal("values", about, count=len(paper.TURNS)))
+    memory: tuple[Signal, ...] = ()
+    if isinstance(options, VfhOptions):
+        memory = (
+            Signal("heading", "heading since the drive began, by dead reckoning", "rad"),
+            Signal("chosen", "direction chosen last, in the frame that the drive began in", "rad"),
+            Signal("blocked", "whether each direction is blocked", count=BINS, low=0, high=1, whole=True),
+        )
+    return Contract(
+        policy=policy.name,
+        kind=options.kind,
+        vehicle=vehicle.name,
+        decision_period=config.drive.decision_period,
+        sensor_range=sensor.range,
+        by_rays=by_rays,
+        inputs=(
+            Signal(
+                "distances",
+                seen + nothing,
+                "m",
+                sensor.rays if by_rays else paper.SECTORS,
+                0,
+                silent=f"{stop}; of a single dead sector, stop too",
+            ),
+            Signal("target_distance", "distance of what is to be reached next", "m", low=0, silent=stop),
+            Signal(
+                "target_bearing",
+                "its bearing, 0 ahead, left is positive",
+                "rad",
+                low=-WIDEST_BEARING,
+                high=WIDEST_BEARING,
+                silent=stop,
+            ),
+            Signal("yaw_rate", "left is positive", "rad/s", low=-MOST_YAW_RATE, high=MOST_YAW_RATE, silent=stop),
+        ),
+        outputs=tuple(outputs),
+        memory=memory,
+    )
+
+
+def _actions() -> str:
+    turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
+    return f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most, {STOPPED} stop"

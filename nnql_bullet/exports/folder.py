@@ -1,0 +1,129 @@
+"""The folder of an exported policy: artefact, contract, test vectors, example and README."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Literal
+
+from nnql_bullet import __version__
+from nnql_bullet.errors import UserError
+from nnql_bullet.exports.c99 import EXAMPLE, HEADER, SOURCE, c_files, rendered
+from nnql_bullet.exports.contract import Contract, contract_of
+from nnql_bullet.exports.onnx_graph import EXAMPLE as ONNX_EXAMPLE
+from nnql_bullet.exports.onnx_graph import MODEL, OPSET, onnx_model
+from nnql_bullet.exports.vectors import recorded_drives, vectors_of
+from nnql_bullet.files import staged, write_atomically, write_text
+from nnql_bullet.locks import LOCK, locked
+from nnql_bullet.runs import LoadedPolicy
+
+Form = Literal["c", "onnx"]
+INDEX, SCHEMA, TABLES, VECTORS, README = (
+    "export.json",
+    "contract.schema.json",
+    "contract.md",
+    "vectors.csv",
+    "README.md",
+)
+_ABOUT = {
+    SCHEMA: "JSON schema of one decision",
+    TABLES: "the same as tables: order, units, ranges, rates, what to do when a sensor is silent",
+    VECTORS: "inputs and outputs recorded in drives",
+    INDEX: "what was exported, and the hash of each file",
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """A policy that was exported."""
+
+    folder: Path
+    form: Form
+    contract: Contract
+    files: Mapping[str, str]
+    """What each file is, by name."""
+    cost: str
+    """Operations and stack of a decision in the worst case; empty if they are not known."""
+    decisions: int
+    """Number of the test vectors."""
+
+    def text(self) -> str:
+        """A few lines."""
+        lines = [f"{self.folder / name}: {about}" for name, about in self.files.items()]
+        return "\n".join([*lines, *([f"a decision: {self.cost}"] if self.cost else []), f"{self.decisions} vectors"])
+
+
+def write_export(policy: LoadedPolicy, form: Form, folder: Path) -> Export:
+    """Writes a policy into a new folder, or an empty one.
+
+    Raises:
+        UserError: If the policy cannot be exported so, or the folder has files in it.
+    """
+    contract = contract_of(policy)
+    with locked(folder):
+        if any(its.name != LOCK for its in folder.iterdir()):
+            raise UserError(f"{folder}: has files in it; give another folder")
+        return _write(policy, contract, form, folder)
+
+
+def _write(policy: LoadedPolicy, contract: Contract, form: Form, folder: Path) -> Export:
+    experiment = policy.experiment
+    write, about, title, usage, cost = _FORMS[form](policy, contract)
+    drives = recorded_drives(experiment)
+    vectors = vectors_of(contract, experiment, drives)
+    files = about | _ABOUT
+    values = {
+        **{"contract": contract, "version": __version__, "title": title, "files": files, "drives": len(drives)},
+        **{"usage": usage, "nearest": experiment.config.task.sector_reading == "nearest"},
+    }
+    with staged(folder, INDEX) as out:
+        write(out)
+        write_text(out / SCHEMA, contract.json_schema())
+        write_text(out / TABLES, contract.markdown())
+        write_text(out / VECTORS, vectors.csv())
+        write_text(out / README, rendered("README.md.j2", values))
+        hashes = {its.name: sha256(its.read_bytes()).hexdigest() for its in sorted(out.iterdir())}
+        index = {"policy": policy.name, "kind": contract.kind, "form": form, "version": __version__, "cost": cost}
+        write_text(out / INDEX, json.dumps(index | {"files": hashes}, indent=1) + "\n")
+    return Export(folder, form, contract, files, cost, len(vectors.inputs))
+
+
+_Form = tuple[Callable[[Path], None], dict[str, str], str, str, str]
+"""Writes the artefact into a folder; what its files are; title, usage, and cost of a decision."""
+
+
+def _as_c(policy: LoadedPolicy, contract: Contract) -> _Form:
+    files, cost = c_files(contract, policy.experiment)
+
+    def write(folder: Path) -> None:
+        for name, text in files.items():
+            write_text(folder / name, text)
+
+    about = {SOURCE: "the policy", HEADER: "its interface", EXAMPLE: "a main program that calls it"}
+    usage = (
+        f"    cc -std=c99 -O2 -o example {EXAMPLE} {SOURCE} -lm && ./example\n\n"
+        "No allocation, no recursion, fixed sizes, no library but math.h; arithmetic in single precision. A decision\n"
+        f"takes at most: {cost.text()}. Compile\nwith `-fstack-usage` to see what your compiler makes of that."
+    )
+    return write, about, "C99", usage, cost.text()
+
+
+def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Form:
+    model = onnx_model(contract, policy.experiment)
+    example = rendered(f"{ONNX_EXAMPLE}.j2", {"contract": contract, "model": MODEL})
+
+    def write(folder: Path) -> None:
+        write_atomically(folder / MODEL, lambda path: path.write_bytes(model))
+        write_text(folder / ONNX_EXAMPLE, example)
+
+    about = {MODEL: "the policy", ONNX_EXAMPLE: "runs it over the test vectors in ONNX Runtime"}
+    usage = (
+        f"    pip install onnxruntime && python {ONNX_EXAMPLE}\n\n"
+        f"Opset {OPSET}. Every input and output has a leading n: it decides for n vehicles at once. The inputs are\n"
+        "single precision. `status` is one output more than the contract's: what is bad about the input, or 0."
+    )
+    return write, about, "ONNX", usage, ""
+
+
+_FORMS: dict[Form, Callable[[LoadedPolicy, Contract], _Form]] = {"c": _as_c, "onnx": _as_onnx}

@@ -1,0 +1,186 @@
+"""Test vectors: what a policy sees in drives in the kinematic model, and what it decides."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet import paper
+from nnql_bullet.agents.base import TurnChooser
+from nnql_bullet.env import Observation, Transition, heading_change
+from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment
+from nnql_bullet.exports.contract import STATUSES, STOPPED, Contract
+from nnql_bullet.geometry import Array
+from nnql_bullet.rollout import Decision, finished_episodes
+from nnql_bullet.run_config import changed
+from nnql_bullet.task import NON_SAFE, SAFE, TaskOptions, is_safe, readings_of
+from nnql_bullet.worlds.spec import WorldSpec
+
+WORLDS = ("cover_10", "cover_20", "traps", "rooms", "aisles", "cells", "cluttered", "poles", "moving")
+"""Kinds of worlds that drives are recorded in."""
+DRIVES = 2
+"""Drives in each kind of worlds."""
+BAD = (
+    ("distances", 0, np.nan),
+    ("distances", 0, -1.0),
+    ("distances", 0, np.inf),
+    ("target_distance", -3, np.nan),
+    ("target_bearing", -2, 4.0),
+    ("yaw_rate", -1, -np.inf),
+)
+"""Inputs that are refused: name, place in the row, value."""
+_FIELDS = tuple(its.name for its in fields(Observation))
+
+
+@dataclass
+class Seen:
+    """Keeps what one vehicle sees; a `rollout.Watcher`."""
+
+    observations: list[Observation] = field(default_factory=list)
+    """Before each decision, each of one vehicle."""
+    trace: None = None
+
+    def on_reset(self, world: WorldSpec, observation: Observation, vehicle: int) -> None:
+        """Does nothing: the first step tells what was seen before it."""
+
+    def on_step(self, transition: Transition, decision: Decision, vehicle: int) -> None:
+        """Keeps what the decision was made by."""
+        s_tm1, row = transition.s_tm1, slice(vehicle, vehicle + 1)
+        self.observations.append(Observation(*(getattr(s_tm1, name)[row].copy() for name in _FIELDS)))
+
+
+def recorded_drives(
+    experiment: Experiment, kinds: Sequence[str] = WORLDS, seeds: Sequence[int] = range(DRIVES)
+) -> list[Observation]:
+    """Drives a policy in the kinematic model.
+
+    Args:
+        experiment: Whose policy drives.
+        kinds: Kinds of worlds; those that its vehicle cannot drive in are left out.
+        seeds: Of the worlds of each kind.
+
+    Returns:
+        What was seen at each decision of each drive (steps, ...).
+
+    Raises:
+        UserError: If it can drive in none of the worlds.
+    """
+    worlds = list(_worlds(experiment, kinds, seeds))
+    if not worlds:
+        raise UserError(f"the vehicle '{experiment.vehicle.name}' can drive in none of the worlds: {', '.join(kinds)}")
+    config = changed(experiment.config, simulator="kinematic", vehicles=min(len(worlds), 64))
+    where = Experiment(config, experiment.agent)
+    watchers = [Seen() for _ in worlds]
+    with closing(where.new_simulator(1)) as simulator:
+        for _ in finished_episodes(where.new_navigation(simulator), worlds, where.policy, dict(enumerate(watchers))):
+            pass
+    return [_together(watcher.observations) for watcher in watchers]
+
+
+def _worlds(experiment: Experiment, kinds: Sequence[str], seeds: Sequence[int]) -> Iterator[WorldSpec]:
+    for kind in kinds:
+        try:
+            drawn = [experiment.draw(experiment.kind(kind, own_ends=True), seed) for seed in seeds]
+        except UserError:
+            continue
+        yield from drawn
+
+
+def _together(observations: Sequence[Observation]) -> Observation:
+    return Observation(*(np.concatenate([getattr(its, name) for its in observations]) for name in _FIELDS))
+
+
+def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.float32]) -> Observation:
+    """The observation that inputs (n, numbers) stand for."""
+    numbers = rows.astype(np.float64)
+    distances, (away, bearing, yaw_rate) = numbers[:, :-3], numbers[:, -3:].T
+    readings = readings_of(distances, task) if contract.by_rays else distances
+    properties = np.where(is_safe(readings, task), SAFE, NON_SAFE)
+    return Observation(readings, away, bearing, yaw_rate, np.zeros(len(rows)), properties, distances)
+
+
+@dataclass(frozen=True, slots=True)
+class Vectors:
+    """Inputs of k decisions, and the outputs that belong to them."""
+
+    contract: Contract
+    drives: NDArray[np.int64]
+    """The drive of each decision (k,); -1 for those with bad input, which belong to none."""
+    inputs: NDArray[np.float32]
+    """(k, numbers)"""
+    statuses: NDArray[np.int64]
+    """Indices into `contract.STATUSES` (k,)."""
+    actions: NDArray[np.int64]
+    """(k,)"""
+    turns: Array
+    """Heading changes (k,) [rad]."""
+    values: Array
+    """Q-values of the turns (k, 5); NaN if it has none."""
+    safe: NDArray[np.bool_]
+    """(k,)"""
+
+    def csv(self) -> str:
+        """A line for each decision; numbers are exact in single precision."""
+        c, text = self.contract, io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        names = [_numbered(signal.name, signal.count) for signal in (*c.inputs, *c.outputs)]
+        writer.writerow(["drive", "status", *(name for its in names for name in its)])
+        outputs = {signal.name for signal in c.outputs}
+        for k in range(len(self.inputs)):
+            row = [self.drives[k], self.statuses[k], *self.inputs[k], self.actions[k], np.float32(self.turns[k])]
+            row += [int(self.statuses[k] == 0)]
+            row += [int(self.safe[k])] if "safe" in outputs else []
+            row += self.values[k].astype(np.float32).tolist() if "values" in outputs else []
+            writer.writerow(row)
+        return text.getvalue()
+
+
+def _numbered(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else [f"{name}_{i}" for i in range(count)]
+
+
+def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Observation]) -> Vectors:
+    """What the policy decides by inputs in single precision: those of drives, one after the other, and bad ones.
+
+    Args:
+        contract: Of the policy.
+        experiment: That it is of.
+        drives: What was seen (steps, ...) in each.
+    """
+    policy, parts, numbers = experiment.policy, [], []
+    for number, drive in enumerate(drives):
+        rows, state = contract.rows(drive), policy.initial_state(1)
+        actions = np.empty(len(rows), np.int64)
+        for k in range(len(rows)):
+            action, state = policy.act(observed(contract, experiment.task, rows[k : k + 1]), state)
+            actions[k] = action[0]
+        parts.append((rows, actions))
+        numbers += [number] * len(rows)
+    inputs, actions = np.concatenate([its for its, _ in parts]), np.concatenate([its for _, its in parts])
+    seen = observed(contract, experiment.task, inputs)
+    values = np.full((len(inputs), len(paper.TURNS)), np.nan)
+    if isinstance(policy, TurnChooser):
+        values = policy.values(seen, np.ones(len(inputs), np.bool_))
+    bad = np.repeat(inputs[:1], len(BAD), axis=0)
+    for row, (_, place, value) in zip(bad, BAD, strict=True):
+        row[place] = value
+    nothing = np.zeros(len(bad))
+    return Vectors(
+        contract=contract,
+        drives=np.array([*numbers, *[-1] * len(bad)]),
+        inputs=np.concatenate([inputs, bad]),
+        statuses=np.array([0] * len(inputs) + [STATUSES.index(f"BAD_{_status(name)}") for name, _, _ in BAD]),
+        actions=np.concatenate([actions, np.full(len(bad), STOPPED)]),
+        turns=np.concatenate([heading_change(actions, seen.target_bearing), nothing]),
+        values=np.concatenate([values, np.zeros((len(bad), values.shape[1]))]),
+        safe=np.concatenate([seen.state_property == SAFE, nothing > 0]),
+    )
+
+
+def _status(name: str) -> str:
+    return "DISTANCE" if name == "distances" else name.upper()
