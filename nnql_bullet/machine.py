@@ -1,4 +1,4 @@
-"""What this machine allows this process: cores, a folder for what may be lost, streams, variables, wheels."""
+"""What this machine allows this process: cores, children, a folder for what may be lost, streams, variables, wheels."""
 
 import multiprocessing
 import os
@@ -39,6 +39,14 @@ def pybullet_package() -> str | None:
 def may_start_processes() -> bool:
     """Whether this process may have children: daemonic ones, such as workers of `multiprocessing.Pool`, may not."""
     return not multiprocessing.current_process().daemon
+
+
+def python_command(program: str) -> list[str]:
+    """The command that runs a program in another interpreter like this one, which finds the same modules.
+
+    It does not look for them in the working directory, as `python -c` does, unless this one does.
+    """
+    return [sys.executable, "-c", f"import sys; sys.path[:] = {[str(place) for place in sys.path]!a}; {program}"]
 
 
 def _quotas(root: Path) -> list[float]:

@@ -1,5 +1,6 @@
 """Xacros are expanded as ROS does it, and cannot reach beyond that."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.vehicle import xacros
 from nnql_bullet.vehicle.translation import read_robot
 
 pytest.importorskip("xacrodoc")
@@ -104,15 +106,53 @@ def test_what_cannot_be_expanded_is_refused_in_one_line(
     assert capfd.readouterr() == ("", "")
 
 
-def test_nothing_of_xacro_stays_changed(described: Callable[..., Path]) -> None:
-    import xacro
-    from xacrodoc import packages
+@pytest.mark.parametrize(
+    ("hostile", "message"),
+    [
+        ("${9 ** 9 ** 9}", "takes longer than 0.5 s"),
+        (
+            "${[x * y for x in range(10 ** 6) for y in range(10 ** 6)]}",
+            "takes longer than 0.5 s|needs more than 0.3 GB",
+        ),
+        ("${[0] * 10 ** 10}", "needs more than 0.3 GB of memory"),
+        ("${load_yaml('laughs.yaml')}", "takes longer than 0.5 s|needs more than 0.3 GB of memory"),
+        ("${'a' * 20000000}", "becomes longer than 10000000 bytes"),
+        ("<xacro:m0/>", "takes longer than 0.5 s|needs more than 0.3 GB of memory"),
+        ("<xacro:self/>", "recursion"),
+        ('<xacro:include filename="pipe"/>', "takes longer than 2 s"),
+        ('<xacro:include filename="/dev/zero"/>', "takes longer than|needs more than 0.3 GB of memory|well-formed"),
+    ],
+    ids=lambda text: text[:24],
+)
+def test_what_would_go_on_without_end_is_refused(
+    described: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, hostile: str, message: str
+) -> None:
+    for name, value in (
+        ("MOST_COMPUTING", 0.5),
+        ("MOST_WAITING", 2.0 if "pipe" in hostile else 30.0),
+        ("MOST_MEMORY", 3 * 10**8),
+    ):
+        monkeypatch.setattr(xacros, name, value)
+    doubling = [f'<xacro:macro name="m{n}"><xacro:m{n + 1}/><xacro:m{n + 1}/></xacro:macro>' for n in range(40)]
+    doubling += [
+        '<xacro:macro name="m40"><link/></xacro:macro>',
+        '<xacro:macro name="self"><xacro:self/></xacro:macro>',
+    ]
+    path = described(f"{HEAD}{''.join(doubling)}{hostile}</robot>")
+    laughs = "\n".join(f"- &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]" for n in range(1, 12))
+    (path.parent / "laughs.yaml").write_text(f"- &a0 ha\n{laughs}\n")
+    os.mkfifo(path.parent / "pipe")
+    with pytest.raises(UserError, match=rf"^{path}: xacro cannot expand it: .*({message})"):
+        read_robot(path)
 
-    before = packages._finder, xacro.safe_eval, sys.stderr
-    read_robot(described())
-    with pytest.raises(UserError):
-        read_robot(described(ROBOT.replace("whe", "hwe")))
-    assert (packages._finder, xacro.safe_eval, sys.stderr) == before
+
+def test_modules_in_the_working_directory_are_not_run(
+    described: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("json", "xacro", "nnql_bullet"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    assert read_robot(described()).vehicle.track == pytest.approx(0.3)
 
 
 def test_what_xacro_warns_of_is_noted(described: Callable[..., Path]) -> None:

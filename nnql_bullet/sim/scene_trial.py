@@ -4,14 +4,13 @@ PyBullet is loaded in the process that tries them, and there alone.
 """
 
 import os
-import sys
 from functools import cache
 from subprocess import DEVNULL, TimeoutExpired, run
 from typing import Literal
 
 import numpy as np
 
-from nnql_bullet.machine import may_start_processes
+from nnql_bullet.machine import may_start_processes, python_command
 
 SceneKind = Literal["tiny", "egl", "window"]
 """TinyRenderer, which works everywhere; EGL, which is faster; or a window."""
@@ -33,9 +32,8 @@ def works(kind: SceneKind, timeout: float = 60.0) -> bool:
         return kind == "tiny"
     # A new interpreter, as multiprocessing would run the caller's script again.
     program = f"from {__name__} import draw_something; draw_something({kind!r})"
-    surroundings = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        return run([sys.executable, "-c", program], env=surroundings, timeout=timeout, stdin=DEVNULL).returncode == 0
+        return run(python_command(program), timeout=timeout, stdin=DEVNULL).returncode == 0
     except TimeoutExpired:
         return False
 

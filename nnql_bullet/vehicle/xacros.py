@@ -1,32 +1,30 @@
-"""Expands xacros, the macros in which ROS writes URDFs, through xacrodoc."""
+"""Expands xacros, the macros in which ROS writes URDFs, within limits of time and memory."""
 
-import ast
-import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr
-from io import StringIO
+import json
+import signal
+import subprocess
+from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
-from threading import Lock
-from typing import Any
 
 from nnql_bullet.errors import UserError, missing_library
-from nnql_bullet.files import is_file, real
-from nnql_bullet.vehicle.description import Unfit
+from nnql_bullet.files import is_file
+from nnql_bullet.machine import python_command
+from nnql_bullet.vehicle.description import MOST_BYTES
 
-FORBIDDEN = {"vars", "type", "mro", "gi_frame", "cr_frame", "ag_frame", "tb_frame"}
-"""Names by which an expression would come from a value to its class or its frame, and from there to anything."""
-NAMESPACES = {"python", "math", "xacro"}
-"""Names of xacro that hold functions."""
-_lock = Lock()
+MOST_COMPUTING = 10.0
+"""Longest processor time that a xacro may take [s]."""
+MOST_WAITING = 30.0
+"""Longest time that it may take, such as for reading a pipe [s]."""
+MOST_MEMORY = 2_000_000_000
+"""Largest memory that it may need [bytes]."""
+_PROGRAM = "from nnql_bullet.vehicle.xacro_process import answer; answer()"
 
 
 def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Expands a xacro.
+    """Expands a xacro, in a process of its own that ends at the limits of this module; see `xacro_process`.
 
-    Packages, as in $(find name), are looked for in the folders above the file and beside these, and where ROS has them.
-    xacro evaluates the expressions ${...} as Python with few functions. It does not look into nested functions for
-    what leads out of them; here such expressions are refused. What a file may still do is to read other files and
-    environment variables, and to compute for long.
+    What a xacro may do within them is to read other files and environment variables.
 
     Args:
         path: The xacro.
@@ -36,77 +34,38 @@ def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
         The URDF, and what xacro warns of.
 
     Raises:
-        UserError: If xacrodoc is not installed, or the file cannot be expanded.
+        UserError: If xacrodoc is not installed, or the file cannot be expanded within the limits.
     """
     if not is_file(path):
         raise UserError(f"{path}: there is no such file")
+    if find_spec("xacrodoc") is None:
+        raise missing_library("xacrodoc, which expands xacros,", "robots")
+    limits = {"computing": MOST_COMPUTING, "memory": MOST_MEMORY, "length": MOST_BYTES}
+    request = json.dumps({"path": str(path), "arguments": dict(arguments), **limits})
     try:
-        from xacrodoc import XacroDoc
-    except ImportError:
-        raise missing_library("xacrodoc, which expands xacros,", "robots") from None
-    try:
-        with _fenced(real(path).parent) as said:
-            options = {"subargs": dict(arguments), "resolve_packages": False, "walk_up": True}
-            text = str(XacroDoc.from_file(str(path), **options).to_urdf_string())
-    except Exception as error:  # xacro passes on all errors of the expressions that it evaluates
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if lost := re.search(r"Package not found: (\S+)", reason):
-            reason = f"package '{lost[1]}' is not found; put its folder beside the robot's or beside one above it"
-        raise UserError(f"{path}: xacro cannot expand it: {reason}") from None
-    return text, [line for line in said.getvalue().splitlines() if line.strip()]
+        ended = subprocess.run(
+            python_command(_PROGRAM),
+            input=request.encode(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=MOST_WAITING,
+        )
+    except subprocess.TimeoutExpired:
+        raise _too_long(path, MOST_WAITING) from None
+    except OSError as error:
+        raise UserError(f"{path}: Python, which expands it, does not start: {error.strerror}") from None
+    if ended.returncode == -signal.SIGXCPU:
+        raise _too_long(path, MOST_COMPUTING)
+    if ended.returncode:
+        raise UserError(f"{path}: xacro cannot expand it: its process ended with {ended.returncode}")
+    answer = json.loads(ended.stdout)
+    if "refused" in answer:
+        raise UserError(f"{path}: xacro cannot expand it: {answer['refused']}")
+    return answer["urdf"], answer["warned"]
 
 
-@contextmanager
-def _fenced(folder: Path) -> Iterator[StringIO]:
-    """Lets xacro find files in a folder and packages around it, and evaluate what `_check` allows.
-
-    xacrodoc gives xacro a text without a file, so that relative paths would begin in the working directory. What xacro
-    prints is held back.
-    """
-    import xacro
-    from xacrodoc import packages
-
-    finder = packages.PackageFinder()
-    finder.finder_funcs.insert(0, (lambda name: _package(folder, name), FileNotFoundError))
-    evaluate, absolute = xacro.safe_eval, xacro.abs_filename_spec
-
-    def evaluate_checked(expression: str, *names: Any, **more: Any) -> Any:
-        _check(expression)
-        return evaluate(expression, *names, **more)
-
-    with _lock, redirect_stderr(StringIO()) as said:
-        before = packages._finder
-        packages._finder, xacro.safe_eval = finder, evaluate_checked
-        xacro.abs_filename_spec = lambda name: str(folder / absolute(name))
-        try:
-            yield said
-        finally:
-            packages._finder, xacro.safe_eval, xacro.abs_filename_spec = before, evaluate, absolute
-
-
-def _package(folder: Path, name: str) -> str:
-    """Finds the folder of a package: of that name, above a folder or beside one of those above.
-
-    Raises:
-        FileNotFoundError: If there is none.
-    """
-    for above in (folder, *folder.parents):
-        for tried in (above, above / name):
-            if tried.name == name and tried.is_dir():
-                return str(tried)
-    raise FileNotFoundError(name)
-
-
-def _check(expression: str) -> None:
-    """Refuses an expression that names what leads out of xacro's functions.
-
-    Raises:
-        Unfit: If it does.
-    """
-    nodes = list(ast.walk(ast.parse(expression.strip(), mode="eval")))
-    names = {getattr(node, "attr", "") or getattr(node, "id", "") for node in nodes}
-    held = {id(node.value) for node in nodes if isinstance(node, ast.Attribute)}
-    bare = {node.id for node in nodes if isinstance(node, ast.Name) and node.id in NAMESPACES and id(node) not in held}
-    refused = {name for name in names if name.startswith("_") or name in FORBIDDEN} | bare
-    if refused:
-        raise Unfit(f"${{{expression}}} uses {', '.join(sorted(refused))}, which expressions of a robot need not")
+def _too_long(path: Path, limit: float) -> UserError:
+    return UserError(
+        f"{path}: xacro cannot expand it: it takes longer than {limit:g} s; look in it for loops and powers of large "
+        "numbers, macros that call others many times, and files that are pipes"
+    )
