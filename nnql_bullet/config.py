@@ -288,7 +288,7 @@ def _mistakes(cls: type, error: ValidationError) -> str:
 def _meant(cls: type, unknown: ErrorDetails) -> list[str]:
     """The keys that an unknown one may be the misspelt name of."""
     name = ".".join(_walk(cls, unknown["loc"])[0])
-    return nearest(name, (key.name for key in keys(cls) if key.name != name))
+    return nearest(name, (key.name for key in keys(cls, told=False) if key.name != name))
 
 
 def _mistake(cls: type, mistake: ErrorDetails) -> str:
@@ -297,8 +297,10 @@ def _mistake(cls: type, mistake: ErrorDetails) -> str:
     if mistake["type"] in _UNKNOWN_KEY:
         _, members = _walk(cls, mistake["loc"][:-1])
         valid = sorted({field.name for member in members for field in fields(member)})
-        close = _meant(cls, mistake)
-        hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
+        kinds = [repr(key.kind) for key in keys(cls, told=False) if key.name == name]
+        close = [repr(one) for one in _meant(cls, mistake)]
+        hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+        hint = f" (it belongs to kind {' or '.join(kinds)})" if kinds else hint
         return f"unknown key '{name}'{hint}; valid keys: {', '.join(valid)}"
     if mistake["type"] in ("missing", "missing_argument", "missing_keyword_only_argument"):
         return f"key '{name}' is missing"

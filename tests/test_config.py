@@ -79,7 +79,7 @@ def refusal(cls, values):
             {"front": {"raduis": 1}},
             "unknown key 'front.raduis' (did you mean 'front.radius'?); valid keys: colour, radius",
         ),
-        ({"drive": {"kind": "engine", "length": 2}}, "unknown key 'drive.length'; valid keys: kind, power"),
+        ({"drive": {"kind": "engine", "length": 2}}, "unknown key 'drive.length' (it belongs to kind 'pedals'); valid keys: kind, power"),
         ({"drive": {"kind": "pedals", "power": 2}}, "unknown key 'drive.power'; valid keys: kind, length, wheel"),
         (
             {"drive": {"kind": "pedals", "wheel": {"radius": 1, "x": 1}}},
@@ -224,6 +224,10 @@ def test_preset_paper_is_the_defaults():
         (
             {"agent": {"kind": "nnql", "gamma": 0.1}},
             "unknown key 'agent.gamma'; valid keys: discount, encoding, gradient_step,",
+        ),
+        (
+            {"agent": {"kind": "nnql", "sectors": [0]}},
+            "unknown key 'agent.sectors' (it belongs to kind 'q_table'); valid keys: discount, encoding,",
         ),
         ({"seed": -1}, "'seed': input should be greater than or equal to 0, not -1"),
         (
