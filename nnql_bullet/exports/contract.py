@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Custom, TurnChooser
-from nnql_bullet.agents.learning.options import DoubleDqnOptions
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
@@ -218,3 +219,8 @@ def contract_of(policy: LoadedPolicy) -> Contract:
 def _actions() -> str:
     turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
     return f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most, {STOPPED} stop"
+
+
+def encoding_of(options: NnqlOptions | GeneticOptions) -> str:
+    """How the paper's network is given the readings: see `NnqlOptions.encoding`."""
+    return options.encoding if isinstance(options, NnqlOptions) else "proximity"

@@ -13,7 +13,7 @@ from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.env import LARGEST_TURN, MOST_YAW_RATE, TOWARD_TARGET
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract
+from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
 from nnql_bullet.vehicle.scale import length_scale
 
 MODEL, EXAMPLE = "policy.onnx", "example.py"
@@ -120,7 +120,7 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
     if isinstance(options, QTableOptions):
         values = _looked_up(g, distances, options, scale, learned)
     else:
-        values = _computed(g, distances, getattr(options, "encoding", "proximity"), scale, learned)
+        values = _computed(g, distances, encoding_of(options), scale, learned)
     best = g.add("ArgMax", values, axis=1, keepdims=0)
     chosen = g.add("Where", is_safe, g.constant(TOWARD_TARGET, np.int64), best)
     action = g.add("Where", good, chosen, g.constant(STOPPED, np.int64), name="action")

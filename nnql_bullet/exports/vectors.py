@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 WORLDS = ("cover_10", "cover_20", "traps", "rooms", "aisles", "cells", "cluttered", "poles", "moving")
 """Kinds of worlds that drives are recorded in."""
-DRIVES = 2
+DRIVES = 1
 """Drives in each kind of worlds."""
 BAD = (
     ("distances", 0, np.nan),
@@ -95,7 +96,7 @@ def _together(observations: Sequence[Observation]) -> Observation:
     return Observation(*(np.concatenate([getattr(its, name) for its in observations]) for name in _FIELDS))
 
 
-def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.float32]) -> Observation:
+def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.floating[Any]]) -> Observation:
     """The observation that inputs (n, numbers) stand for."""
     numbers = rows.astype(np.float64)
     distances, (away, bearing, yaw_rate) = numbers[:, :-3], numbers[:, -3:].T
@@ -135,7 +136,7 @@ class Vectors:
             row = [self.drives[k], self.statuses[k], *self.inputs[k], self.actions[k], np.float32(self.turns[k])]
             row += [int(self.statuses[k] == 0)]
             row += [int(self.safe[k])] if "safe" in outputs else []
-            row += self.values[k].astype(np.float32).tolist() if "values" in outputs else []
+            row += list(self.values[k].astype(np.float32)) if "values" in outputs else []
             writer.writerow(row)
         return text.getvalue()
 
