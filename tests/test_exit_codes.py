@@ -21,6 +21,7 @@ Cli = Callable[..., tuple[int, str, str]]
 NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot"), ("what",)) | {
     "worlds": ("list",),
     "barn": ("what", "what"),
+    "export": ("what", "--to", "c"),
 }
 """Arguments without which a verb is not called."""
 RAISED = {
