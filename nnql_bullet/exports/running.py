@@ -22,7 +22,7 @@ from nnql_bullet.exports.contract import Contract, Signal
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
+FLAGS = ("-std=c99", "-O2")
 
 
 def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: str = "cc") -> Path:
