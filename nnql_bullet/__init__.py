@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from nnql_bullet.api.failures import failures
     from nnql_bullet.api.fidelity import check_fidelity, envelope
     from nnql_bullet.api.gap import gap
+    from nnql_bullet.api.sweep import sweep
     from nnql_bullet.api.training import resume, train
     from nnql_bullet.api.worlds import export_world, import_world, view_world
     from nnql_bullet.driving import drive
@@ -63,6 +64,7 @@ _HOMES = {
     "make_env": "api.environment",
     "read_robot": "vehicle.translation",
     "resume": "api.training",
+    "sweep": "api.sweep",
     "train": "api.training",
     "view_world": "api.worlds",
 }
@@ -93,6 +95,7 @@ __all__ = [
     "make_env",
     "read_robot",
     "resume",
+    "sweep",
     "train",
     "view_world",
 ]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -34,7 +34,7 @@ def find(kind: str, name: str) -> Path:
 
 def is_shipped(kind: str, path: Path) -> bool:
     """Whether a file is one of the shipped files of a kind."""
-    return path.resolve().parent == folder(kind).resolve()
+    return real(path).parent == real(folder(kind))
 
 
 def policies() -> dict[str, Path]:

@@ -46,13 +46,19 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 
-def train_arguments(config: RunConfig) -> tuple[str, list[str]]:
-    """Finds the preset and the fewest flags of `nnql-bullet train` that give a configuration."""
+def preset_and_changes(config: RunConfig) -> tuple[str, dict[str, Any]]:
+    """Finds the preset and the fewest values over it that give a configuration."""
     values = to_values(config)
     found = []
     for preset, its in PRESETS.items():
         base = to_values(its)
         changes = departures(values, base)
-        if merged(base, changes) == values:  # no flag can remove a table that the preset sets
-            found.append((preset, flags(changes)))
-    return min(found, key=lambda pair: len(pair[1]))
+        if merged(base, changes) == values:  # nothing can remove a table that the preset sets
+            found.append((preset, changes))
+    return min(found, key=lambda pair: len(flags(pair[1])))
+
+
+def train_arguments(config: RunConfig) -> tuple[str, list[str]]:
+    """Finds the preset and the fewest flags of `nnql-bullet train` that give a configuration."""
+    preset, changes = preset_and_changes(config)
+    return preset, flags(changes)

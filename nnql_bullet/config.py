@@ -29,6 +29,8 @@ else:
 
 T = TypeVar("T")
 
+MOST_TOML = 20_000_000
+"""Size of the largest TOML file that is read [bytes]; of larger ones Python's parser takes minutes."""
 MOST_VALUE = 80
 """Characters of a wrong value that an error shows."""
 _UNKNOWN_KEY = ("unexpected_keyword_argument", "extra_forbidden")
@@ -90,13 +92,13 @@ def parse(cls: type[T], values: Mapping[str, Any], where: str) -> T:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Reads the values of a TOML file, which may begin with a byte order mark.
+    """Reads the values of a TOML file of at most `MOST_TOML` bytes, which may begin with a byte order mark.
 
     Raises:
         UserError: If the file cannot be read or is not TOML.
     """
     try:
-        return tomllib.loads(read_text(path))
+        return tomllib.loads(read_text(path, MOST_TOML))
     except RecursionError:
         raise UserError(f"{path}: its values are nested too deeply") from None
     except ValueError as error:

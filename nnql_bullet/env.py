@@ -274,7 +274,8 @@ class Navigation:
         self._steps[vehicles] = 0
         self._places[vehicles], self._staying[vehicles] = poses[:, :2], 0.0
         nothing, safe = np.zeros(len(vehicles), np.bool_), np.full(len(vehicles), StateProperty.SAFE)
-        still, speeds = np.zeros(len(vehicles)), np.full(len(vehicles), self.simulator.drive.speed)
+        still = np.zeros(len(vehicles))
+        speeds = np.array([world.start_speed(self.simulator.drive.speed) for world in worlds.values()])
         started = self._observed(vehicles, poses, still, speeds, ray_distances, nothing, nothing, safe)
         self._observation = _put(self._observation, vehicles, started)
 

@@ -37,8 +37,13 @@ def plain_file(path: Path) -> Path:
     return path
 
 
-def read_text(path: Path) -> str:
-    """Reads UTF-8 text, with or without a byte order mark.
+def real(path: Path) -> Path:
+    """A path without links; one whose links lead in a circle stays as it is, where `Path.resolve` is no `OSError`."""
+    return Path(os.path.realpath(path))
+
+
+def read_text(path: Path, most: int = MOST_TEXT) -> str:
+    """Reads UTF-8 text of at most `most` bytes, with or without a byte order mark.
 
     Raises:
         UserError: If there is no such plain file, it is too large, it cannot be read, or it is not UTF-8.
@@ -47,8 +52,8 @@ def read_text(path: Path) -> str:
         raise UserError(f"{path}: is a folder, not a file" if os.path.isdir(path) else f"{path}: there is no such file")
     try:
         size = path.stat().st_size
-        if size > MOST_TEXT:
-            raise UserError(f"{path}: has {size} bytes; text is read up to {MOST_TEXT} bytes")
+        if size > most:
+            raise UserError(f"{path}: has {size} bytes; such a file is read up to {most} bytes")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: is not UTF-8 (byte {error.start}); save it as UTF-8") from None
@@ -121,7 +126,9 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def _naming(path: Path, error: OSError) -> OSError:
-    """The error with the path that the caller knows, in place of a temporary one."""
+    """The error with the path that the caller knows, in place of a temporary one; not where progress is unread."""
+    if isinstance(error, BrokenPipeError):
+        return error
     return OSError(error.errno or errno.EIO, error.strerror or str(error), str(path))
 
 

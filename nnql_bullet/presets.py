@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, get_args
 
 from nnql_bullet import paper
@@ -88,7 +89,21 @@ def load_config(name: str, changes: Mapping[str, Any]) -> RunConfig:
         return parse(RunConfig, merged(to_values(PRESETS[name]), changes), name)
     if not is_file(name):
         raise UserError(f"there is no preset or file '{name}'; give a TOML file or one of: {', '.join(PRESETS)}")
-    values = read_toml(Path(name))
+    return config_of(read_toml(Path(name)), name, changes)
+
+
+def config_of(given: Mapping[str, Any], name: str, changes: Mapping[str, Any] = MappingProxyType({})) -> RunConfig:
+    """Makes a configuration of the values of a TOML file, and applies changes to it.
+
+    Args:
+        given: The values; the key `preset` names their base (default `paper`).
+        name: The file, for errors.
+        changes: Nested values (see `config.merged`).
+
+    Raises:
+        UserError: If a key or value is wrong.
+    """
+    values = dict(given)
     preset = values.pop("preset", "paper")
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UserError(f"{name}: 'preset' must be one of: {', '.join(PRESETS)}")

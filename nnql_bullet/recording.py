@@ -38,6 +38,8 @@ DERIVED = (".mp4", ".gif", ".rrd")
 """Suffixes of films and time lines beside a recording."""
 RECORDINGS = ("*.npz", *(f"*{suffix}" for suffix in DERIVED))
 """Patterns of recordings, and of their films and time lines."""
+TIPPING = 0.05
+"""Tilt from which on it is recorded [rad]: a rigid vehicle tilts visibly only when wheels leave the ground."""
 MOST_BYTES = 500_000_000
 """Size of the largest recording that is read, unpacked [bytes]."""
 
@@ -124,6 +126,11 @@ class Recording:
         """
         aims = self.about.get("aims")
         return np.tile(self.world.target, (len(self.state_pose), 1)) if aims is None else np.array(aims)
+
+    @cached_property
+    def tilts(self) -> Array:
+        """Tilts of the vehicle at the samples (m, 3): see `sim.base.Sample`; 0 where it never tipped."""
+        return np.array(self.about.get("tilts", np.zeros((len(self.sample_time), 3))))
 
     @cached_property
     def plans(self) -> list[tuple[float, Array]]:
@@ -304,9 +311,9 @@ def _check(recording: Recording) -> None:
         raise ValueError("action must be manoeuvres")
     if not np.isin(recording.state_property, labels).all() or about["ending"] not in (None, *ENDINGS):
         raise ValueError("a state or the ending is unknown")
-    aims_and_plans = [(recording.aims, (n + 1, 2)), *((plan, (len(plan), 2)) for _, plan in recording.plans)]
-    if not all(its.shape == shape and np.isfinite(its).all() for its, shape in aims_and_plans):
-        raise ValueError("aims and plans must be finite places")
+    places = [(recording.aims, (n + 1, 2)), *((plan, (len(plan), 2)) for _, plan in recording.plans)]
+    if not all(its.shape == shape and np.isfinite(its).all() for its, shape in [*places, (recording.tilts, (m, 3))]):
+        raise ValueError("aims, plans and tilts must be finite, and of each state or sample")
     if (np.diff(recording.state_time) < 0).any() or (np.diff(recording.sample_time) < 0).any():
         raise ValueError("time must not go back")
     world, _, _ = recording.world, recording.footprint, recording.summary if "summary" in about else None
@@ -343,6 +350,7 @@ class _About:
     reward_terms: tuple[str, ...] = REWARD_TERMS
     aims: tuple[Point, ...] | None = None
     plans: tuple[_Plan, ...] = ()
+    tilts: tuple[Vector, ...] | None = None
 
 
 _ABOUT = TypeAdapter(_About)
@@ -399,6 +407,9 @@ class Recorder:
             about["reward_terms"] = self._term_names
         if not np.allclose(self._aims, self._world.target):
             about["aims"] = self._aims
+        tilts = np.array([sample.tilt for sample in samples]).reshape(-1, 3)
+        if (np.abs(tilts[:, 1:]) > TIPPING).any():
+            about["tilts"] = tilts.tolist()
         return Recording(
             about={
                 **about,

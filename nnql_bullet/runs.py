@@ -9,7 +9,7 @@
 - policy.safetensors: the weights to drive with: the last ones, or those that were selected in the end
 - selection.csv: with a selection, the goals of each candidate, once the training is over
 - evaluations.csv: with evaluations between the episodes (`training/evaluation.py`), a line for each
-- learning_curve.png: the verb `train` draws it when the training stops
+- learning_curve.png, README.md: a picture and the policy's card, made when the training stops (`api/training.py`)
 - tensorboard/: with `--log tensorboard`, a log; it is outside of what equal trainings have in common
 - .lock: while a process trains there, which process it is
 """
@@ -34,7 +34,7 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, refuse_speed
-from nnql_bullet.files import plain_file, write_text
+from nnql_bullet.files import plain_file, real, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import EpisodeSummary, Policy
@@ -50,7 +50,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 LEARNING_CURVE, SELECTION, REPORT = "learning_curve.png", "selection.csv", "report.html"
-EVALUATIONS = "evaluations.csv"
+EVALUATIONS, CARD = "evaluations.csv", "README.md"
 _log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
@@ -122,7 +122,7 @@ class Run:
             UserError: If it holds a run and `overwrite` is False, holds something else, or the run begins from it.
         """
         folder, start = self.folder, self.config.start_from
-        if start is not None and policy_file(start).resolve().parent == folder.resolve():
+        if start is not None and real(policy_file(start)).parent == real(folder):
             raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
         if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD, EVALUATIONS}:
@@ -133,7 +133,8 @@ class Run:
         if (folder / TENSORBOARD).is_dir():
             shutil.rmtree(folder / TENSORBOARD)
         # The checkpoint can restore the files before it.
-        for name in (POLICY, SELECTION, LEARNING_CURVE, REPORT, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
+        shown = (LEARNING_CURVE, REPORT, CARD)
+        for name in (POLICY, SELECTION, *shown, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
             (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()

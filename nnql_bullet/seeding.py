@@ -26,6 +26,7 @@ class Stream(IntEnum):
     MIX = 9
     DOMAIN_RANDOMIZATION = 10
     BOTTLENECK = 11
+    SWEEP = 12
 
 
 VALIDATION_WORLDS = range(0, 100_000)

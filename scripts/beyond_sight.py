@@ -1,7 +1,7 @@
 """Drives along plans between places of maps that are beyond sight, and prints how often a vehicle arrives.
 
 Start and target of a pair are drawn evenly from the places with room to turn round, between which the vehicle passes;
-it starts along its plan, at full speed. `office`, `maze` and `playground` are maps that this script makes; any other
+it starts along its plan, at rest. `office`, `maze` and `playground` are maps that this script makes; any other
 name is a file or a shipped world.
 
     python scripts/beyond_sight.py office maze playground --robot jackal_tricycle

@@ -1,16 +1,20 @@
 """What is printed where a terminal cannot show it, where nobody reads it, and while work goes on."""
 
+import errno
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
 from nnql_bullet.cli import console
 from nnql_bullet.cli.console import ESTIMATE_AFTER, PIECES, _TimeLeft, printable
+from nnql_bullet.errors import UserError
+from nnql_bullet.files import write_atomically
 from nnql_bullet.work import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,6 +53,39 @@ def test_closed_streams_are_no_hindrance(tmp_path: Path, closed: str) -> None:
     assert in_a_shell(f"nnql-bullet {DRIVE} --out out {closed}", tmp_path).returncode == 0
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"trajectory.npz", "trajectory.png"}
     assert in_a_shell(f"nnql-bullet drive --help {closed}", tmp_path).returncode == 0
+
+
+class _Broken(StringIO):
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self._error = OSError(number, os.strerror(number))
+
+    def flush(self) -> None:
+        raise self._error
+
+
+class TestBrokenStreams:
+    @pytest.fixture
+    def broken(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, int], None]:
+        return lambda name, number: monkeypatch.setattr(console, name, console._Stream(file=_Broken(number)))
+
+    def test_a_full_standard_output_is_named(self, broken: Callable[[str, int], None]) -> None:
+        broken("out", errno.ENOSPC)
+        with pytest.raises(UserError, match=r"^standard output: No space left on device; "):
+            console.say("result")
+
+    def test_messages_that_find_no_room_end_no_work(self, broken: Callable[[str, int], None]) -> None:
+        broken("err", errno.ENOSPC)
+        console.tell("drawing 1/2")
+
+    @pytest.mark.parametrize("number", [errno.EPIPE, errno.EIO])
+    def test_unread_ones_are_not_taken_for_an_error_of_the_file_that_is_written(
+        self, broken: Callable[[str, int], None], tmp_path: Path, number: int
+    ) -> None:
+        broken("err", number)
+        with pytest.raises(BrokenPipeError):
+            write_atomically(tmp_path / "film.mp4", lambda _: console.tell("drawing 1/2"))
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_an_ascii_terminal_is_no_hindrance(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
 
 Cli = Callable[..., tuple[int, str, str]]
 
-NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot"), ("what",)) | {
+NEEDED = dict.fromkeys(("render", "view", "evaluate", "failures", "gap", "report", "robot", "sweep"), ("what",)) | {
     "worlds": ("list",),
     "barn": ("what", "what"),
     "export": ("what", "--to", "c"),

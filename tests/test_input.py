@@ -13,6 +13,7 @@ import pytest
 import nnql_bullet as nb
 from nnql_bullet import memory
 from nnql_bullet.cli.console import items
+from nnql_bullet.config import MOST_TOML
 from nnql_bullet.env import Transition
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.evaluation.metrics import Evaluation
@@ -167,6 +168,34 @@ class TestFiles:
                 member.write(b"\0" * 1_000_000)
         with pytest.raises(UserError, match="unpacks to more than"):
             nb.Recording.load(bomb)
+
+    @pytest.mark.parametrize(
+        "words",
+        [
+            ("robot", "circle.urdf"),
+            ("robot", "circle.xacro"),
+            ("worlds", "show", "circle.toml"),
+            ("worlds", "import", "circle.yaml", "--out", "w.toml"),
+            ("drive", "straight", "--robot", "circle.toml"),
+            ("train", "--from", "circle.safetensors", "--out", "run"),
+        ],
+        ids=lambda words: words[-1],
+    )
+    def test_links_in_a_circle_are_refused(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_cli: Cli, words: tuple[str, ...]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        for name in filter(lambda word: word.startswith("circle"), words):
+            Path(name).symlink_to(name)
+        code, out, err = run_cli(*words, *(("--sim", "kinematic") if words[0] in ("drive", "train") else ()))
+        assert (code, out, err.count("\n")) == (2, "", 1)
+
+    def test_a_huge_toml_is_refused_before_it_is_parsed(self, tmp_path: Path) -> None:
+        huge = tmp_path / "huge.toml"
+        with huge.open("wb") as file:
+            file.truncate(MOST_TOML + 1)
+        with pytest.raises(UserError, match=f"has {MOST_TOML + 1} bytes; such a file is read up to {MOST_TOML} bytes"):
+            nb.World.load(huge)
 
     def test_objects_are_refused(self, tmp_path: Path) -> None:
         np.savez(tmp_path / "a.npz", about=np.array([{}], dtype=object))

@@ -1,7 +1,10 @@
 """Learners of other libraries over the vehicles: the steps of single environments, and more goals than a rule."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,8 +15,13 @@ import nnql_bullet as nb
 from nnql_bullet.errors import UserError
 from nnql_bullet.rollout import run_episodes
 
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra [sb3]")
-from nnql_bullet.integrations.sb3 import VehiclesVecEnv, make_vec_env  # noqa: E402
+try:
+    import stable_baselines3 as sb3
+
+    from nnql_bullet.integrations.sb3 import VehiclesVecEnv, make_vec_env
+except ImportError:
+    sb3 = None
+needs_sb3 = pytest.mark.skipif(sb3 is None, reason="needs the extra [sb3]")
 
 KINEMATIC: dict[str, Any] = {"simulator": "kinematic", "world": "cover_20"}
 
@@ -37,6 +45,7 @@ def same(one: Any, other: Any) -> bool:
     return np.allclose(one, other, atol=1e-5)
 
 
+@needs_sb3
 def test_it_does_what_the_librarys_own_does(both: tuple[Any, Any]) -> None:
     ours, theirs = both
     ours.seed(5), theirs.seed(5)
@@ -61,6 +70,7 @@ def test_it_does_what_the_librarys_own_does(both: tuple[Any, Any]) -> None:
     assert endings == {"collision", "timeout"}
 
 
+@needs_sb3
 def test_it_needs_vehicles_that_begin_at_once() -> None:
     with (
         closing(nb.make_env(n_envs=2, **KINEMATIC)) as envs,
@@ -69,6 +79,7 @@ def test_it_needs_vehicles_that_begin_at_once() -> None:
         VehiclesVecEnv(envs)
 
 
+@needs_sb3
 @pytest.mark.slow
 def test_a_small_budget_beats_driving_straight() -> None:
     """Goals in 50 test worlds at 5 % cover."""
@@ -91,3 +102,50 @@ def test_a_small_budget_beats_driving_straight() -> None:
     rule = nb.load_policy("straight", worlds).experiment
     driven = run_episodes(rule.navigation, [rule.world(int(seed)) for seed in seeds], rule.policy)
     assert goals > sum(one.ending == "goal" for one in driven)
+
+
+@pytest.mark.slow
+def test_rllib_learns_to_beat_driving_straight(tmp_path: Path) -> None:
+    """In a process of its own, as Ray has servers and warnings; the vehicles are in yet another."""
+    for library in ("ray.rllib", "tree"):
+        pytest.importorskip(library, reason="needs the extra [rllib]")
+    done = subprocess.run([sys.executable, "-c", RLLIB], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    learned, straight = map(float, done.stdout.split()[-2:])
+    assert learned > straight + 30.0
+
+
+RLLIB = """
+import ray
+import torch
+from ray.rllib.algorithms.ppo import PPOConfig
+
+import nnql_bullet as nb
+from nnql_bullet.env import as_numbers
+from nnql_bullet.integrations.rllib import register_env
+
+torch.set_num_threads(1)
+ray.init(num_cpus=2, include_dashboard=False, logging_level="ERROR")
+register_env()
+algorithm = (
+    PPOConfig()
+    .environment("nnql_bullet/Tricycle-v0", env_config={"simulator": "kinematic", "reward": "progress"})
+    .env_runners(num_env_runners=1, num_envs_per_env_runner=64, gym_env_vectorize_mode="vector_entry_point")
+    .training(train_batch_size_per_learner=4096, minibatch_size=512, num_epochs=10, lr=1e-3, vf_clip_param=100.0)
+    .debugging(seed=0)
+).build_algo()
+for _ in range(7):
+    algorithm.train()
+
+
+class Learned:
+    def act(self, observations):
+        with torch.no_grad():
+            told = algorithm.get_module().forward_inference({"obs": torch.from_numpy(as_numbers(observations))})
+        return told["action_dist_inputs"].argmax(dim=1).numpy()
+
+
+found = nb.evaluate([Learned(), "straight"], worlds=["paper"], n_worlds=30, simulator="kinematic").table()
+algorithm.stop()
+print(*(line.split()[2] for line in found.splitlines()[1:3]))
+"""

@@ -214,7 +214,7 @@ class TestLog:
         flags = ("--config", small_config, "--sim", "kinematic", "--vehicles", 2, "--workers", 1)
         plain, parts = tmp_path / "plain", tmp_path / "parts"
         assert run_cli("train", *flags, "--episodes", 4, "--out", parts, "--log", "tensorboard")[0] == 0
-        (parts / "learning_curve.png").unlink()
+        (parts / "learning_curve.png").unlink(), (parts / "README.md").unlink()
         config = nb.load_run(parts, 7).config
         session.train(config, plain, workers=1)
         before = shutil.copytree(parts, tmp_path / "before")

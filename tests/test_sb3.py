@@ -147,7 +147,7 @@ class TestVehicles:
     def test_they_do_what_single_environments_do(self, parts: Callable[..., Any], small_world: Path) -> None:
         """Each episode again, in the Gymnasium environment of one vehicle."""
         experiment, _, navigation = parts()
-        vehicles = sb3.VehiclesVecEnv(navigation, experiment.training_world)
+        vehicles = sb3.TrainingVehicles(navigation, experiment.training_world)
         generator = np.random.default_rng(1)
         seen = [[observation] for observation in vehicles.reset()]
         done: list[list[int]] = [[] for _ in range(3)]

@@ -88,6 +88,16 @@ class TestOneVehicle:
         assert simulator.end.wheel_speeds == pytest.approx((16.0, 16.0), rel=1e-3)
         assert motion.duration == pytest.approx(PERIOD)
 
+    def test_it_starts_at_rest_where_the_world_says_so(self, simulator: Alone, empty_world: WorldSpec) -> None:
+        simulator.reset(replace(empty_world, at_rest=True))
+        acceleration = simulator.simulator.vehicle.limits.acceleration
+        assert acceleration * PERIOD < 2.0
+        motion = simulator.advance(0.0)
+        assert motion.speed == pytest.approx(acceleration * PERIOD, rel=1e-2)
+        assert motion.path_length == pytest.approx(acceleration * PERIOD**2 / 2, rel=2e-2)
+        simulator.reset(empty_world)
+        assert simulator.advance(0.0).path_length == pytest.approx(2.0 * PERIOD, rel=1e-3)
+
     def test_the_speed_is_that_of_the_body_over_the_ground(self, simulator: Alone, empty_world: WorldSpec) -> None:
         simulator.reset(empty_world)
         assert simulator.simulator.drive.speed == 2.0

@@ -128,6 +128,7 @@ def test_different_seeds_give_different_worlds():
 def test_digest_tells_worlds_apart_but_not_by_name_or_seed():
     changes = [
         {"start": Pose(20, 20, 0.1)},
+        {"at_rest": True},
         {"target": (90.0, 89.0)},
         {"target_radius": 1.0},
         {"obstacle_height": 2.0},
@@ -207,6 +208,13 @@ def test_drawn_worlds_can_be_crossed_even_if_they_had_to_be_drawn_again(drawn):
 def test_start_faces_the_target_unless_told_otherwise():
     assert load_world("empty").draw(0, ROOM).start == Pose(20.0, 20.0, round(pi / 4, 6))
     assert small_world(start_yaw_degrees=-90).draw(0, ROOM).start.yaw == pytest.approx(-pi / 2, abs=1e-6)
+
+
+def test_a_vehicle_starts_at_rest_from_a_start_that_was_given():
+    world = small_world()
+    assert not world.at_rest
+    assert not world.between(target=(2.0, 2.0)).at_rest
+    assert world.between(start=(2.0, 2.0)).draw(0, ROOM).at_rest
 
 
 def test_walls_enclose_the_arena_without_reaching_into_it():

@@ -63,6 +63,13 @@ def test_macros_includes_packages_and_arguments(described: Callable[..., Path]) 
     assert (other.wheel_radius, other.mass) == pytest.approx((0.11, 13.1))
 
 
+def test_relative_includes_begin_in_the_folder_of_the_file_that_has_them(described: Callable[..., Path]) -> None:
+    robot = described(ROBOT.replace("$(find mine_description)/urdf/macros.xacro", "parts/all.xacro"))
+    (robot.parent / "parts").mkdir()
+    (robot.parent / "parts" / "all.xacro").write_text(f'{HEAD}<xacro:include filename="../macros.xacro"/></robot>')
+    assert read_robot(robot).vehicle.track == pytest.approx(0.3)
+
+
 def test_a_package_beside_its_own_is_found(described: Callable[..., Path], tmp_path: Path) -> None:
     robot = described(ROBOT.replace("mine_description)/urdf", "mine_macros)"))
     (tmp_path / "mine_macros").mkdir()

@@ -9,10 +9,11 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.env import Reward
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.presets import load_config
+from nnql_bullet.reports.card import write_card
 from nnql_bullet.reports.plots import draw_learning_curve
 from nnql_bullet.rollout import Policy
 from nnql_bullet.run_config import RunConfig, changed
-from nnql_bullet.runs import LEARNING_CURVE, Run
+from nnql_bullet.runs import LEARNING_CURVE, Run, load_run
 from nnql_bullet.work import OnProgress, silent
 
 
@@ -76,7 +77,7 @@ def train(
         check_at_first_use(resolved.robot, resolved.simulator, resolved.physics, on_progress)
     name = "run" if isinstance(config, RunConfig) else Path(config).stem
     folder = Path("runs") / f"{name}-{resolved.seed}" if out is None else Path(out)
-    return _with_curve(
+    return _shown(
         session.train(
             resolved,
             folder,
@@ -87,7 +88,9 @@ def train(
             log=log,
             on_progress=on_progress or silent,
             stop=stop,
-        )
+        ),
+        agent,
+        reward,
     )
 
 
@@ -125,7 +128,7 @@ def resume(
         UserError: If the folder holds no run, its files do not fit each other, or it has more episodes already.
         WorkerDied: If a worker process is gone; a checkpoint is written before.
     """
-    return _with_curve(
+    return _shown(
         session.resume(
             Path(folder),
             episodes,
@@ -135,11 +138,16 @@ def resume(
             log=log,
             on_progress=on_progress or silent,
             stop=stop,
-        )
+        ),
+        agent,
+        reward,
     )
 
 
-def _with_curve(run: Run) -> Run:
+def _shown(run: Run, agent: Policy | None, reward: Reward | None) -> Run:
+    """Draws the learning curve of a run and writes its card, as soon as it has episodes."""
     if run.episodes:
         draw_learning_curve(run.episodes, run.folder / LEARNING_CURVE, evaluations=run.evaluations)
+        own = [name for name, its in (("an agent", agent), ("a reward", reward)) if its is not None]
+        write_card(load_run(run.folder), " and ".join(own))  # as its files say
     return run

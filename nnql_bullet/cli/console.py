@@ -50,13 +50,34 @@ err = _Stream(stderr=True)
 
 
 def say(text: str) -> None:
-    """A line on standard output."""
-    out.out(printable(text, out.encoding), highlight=False)
+    """A line on standard output.
+
+    Raises:
+        UserError: If it cannot be written, as where a disk is full.
+        BrokenPipeError: If nobody reads it any more.
+    """
+    if reason := _printed(out, text):
+        raise UserError(f"standard output: {reason}; what is printed there is not whole")
 
 
 def tell(text: str) -> None:
-    """A line on standard error."""
-    err.out(printable(text, err.encoding), highlight=False)
+    """A line on standard error, if there is room for it: no work ends for the sake of its messages.
+
+    Raises:
+        BrokenPipeError: If nobody reads it any more.
+    """
+    _printed(err, text)
+
+
+def _printed(stream: Console, text: str) -> str:
+    """Prints a line; returns why it cannot be written, or nothing."""
+    try:
+        stream.out(printable(text, stream.encoding), highlight=False)
+    except OSError as error:
+        if is_unread(error):
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
+        return error.strerror or str(error)
+    return ""
 
 
 @contextmanager

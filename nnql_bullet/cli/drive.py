@@ -60,7 +60,7 @@ def drive(
             a rule.
         world: Shipped world (paper, cover_10, traps, aisles, moving, ...), TOML file, ROS map, or other file that
             `nnql-bullet worlds` reads; default that of the training (rules: paper).
-        start: Start in the frame of the world's map [m, radians], in place of its own.
+        start: Start, at rest, in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
         waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
         plan: Plan the way through the whole world, and lead the policy along it; moving obstacles are not in the plan.

@@ -66,7 +66,7 @@ def evaluate(
         cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
         world: Shipped worlds (traps, aisles, moving, ...), TOML files, ROS maps, other files that `nnql-bullet worlds`
             reads, or folders of such files, each counted as one kind.
-        start: Start in the frame of the world's map [m, radians], in place of its own.
+        start: Start, at rest, in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
         waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
         plan: Lead each policy along a plan of the way through the whole world; see `drive`.

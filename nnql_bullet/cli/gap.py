@@ -53,7 +53,7 @@ def gap(
         shield: Drive each policy in a shield.
         world: Shipped world (paper, cover_10, ...), TOML file, ROS map, or other file that `nnql-bullet worlds` reads;
             default that of the training.
-        start: Start in the frame of the world's map [m, radians], in place of its own.
+        start: Start, at rest, in the frame of the world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
         worlds: Number of worlds; default 100.
         split: Worlds to choose with (validation, the default), or those for the final table.

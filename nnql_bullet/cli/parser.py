@@ -12,6 +12,7 @@ from nnql_bullet.errors import UserError, WorkerDied, WorkFailed, failed_import
 
 VERBS = (
     "train",
+    "sweep",
     "keys",
     "policies",
     "drive",

@@ -54,7 +54,7 @@ def render(
     Args:
         recording: A trajectory.npz, or a policy as `drive` takes it, which is then driven and recorded first.
         world: World of that drive; see `drive`.
-        start: Start in the frame of that world's map [m, radians], in place of its own.
+        start: Start, at rest, in the frame of that world's map [m, radians], in place of its own.
         target: Target in that frame, in place of its own.
         seed: Seed of that drive's world; default 0.
         out: The video; default beside the recording. With --frames or --sheet alone there is none.

@@ -56,7 +56,7 @@ def worlds(
         out: File or folder to write.
         seed: Seed of the world to show or export.
         robot: Vehicle that the way between chosen ends is wide enough for, or whose path is shown.
-        start: Start in the frame of the map [m, radians].
+        start: Start, at rest, in the frame of the map [m, radians].
         target: Target in that frame [m].
         resolution: Side of a cell of the ROS map to write [m].
         json: Print JSON instead of text.

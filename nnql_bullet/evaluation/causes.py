@@ -59,7 +59,8 @@ def period_errors(recording: Recording, vehicle: VehicleSpec, drive: DriveOption
     n = len(recording.action)
     times = np.concatenate([[0.0], recording.sample_time])
     wheels = np.concatenate([np.zeros((1, 2)), recording.joint_angles[:, :2]]) * vehicle.wheel_radius
-    rate, speed, lag, slip, distance = 0.0, drive.speed, np.zeros(n), np.zeros(n), np.zeros(n)
+    rate, speed = 0.0, recording.world.start_speed(drive.speed)
+    lag, slip, distance = np.zeros((3, n))
     for k in range(n):
         begin, end = recording.state_time[k], recording.state_time[k + 1]
         start, reached = recording.state_pose[k], recording.state_pose[k + 1]

@@ -19,7 +19,7 @@ from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, Draws, check_frozen, load_frozen
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
@@ -266,7 +266,7 @@ def draw_tiers(
         of_folder = files != [one]
         name = kind.name
         if of_folder:
-            name = one.name if isinstance(one, WorldFiles) else Path(str(one)).resolve().name
+            name = one.name if isinstance(one, WorldFiles) else real(Path(str(one))).name
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (

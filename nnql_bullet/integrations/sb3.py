@@ -4,12 +4,11 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
+from nnql_bullet.agents.learning.sb3_vehicles import Vehicles
 from nnql_bullet.api.environment import make_vector_env
 from nnql_bullet.errors import UserError
 from nnql_bullet.gym_env.vector import TricycleVectorEnv
@@ -28,7 +27,7 @@ def make_vec_env(n_envs: int = 64, **options: Any) -> "VehiclesVecEnv":
     return VehiclesVecEnv(make_vector_env(n_envs, **options, autoreset_mode=AutoresetMode.SAME_STEP))
 
 
-class VehiclesVecEnv(VecEnv):
+class VehiclesVecEnv(Vehicles):
     """A `TricycleVectorEnv` as a `VecEnv`, without an environment or a process for each vehicle."""
 
     def __init__(self, envs: TricycleVectorEnv) -> None:
@@ -42,7 +41,7 @@ class VehiclesVecEnv(VecEnv):
         """
         if envs.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise UserError("stable-baselines3 needs vehicles with autoreset_mode=AutoresetMode.SAME_STEP")
-        self._envs = envs
+        self._envs = self.shared = envs
         self._actions: NDArray[Any] = np.zeros(0)
         self._returns, self._lengths = np.zeros(envs.num_envs), np.zeros(envs.num_envs, np.int64)
         self._begun = time.monotonic()
@@ -90,21 +89,3 @@ class VehiclesVecEnv(VecEnv):
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A picture of each vehicle, if the `render_mode` is `rgb_array`."""
         return list(self._envs.render() or [None] * self.num_envs)
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the vehicles' environment, which they share."""
-        return [getattr(self._envs, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raises an AttributeError: vehicles have no attributes of their own to set."""
-        raise AttributeError(attr_name)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Raises an AttributeError: vehicles have no methods of their own to call."""
-        raise AttributeError(method_name)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """False for each: no vehicle is wrapped."""
-        return [False for _ in self._get_indices(indices)]

@@ -4,7 +4,7 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
-from nnql_bullet.vehicle.profiles import rolled_path, turn_headings
+from nnql_bullet.vehicle.profiles import sample_profile, turn_profile
 from nnql_bullet.vehicle.spec import Limits
 
 PREDICTION_STEP = 0.1
@@ -23,11 +23,28 @@ def predicted_poses(yaw_rates: Array, turns: Array, lengths: Array, limits: Limi
         limits: The vehicle's limits.
         times: Times of the poses (k,) [s].
     """
-    headings = turn_headings(yaw_rates[:, None], turns, limits, times)
-    changes = headings.copy()
-    changes[..., 1:] -= headings[..., :-1]
-    places = rolled_path(0.0, lengths[:, None, :], changes)
-    return np.concatenate([places, headings[..., None]], axis=-1)
+    return _predicted_poses(yaw_rates, turns, lengths, limits.yaw_rate, limits.yaw_acceleration, times)
+
+
+@njit()
+def _predicted_poses(
+    yaw_rates: Array, turns: Array, lengths: Array, max_rate: float, yaw_acceleration: float, times: Array
+) -> Array:
+    """`predicted_poses` as a kernel; each chord has its arc's middle heading."""
+    (n, m), k = turns.shape, len(times)
+    poses, rates, headings = np.empty((n, m, k, 3)), np.empty(k), np.empty(k)
+    for i in range(n):
+        for j in range(m):
+            peak, rise, hold, fall = turn_profile(yaw_rates[i], turns[i, j], max_rate, yaw_acceleration)
+            sample_profile(yaw_rates[i], peak, rise, hold, fall, times, rates, headings)
+            x = y = before = 0.0
+            for step in range(k):
+                heading = headings[step]
+                middle = heading - (heading - before) / 2
+                x, y = x + lengths[i, step] * np.cos(middle), y + lengths[i, step] * np.sin(middle)
+                poses[i, j, step] = x, y, heading
+                before = heading
+    return poses
 
 
 @njit()

@@ -9,7 +9,7 @@ PROPERTIES = {
     "SS": ("safe", SAFE),
     "NS": ("non-safe", NON_SAFE),
     "WS": ("at the target", GOAL),
-    "FS": ("collision", COLLISION),
+    "FS": ("failure", COLLISION),
 }
 """Name and colour of each state property, by the paper's two letters."""
 TURNS = tuple(

@@ -39,7 +39,9 @@ NEARBY_CELL = 1.0
 """Side of a cell of the grid that lists near boxes [m]."""
 NEARBY_MARGIN = 3.0
 """Width of the grid's margin around the arena [m]."""
-KINDS: dict[Kind, int] = {"box": 0, "cylinder": 1, "sphere": 2}
+KINDS: dict[Kind, int] = {"box": 0, "cylinder": 1, "sphere": 2, "mesh": 3}
+NEAR_MESH = 0.01
+"""How far from the bounding box of a mesh a place is taken to be on the mesh [m]."""
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
@@ -359,12 +361,21 @@ def _passes(place: Vector, direction: Vector, middle: Vector, radius: float) -> 
 
 @kernel
 def _meets_part(place: Vector, direction: Vector, parts: Parts, k: int) -> bool:
-    """Whether a ray meets a shape: slabs (Kay and Kajiya, SIGGRAPH 1986), and a quadratic for curved surfaces."""
+    """Whether a ray meets a shape: slabs (Kay and Kajiya, SIGGRAPH 1986), and a quadratic for curved surfaces.
+
+    A mesh counts as its bounding box, for places outside of it: it throws a shadow on others, and none on itself.
+    """
     x, y, z = _in_frame(parts.frames, k, place, 1.0)
     u, v, w = _in_frame(parts.frames, k, direction, 0.0)
     enter, leave = _between_planes(0.0, FAR, z, w, parts.half_sizes[k, 2])
     kind, radius = parts.kinds[k], parts.half_sizes[k, 0]
-    if kind == 0:
+    if kind == 3 and (
+        abs(x) < radius + NEAR_MESH
+        and abs(y) < parts.half_sizes[k, 1] + NEAR_MESH
+        and abs(z) < parts.half_sizes[k, 2] + NEAR_MESH
+    ):
+        return False
+    if kind == 0 or kind == 3:
         enter, leave = _between_planes(enter, leave, x, u, radius)
         enter, leave = _between_planes(enter, leave, y, v, parts.half_sizes[k, 1])
         return enter < leave

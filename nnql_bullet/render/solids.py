@@ -81,7 +81,8 @@ class BulletRenderer:
     def show(self, moment: Moment) -> None:
         """Moves all bodies to their positions at a moment."""
         pose = moment.pose
-        self.scene.place(self._vehicle, pose.x, pose.y, self._axle_height, pose.yaw)
+        rise, roll, pitch = moment.tilt
+        self.scene.place(self._vehicle, pose.x, pose.y, self._axle_height + rise, pose.yaw, roll, pitch)
         for joint, angle in zip(self._joints, moment.joint_angles, strict=True):
             self.scene.turn(self._vehicle, joint, angle)
         for body, box in zip(self._movers, moment.movers, strict=True):

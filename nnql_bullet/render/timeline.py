@@ -6,6 +6,8 @@ import numpy as np
 
 from nnql_bullet.geometry import Array, OrientedBox, Pose, wrap_angle, wrap_angles
 from nnql_bullet.recording import Recording
+from nnql_bullet.sim.base import LEVEL
+from nnql_bullet.types import Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +18,8 @@ class Moment:
     """Time since the start [s]."""
     pose: Pose
     """Pose of the vehicle."""
+    tilt: Vector
+    """See `sim.base.Sample`."""
     joint_angles: tuple[float, ...]
     """Angles of the joints, as in the recording [rad]."""
     speed: float
@@ -38,6 +42,7 @@ class Timeline:
         self._poses = np.concatenate([[start], recording.sample_pose])
         self._poses[:, 2] = np.unwrap(self._poses[:, 2])
         self._joints = np.unwrap(np.concatenate([[first], recording.joint_angles]), axis=0)
+        self._tilts = np.concatenate([[LEVEL], recording.tilts])
         distances = np.hypot(*np.diff(self._poses[:, :2], axis=0).T)
         self._speeds = distances / np.diff(self._times)
 
@@ -51,12 +56,14 @@ class Timeline:
         r = self.recording
         now = min(max(time, 0.0), self.duration)
         x, y, yaw = (float(np.interp(now, self._times, values)) for values in self._poses.T)
+        rise, roll, pitch = (float(np.interp(now, self._times, values)) for values in self._tilts.T)
         angles = tuple(float(np.interp(now, self._times, values)) for values in self._joints.T)
         sample = int(np.searchsorted(self._times[1:-1], now, side="left"))
         step = int(np.searchsorted(r.state_time[1:-1], now, side="right"))
         return Moment(
             time=now,
             pose=Pose(x, y, wrap_angle(yaw)),
+            tilt=(rise, roll, pitch),
             joint_angles=angles,
             speed=float(self._speeds[sample]),
             step=step,

@@ -61,7 +61,7 @@ class VtkRenderer:
 
     def draw(self, moment: Moment, camera: Camera) -> Solids:
         """Draws the camera's picture at a moment."""
-        frames = self._visuals.frames(moment.pose, moment.joint_angles)
+        frames = self._visuals.frames(moment.pose, moment.joint_angles, moment.tilt)
         for part, frame in zip(self._parts, frames, strict=True):
             part.user_matrix = frame
         for mover, box in zip(self._movers, moment.movers, strict=True):
@@ -110,6 +110,9 @@ def _mesh(shape: Shape) -> Any:
         return _cuboid(x, y, z)
     if shape.kind == "cylinder":
         return _cylinder(x, z)
+    if shape.kind == "mesh":
+        corners = shape.triangles.reshape(-1, 3)
+        return pyvista.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))
     return pyvista.Sphere(radius=x, theta_resolution=FACETS, phi_resolution=FACETS // 2)
 
 

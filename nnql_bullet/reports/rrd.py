@@ -142,9 +142,14 @@ def _circle(middle: tuple[float, float], radius: float) -> Array:
 
 def _log_vehicle(stream: rr.RecordingStream, recording: Recording) -> None:
     """Logs the vehicle's poses at samples and states, its shapes, and its whole path."""
-    axle = _axle_height(recording)
-    stream.send_columns("world/vehicle", _at_states(recording), _transforms(recording.state_pose, axle))
-    stream.send_columns("world/vehicle", [_times(recording.sample_time)], _transforms(recording.sample_pose, axle))
+    axle, tilts = _axle_height(recording), recording.tilts
+    times = np.append(0.0, recording.sample_time)
+    at_states = [np.interp(recording.state_time, times, np.append(0.0, column)) for column in tilts.T]
+    for index, poses, its in (
+        (_at_states(recording), recording.state_pose, np.stack(at_states, axis=-1)),
+        ([_times(recording.sample_time)], recording.sample_pose, tilts),
+    ):
+        stream.send_columns("world/vehicle", index, _transforms(poses, axle, its))
     stream.log(
         "world/vehicle/sensor", rr.Points3D([recording.sensor.position], colors=_rgba(SAFE), radii=0.06), static=True
     )
@@ -181,13 +186,22 @@ def _log_looks(stream: rr.RecordingStream, recording: Recording) -> None:
         stream.send_columns(entity, times, columns)
 
 
-def _solid(shape: Shape) -> rr.Boxes3D | rr.Cylinders3D | rr.Ellipsoids3D:
+def _solid(shape: Shape) -> rr.Boxes3D | rr.Cylinders3D | rr.Ellipsoids3D | rr.Mesh3D:
     x, y, z = shape.half_sizes
     colour = [round(255 * part) for part in shape.colour]
     if shape.kind == "box":
         return rr.Boxes3D(half_sizes=[(x, y, z)], colors=colour, fill_mode="solid")
     if shape.kind == "cylinder":
         return rr.Cylinders3D(radii=[x], lengths=[2 * z], colors=colour, fill_mode="solid")
+    if shape.kind == "mesh":
+        edges = np.diff(shape.triangles, axis=1)
+        normals = np.cross(edges[:, 0], edges[:, 1])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return rr.Mesh3D(
+            vertex_positions=shape.triangles.reshape(-1, 3),
+            vertex_normals=np.repeat(normals, 3, axis=0),
+            albedo_factor=colour,
+        )
     return rr.Ellipsoids3D(half_sizes=[(x, y, z)], colors=colour, fill_mode="solid")
 
 
@@ -361,11 +375,11 @@ def _times(seconds: Array) -> rr.TimeColumn:
     return rr.TimeColumn(TIME, duration=np.round(1e9 * seconds).astype("timedelta64[ns]"))
 
 
-def _transforms(poses: Array, height: float = 0.0) -> rr.ComponentColumnList:
-    """Returns transforms from the frames of poses (n, 3) at a height [m] to the world."""
-    half = poses[:, 2] / 2
-    turns = np.column_stack([np.zeros((len(poses), 2)), np.sin(half), np.cos(half)])  # x, y, z, w
-    places = np.column_stack([poses[:, :2], np.full(len(poses), height)])
+def _transforms(poses: Array, height: float = 0.0, tilts: Array | None = None) -> rr.ComponentColumnList:
+    """Returns transforms to the world from the frames of poses (n, 3) at a height [m], tilted (n, 3)."""
+    rise, roll, pitch = np.zeros((3, len(poses))) if tilts is None else tilts.T
+    turns = Rotation.from_euler("ZYX", np.column_stack([poses[:, 2], pitch, roll])).as_quat()
+    places = np.column_stack([poses[:, :2], height + rise])
     return rr.Transform3D.columns(translation=places, quaternion=turns)
 
 

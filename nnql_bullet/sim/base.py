@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, Pose
+from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.passages import Point
@@ -16,6 +17,10 @@ from nnql_bullet.worlds.spec import WorldSpec
 SAMPLE_EVERY = 4
 """Wheel commands from one sample of a trace to the next, which makes 30 samples a second. A period that ends early has
 a last sample at its end."""
+
+
+LEVEL: Vector = (0.0, 0.0, 0.0)
+"""The tilt of a vehicle that stands on level ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +34,8 @@ class Sample:
     """Angles of left drive, right drive, and of each caster that swivels its swivel and its roll [rad]."""
     wheel_speeds: tuple[float, float]
     """Speeds of the left and right drive wheel [rad/s]."""
+    tilt: Vector = LEVEL
+    """Rise of the rear-axle centre above its place on level ground [m], roll to the right and pitch nose down [rad]."""
 
 
 Traces = Mapping[int, list[Sample]]
@@ -92,9 +99,9 @@ class Simulator(Protocol):
         """Options of their controllers."""
 
     def reset(self, worlds: Mapping[int, WorldSpec]) -> tuple[Array, Array]:
-        """Puts some vehicles on the start of a world each, at the drive's speed, whatever happened before.
+        """Puts some vehicles on the start of a world each, whatever happened before.
 
-        The first of the world's targets is theirs.
+        They start at rest where the world says so, else at the drive's speed. The first of its targets is theirs.
 
         Returns:
             Their poses (k, 3) and ray distances (k, rays) [m], in the order of `worlds`.

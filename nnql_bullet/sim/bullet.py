@@ -245,7 +245,7 @@ class BulletEngine(ContactEngine):
         states = self._joint_states(*self._joints)
         left, right, *_ = states
         angles = tuple(state.position for state in states)
-        return Sample(self.time(), self.pose(), angles, (left.velocity, right.velocity))
+        return Sample(self.time(), self.pose(), angles, (left.velocity, right.velocity), self.tilt())
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """Properties of every link in the engine, by the link's name."""

@@ -2,7 +2,7 @@
 
 import importlib.util
 import weakref
-from math import asin, atan2, cos, degrees, sin
+from math import asin, atan2, degrees
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,7 +12,7 @@ from nnql_bullet.colours import Colour
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.machine import one_thread_for_mesa
-from nnql_bullet.sim.bullet import ORIGIN, STRAIGHT, bullet, load_text
+from nnql_bullet.sim.bullet import bullet, load_text
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.sim.c_library import decimal_points, silenced
 from nnql_bullet.sim.scene_trial import NO_EGL, SceneKind
@@ -83,17 +83,13 @@ class BulletScene:
         infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]
         return body, {info.name: info.number for info in infos}
 
-    def place(self, body: int, x: float, y: float, z: float, yaw: float) -> None:
-        """Sets the position [m] and yaw [rad] of an object's origin."""
+    def place(self, body: int, x: float, y: float, z: float, yaw: float, roll: float = 0.0, pitch: float = 0.0) -> None:
+        """Sets the position [m] of an object's origin, and its yaw, roll and pitch [rad]."""
         # The engine sets centres of mass and principal axes of inertia.
         inertial = DynamicsInfo(*bullet.getDynamicsInfo(body, -1, self.client))
-        ahead, left, up = inertial.inertia_position
-        c, s = cos(yaw), sin(yaw)
-        centre = (x + c * ahead - s * left, y + s * ahead + c * left, z + up)
-        turned = (0.0, 0.0, sin(yaw / 2), cos(yaw / 2))
-        if inertial.inertia_orientation != STRAIGHT:
-            _, turned = bullet.multiplyTransforms(ORIGIN, turned, ORIGIN, inertial.inertia_orientation)
-        bullet.resetBasePositionAndOrientation(body, centre, turned, self.client)
+        frame = (x, y, z), bullet.getQuaternionFromEuler((roll, pitch, yaw))
+        centre = bullet.multiplyTransforms(*frame, inertial.inertia_position, inertial.inertia_orientation)
+        bullet.resetBasePositionAndOrientation(body, *centre, self.client)
 
     def turn(self, body: int, joint: int, angle: float) -> None:
         """Turns a joint to an angle [rad]."""

@@ -110,8 +110,9 @@ class ContactEngine(VehiclePhysics):
         """The vehicle now."""
 
     def reset(self, world: WorldSpec) -> None:
-        """Builds the world anew and puts the vehicle on its start, at the drive's speed."""
-        self.place(world, world.start, self.drive.speed)
+        """Builds the world anew and puts the vehicle on its start, at rest or at the drive's speed."""
+        self.place(world, world.start, world.start_speed(self.drive.speed))
+        self._planned_speed = world.start_speed(self.drive.speed)
 
     def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
         """See `VehiclePhysics.place`. The controller starts at the drive's speed, whatever the vehicle's speed is."""

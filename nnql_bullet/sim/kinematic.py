@@ -166,7 +166,7 @@ class KinematicSimulator:
             start, solids, moving = world.start, world.solids_at(0.0), len(world.patrols)
             count, bounds = len(solids), bounds_of(solids, moving)
             state.pose[i] = start.x, start.y, start.yaw
-            state.yaw_rate[i], state.speed[i] = 0.0, self.drive.speed
+            state.yaw_rate[i], state.speed[i] = 0.0, world.start_speed(self.drive.speed)
             state.solids[i, :count] = solids
             state.solids[i, count : count + moving] = _padded(world.tracks)
             state.bounds[i, : len(bounds)] = bounds

@@ -159,7 +159,7 @@ class MujocoEngine(ContactEngine):
     def sample(self) -> Sample:
         """The vehicle at the present time."""
         angles = tuple(self._position[self._joint_angles].tolist())
-        return Sample(self.time(), self.pose(), angles, self.wheel_speeds())
+        return Sample(self.time(), self.pose(), angles, self.wheel_speeds(), self.tilt())
 
     def link_dynamics(self) -> dict[str, LinkDynamics]:
         """Properties of every link in the engine, by the link's name."""

@@ -5,7 +5,7 @@ An engine implements the abstract methods; `sim.contact` adds the control of the
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import cos, hypot, inf, sin
+from math import asin, atan2, cos, hypot, inf, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,6 +179,14 @@ class VehiclePhysics(ABC):
         """Pose of the rear-axle centre, seen from above."""
         position, orientation = self._frame()
         return Pose(*rear_axle(position, orientation, *self._com))
+
+    def tilt(self) -> Vector:
+        """Rise and tilt of the vehicle: see `sim.base.Sample`."""
+        position, (x, y, z, w) = self._frame()
+        upward = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # z of ahead, left and up
+        height = position[2] - float(np.dot(self._com, upward))
+        pitch = -asin(min(max(upward[0], -1.0), 1.0))
+        return height - self.vehicle.wheel_radius, atan2(upward[1], upward[2]), pitch
 
     def velocity(self) -> Vector:
         """Velocity of the chassis [m/s]."""

@@ -11,6 +11,8 @@ Log = Callable[[int, Mapping[str, float]], None]
 """Receives how many episodes are finished, and numbers by name."""
 TENSORBOARD: Final = "tensorboard"
 """Folder of TensorBoard's log in a run folder."""
+VALIDATION: Final = "success/validation"
+"""Name of the success of an evaluation, which is told after the episodes that it was made after."""
 
 
 def scalars(episodes: Sequence[TrainingEpisode], evaluations: Sequence[Evaluation], done: int) -> dict[str, float]:
@@ -25,4 +27,4 @@ def scalars(episodes: Sequence[TrainingEpisode], evaluations: Sequence[Evaluatio
         **{f"learning/{name}": value for name, value in last.diagnostics.items()},
     }
     evaluated = [one.success for one in evaluations if one.episodes == done]
-    return {**numbers, "success/validation": evaluated[0]} if evaluated else numbers
+    return {**numbers, VALIDATION: evaluated[0]} if evaluated else numbers

@@ -31,8 +31,8 @@ LARGEST = 1e6
 """Largest number that a URDF may hold [m, kg, kg m2]."""
 DRAWABLE = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}
 """Shapes that are drawn, and the attributes that they need."""
-MOST_BYTES, MOST_LINKS = 10_000_000, 500
-"""Size of the largest URDF that is read [bytes, links]."""
+MOST_BYTES, MOST_LINKS, MOST_SHAPES = 10_000_000, 500, 5000
+"""Size of the largest URDF that is read [bytes, links, collision and visual shapes of all links]."""
 _ENCODING = re.compile(rb"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.ASCII)
 
@@ -303,6 +303,9 @@ def _check_numbers(robot: Element) -> Iterator[str]:
 
 
 def _check_tree(robot: Element) -> None:
+    shapes = sum(len(robot.findall(f"link/{tag}")) for tag in ("collision", "visual"))
+    if shapes > MOST_SHAPES:
+        raise Unfit(f"it has {shapes} shapes; up to {MOST_SHAPES} are taken")
     for tag in ("link", "joint"):
         names = [part.get("name", "") for part in robot.findall(tag)]
         if len(names) > MOST_LINKS:
@@ -437,13 +440,17 @@ def _transform(element: Element) -> Array:
     origin = element.find("origin")
     transform = np.eye(4)
     if origin is not None:
-        roll, pitch, yaw = _floats(origin.get("rpy", "0 0 0"))
-        about_x = np.array([[1.0, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
-        about_y = np.array([[cos(pitch), 0, sin(pitch)], [0, 1.0, 0], [-sin(pitch), 0, cos(pitch)]])
-        about_z = np.array([[cos(yaw), -sin(yaw), 0], [sin(yaw), cos(yaw), 0], [0, 0, 1.0]])
-        transform[:3, :3] = about_z @ about_y @ about_x
+        transform[:3, :3] = rotation(*_floats(origin.get("rpy", "0 0 0")))
         transform[:3, 3] = _floats(origin.get("xyz", "0 0 0"))
     return transform
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Makes the matrix (3, 3) that turns about x, then y, then z [rad]."""
+    about_x = np.array([[1.0, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]])
+    about_y = np.array([[cos(pitch), 0, sin(pitch)], [0, 1.0, 0], [-sin(pitch), 0, cos(pitch)]])
+    about_z = np.array([[cos(yaw), -sin(yaw), 0], [sin(yaw), cos(yaw), 0], [0, 0, 1.0]])
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def place(element: Element, transform: Array) -> None:

@@ -248,7 +248,8 @@ def _hulls(search: _Search, link: Link) -> list[Hull]:
             lost = [solid for solid, hull in found if hull is None]
             if lost and solids is link.solids:
                 search.notes += [
-                    f"{solid.title} of link '{link.name}' is not found; its extent is not known" for solid in lost
+                    f"{solid.title} of link '{link.name}' is not found or cannot be read; its extent is not known"
+                    for solid in lost
                 ]
             return known
     if link.solids or link.looks:
@@ -641,7 +642,7 @@ class _Assembly:
             if missing and not boxes:
                 boxes = [box for solid in link.looks if (box := self._box(solid, frame))]
                 what = "it covers what is seen of it" if boxes else "what it covers is not known"
-                search.notes.append(f"{missing[0].title} of '{name}' is not found: {what}")
+                search.notes.append(f"{missing[0].title} of '{name}' is not found or cannot be read: {what}")
                 lost += [] if boxes else [name]
             found = found or bool(boxes)
             yield from boxes

@@ -1,21 +1,25 @@
 """How far the shapes of a URDF reach: boxes, cylinders, spheres, and meshes by their convex hull."""
 
-import re
 from dataclasses import dataclass
-from math import pi
+from io import BytesIO
+from math import inf, pi
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 
+from nnql_bullet.files import real
 from nnql_bullet.geometry import Array
+from nnql_bullet.markup import parse_xml
 from nnql_bullet.vehicle.description import Solid
 
 CORNERS = 128
 """Points of each end of a cylinder; they lie on its rim, on its own axes too."""
-MOST_MESH_BYTES = 100_000_000
-"""Size of the largest mesh that is read."""
+MESHES = (".stl", ".obj", ".dae")
+"""Mesh files that are read."""
+MOST_MESH_BYTES = 30_000_000
+"""Size of the largest mesh that is read; an STL of it has 600 000 triangles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,7 @@ class Meshes:
 
     def __init__(self, urdf: Path) -> None:
         """Looks for meshes relative to a URDF's path, and for packages in the folders above it."""
-        self._folder = urdf.resolve().parent
+        self._folder = real(urdf).parent
         self._hulls: dict[Path, Array | None] = {}
 
     def find(self, file: str) -> Path | None:
@@ -120,20 +124,34 @@ def _hull_of(path: Path) -> Array | None:
 
 
 def read_mesh(path: Path) -> Any:
-    """Reads the triangles of a mesh file as a `trimesh.Trimesh` in metres; None if they cannot be read."""
+    """Reads the triangles of a mesh file as a `trimesh.Trimesh` in metres; None if they cannot be read.
+
+    Nothing is read but the file itself: no material, texture or buffer that it names, no archive, no XML entity.
+    """
     import trimesh  # here because few programs need it
 
-    try:
-        mesh = trimesh.load(path, force="mesh") if _is_mesh_file(path) else trimesh.Trimesh()
-        bare = trimesh.Trimesh(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces))
-    except Exception:  # trimesh passes on all errors of its many parsers
+    kind = path.suffix.lower()
+    if kind not in MESHES or not _is_mesh_file(path):
         return None
-    if path.suffix.lower() == ".dae":
-        bare.apply_scale(_collada_unit(path))
-    return bare if len(bare.faces) and np.isfinite(bare.vertices).all() else None
+    try:
+        data = path.read_bytes()
+        unit = _collada_unit(data) if kind == ".dae" else 1.0
+        mesh = trimesh.load(BytesIO(data), file_type=kind[1:], force="mesh", skip_materials=True, process=False)
+        vertices = np.asarray(mesh.vertices, dtype=float) * unit
+        bare = trimesh.Trimesh(vertices, np.asarray(mesh.faces))  # without what is not finite
+    except Exception:  # trimesh passes on all errors of its parsers
+        return None
+    return bare if len(bare.faces) and np.isfinite(vertices).all() else None
 
 
-def _collada_unit(path: Path) -> float:
-    """Reads the length of a unit of a COLLADA file [m], which trimesh does not apply."""
-    found = re.search(rb'<unit[^>]*\smeter\s*=\s*"([0-9.eE+-]+)"', path.read_bytes()[:100_000])
-    return float(found[1]) if found else 1.0
+def _collada_unit(data: bytes) -> float:
+    """Reads the length of a unit of a COLLADA file [m], which trimesh does not apply.
+
+    Raises:
+        ValueError: If the file is no XML that `markup.parse_xml` takes, or it has no such length.
+    """
+    found = parse_xml(data).find("{*}asset/{*}unit")
+    unit = 1.0 if found is None else float(found.get("meter", "1"))
+    if not 0 < unit < inf:
+        raise ValueError
+    return unit

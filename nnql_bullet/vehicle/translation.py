@@ -18,7 +18,7 @@ import numpy as np
 from nnql_bullet import paper
 from nnql_bullet.constants import GRAVITY
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import write_text
+from nnql_bullet.files import real, write_text
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.vehicle.canonical import canonical
 from nnql_bullet.vehicle.controller import own_speed
@@ -136,7 +136,7 @@ class Translation:
         if toml.suffix != ".toml":
             raise UserError(f"{toml}: a robot's file ends in .toml")
         urdf = toml.with_suffix(".vehicle.urdf")
-        if urdf.resolve() == self.vehicle.urdf.resolve():
+        if real(urdf) == real(self.vehicle.urdf):
             raise UserError(f"{urdf}: would be written over the robot that is read; give another name with --write")
         toml.parent.mkdir(parents=True, exist_ok=True)
         write_text(urdf, self.urdf + "\n")

@@ -1,9 +1,10 @@
-"""The visible shapes of a vehicle's URDF (boxes, cylinders, spheres) and their frames at given joint angles."""
+"""The visible shapes of a vehicle's URDF and their frames at given joint angles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 from xml.etree.ElementTree import Element
 
@@ -11,15 +12,14 @@ import numpy as np
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose
-from nnql_bullet.vehicle.description import Unfit, for_drawing, parse
+from nnql_bullet.types import Vector
+from nnql_bullet.vehicle.description import Unfit, for_drawing, parse, rotation
 from nnql_bullet.vehicle.shapes import read_mesh
 
-Kind = Literal["box", "cylinder", "sphere"]
+Kind = Literal["box", "cylinder", "sphere", "mesh"]
 Colour = tuple[float, float, float]
 """Red, green, blue, from 0 to 1."""
 
-MESHES = (".stl", ".obj", ".dae")
-"""Mesh files that are drawn."""
 MOST_TRIANGLES = 20_000
 """Most triangles of a mesh that are drawn one by one."""
 UNPAINTED: Colour = (0.8, 0.8, 0.8)
@@ -36,6 +36,8 @@ class Shape:
     origin: Array
     """Transform from its own frame to its link's frame (4, 4)."""
     colour: Colour
+    triangles: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """Corners of a mesh's triangles (k, 3, 3) [m]; (0, 3, 3) of other solids."""
 
 
 class Visuals:
@@ -52,15 +54,16 @@ class Visuals:
         """
         import yourdfpy  # here because few programs need its memory
 
-        text = BytesIO(recorded_urdf(vehicle).encode())
-        try:
-            self._urdf: Any = yourdfpy.URDF.load(text, load_meshes=False, load_collision_meshes=False)
-        except Exception as error:  # yourdfpy passes on all errors of its parsers
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise UserError(f"the vehicle in this recording cannot be drawn ({reason}); record it again") from None
-        paints = {material.name: material.color for material in self._urdf.robot.materials}
-        links = self._urdf.link_map.values()
-        self.shapes = [_shape(link.name, visual, paints) for link in links for visual in link.visuals]
+        with TemporaryDirectory(prefix="nnql-bullet-") as folder:
+            text = BytesIO(recorded_urdf(vehicle, Path(folder)).encode())
+            try:
+                self._urdf: Any = yourdfpy.URDF.load(text, load_meshes=False, load_collision_meshes=False)
+            except Exception as error:  # yourdfpy passes on all errors of its parsers
+                reason = " ".join(f"{type(error).__name__}: {error}".split())
+                raise UserError(f"the vehicle in this recording cannot be drawn ({reason}); record it again") from None
+            paints = {material.name: material.color for material in self._urdf.robot.materials}
+            links = self._urdf.link_map.values()
+            self.shapes = [_shape(link.name, visual, paints) for link in links for visual in link.visuals]
         self._joints = list(vehicle["joints"].values())
         self._axle_height = vehicle["wheel_radius"]
 
@@ -73,10 +76,17 @@ class Visuals:
         self._urdf.update_cfg(dict(zip(self._joints, joint_angles, strict=True)))
         return {link: self._urdf.get_transform(link) for link in self._urdf.link_map}
 
-    def frames(self, pose: Pose, joint_angles: Sequence[float]) -> list[Array]:
-        """Computes the transforms from the frame of each shape to the world (4, 4), for a vehicle on level ground."""
-        links = self.link_frames(joint_angles)
-        chassis = upright(pose.x, pose.y, self._axle_height, pose.yaw)
+    def frames(self, pose: Pose, joint_angles: Sequence[float], tilt: Vector = (0.0, 0.0, 0.0)) -> list[Array]:
+        """Computes the transforms from the frame of each shape to the world (4, 4).
+
+        Args:
+            pose: Pose of the vehicle.
+            joint_angles: See `link_frames`.
+            tilt: Rise above level ground [m], roll and pitch [rad].
+        """
+        links, (rise, roll, pitch) = self.link_frames(joint_angles), tilt
+        chassis = upright(pose.x, pose.y, self._axle_height + rise, pose.yaw)
+        chassis[:3, :3] = rotation(roll, pitch, pose.yaw)
         return [chassis @ links[shape.link] @ shape.origin for shape in self.shapes]
 
 
@@ -103,7 +113,7 @@ def recorded_urdf(vehicle: Mapping[str, Any], meshes: Path | None = None) -> str
 def _rewritten(mesh: Element, folder: Path) -> Path | None:
     """Writes a mesh that is found as an OBJ, scaled; one of very many triangles as its convex hull."""
     path = Path(mesh.get("filename", ""))
-    found = read_mesh(path) if path.is_absolute() and path.suffix.lower() in MESHES else None
+    found = read_mesh(path) if path.is_absolute() else None
     if found is None:
         return None
     try:
@@ -127,14 +137,22 @@ def upright(x: float, y: float, z: float, yaw: float) -> Array:
 def _shape(link: str, visual: Any, paints: Mapping[str, Any]) -> Shape:
     geometry, material = visual.geometry, visual.material
     kind: Kind
+    origin = np.eye(4) if visual.origin is None else np.array(visual.origin)
+    triangles = np.zeros((0, 3, 3))
     if geometry.box is not None:
         kind, sizes = "box", geometry.box.size / 2
     elif geometry.cylinder is not None:
         radius = geometry.cylinder.radius
         kind, sizes = "cylinder", (radius, radius, geometry.cylinder.length / 2)
-    else:
+    elif geometry.sphere is not None:
         kind, sizes = "sphere", [geometry.sphere.radius] * 3
+    else:
+        kind, triangles = "mesh", np.asarray(read_mesh(Path(geometry.mesh.filename)).triangles)
+        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        sizes, middle = (high - low) / 2, (high + low) / 2
+        origin[:3, 3] += origin[:3, :3] @ middle
+        triangles = triangles - middle
     paint = None if material is None else material.color or paints.get(material.name)
     x, y, z = map(float, sizes)
     red, green, blue = UNPAINTED if paint is None else map(float, paint.rgba[:3])
-    return Shape(link, kind, (x, y, z), np.eye(4) if visual.origin is None else visual.origin, (red, green, blue))
+    return Shape(link, kind, (x, y, z), origin, (red, green, blue), triangles)

@@ -10,7 +10,7 @@ from threading import Lock
 from typing import Any
 
 from nnql_bullet.errors import UserError, missing_library
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 from nnql_bullet.vehicle.description import Unfit
 
 FORBIDDEN = {"vars", "type", "mro", "gi_frame", "cr_frame", "ag_frame", "tb_frame"}
@@ -45,7 +45,7 @@ def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
     except ImportError:
         raise missing_library("xacrodoc, which expands xacros,", "robots") from None
     try:
-        with _fenced(path.resolve().parent) as said:
+        with _fenced(real(path).parent) as said:
             options = {"subargs": dict(arguments), "resolve_packages": False, "walk_up": True}
             text = str(XacroDoc.from_file(str(path), **options).to_urdf_string())
     except Exception as error:  # xacro passes on all errors of the expressions that it evaluates
@@ -58,13 +58,17 @@ def expand(path: Path, arguments: Mapping[str, str]) -> tuple[str, list[str]]:
 
 @contextmanager
 def _fenced(folder: Path) -> Iterator[StringIO]:
-    """Lets xacro find packages around a folder and evaluate what `_check` allows; holds back what it prints."""
+    """Lets xacro find files in a folder and packages around it, and evaluate what `_check` allows.
+
+    xacrodoc gives xacro a text without a file, so that relative paths would begin in the working directory. What xacro
+    prints is held back.
+    """
     import xacro
     from xacrodoc import packages
 
     finder = packages.PackageFinder()
     finder.finder_funcs.insert(0, (lambda name: _package(folder, name), FileNotFoundError))
-    evaluate = xacro.safe_eval
+    evaluate, absolute = xacro.safe_eval, xacro.abs_filename_spec
 
     def evaluate_checked(expression: str, *names: Any, **more: Any) -> Any:
         _check(expression)
@@ -73,10 +77,11 @@ def _fenced(folder: Path) -> Iterator[StringIO]:
     with _lock, redirect_stderr(StringIO()) as said:
         before = packages._finder
         packages._finder, xacro.safe_eval = finder, evaluate_checked
+        xacro.abs_filename_spec = lambda name: str(folder / absolute(name))
         try:
             yield said
         finally:
-            packages._finder, xacro.safe_eval = before, evaluate
+            packages._finder, xacro.safe_eval, xacro.abs_filename_spec = before, evaluate, absolute
 
 
 def _package(folder: Path, name: str) -> str:

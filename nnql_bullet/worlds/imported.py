@@ -88,6 +88,7 @@ def import_file(
         "origin": [frame.x, frame.y],
         "origin_yaw_degrees": round(degrees(frame.yaw), 9),
         "start": begin,
+        "at_rest": True,
         "target": end,
         "target_radius": TARGET_RADIUS,
         "obstacle_height": found.obstacle_height,

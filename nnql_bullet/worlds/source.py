@@ -12,7 +12,7 @@ from nnql_bullet import assets, paper
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import merged, options, parse, read_toml
 from nnql_bullet.errors import UserError
-from nnql_bullet.files import is_file
+from nnql_bullet.files import is_file, real
 from nnql_bullet.geometry import Pose, bearing, placed, wrap_angle
 from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.types import LARGEST, Extent, NonNegative, Number
@@ -68,6 +68,8 @@ class World:
     """Start of the rear-axle centre [m]."""
     start_yaw_degrees: Number | None = None
     """Heading at the start [degrees]; by default towards the target."""
+    at_rest: bool = False
+    """Whether the vehicle starts at rest, as in maps and where `--start` is given; else at the speed of its drive."""
     target: tuple[Number, Number] = paper.TARGET
     """[m]"""
     waypoints: Waypoints = ()
@@ -118,7 +120,7 @@ class World:
         target: Sequence[float] | None = None,
         waypoints: Sequence[Sequence[float]] | None = None,
     ) -> "World":
-        """Returns the world with another start or target, or with way points.
+        """Returns the world with another start or target, or with way points; from another start it starts at rest.
 
         Args:
             start: x, y [m] and, if given, yaw [rad], in the frame of the world's map; without a yaw it looks towards
@@ -144,7 +146,7 @@ class World:
         if start is not None:
             values["start"] = in_frame(self.frame, checked_place("start", start))
             yaw = degrees(wrap_angle(start[2] - self.frame.yaw)) if len(start) == 3 else None
-            values["start_yaw_degrees"] = yaw
+            values |= {"start_yaw_degrees": yaw, "at_rest": True}
         if target is not None:
             values["target"] = in_frame(self.frame, checked_place("target", target))
         try:
@@ -287,6 +289,7 @@ class World:
             target_radius=self.target_radius,
             obstacle_height=self.obstacle_height,
             waypoints=self.waypoints,
+            at_rest=self.at_rest,
         )
 
     def _with_patrols(self, world: WorldSpec) -> WorldSpec:
@@ -353,7 +356,7 @@ def load_world(name: str) -> World:
 
 
 def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
-    if path.resolve() in below:
+    if real(path) in below:
         raise UserError(f"{path}: its 'base' leads back to itself")
     if len(below) == MOST_BASES:
         raise UserError(f"{path}: more than {MOST_BASES} worlds are based on one another; write their keys in one file")
@@ -365,4 +368,4 @@ def _with_base(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
         raise UserError(f"{path}: 'base' must be the name of a world")
     beside = path.parent / f"{base}.toml"
     found = beside if is_file(beside) else assets.find("worlds", base)
-    return merged(_with_base(found, (*below, path.resolve())), values)
+    return merged(_with_base(found, (*below, real(path))), values)

@@ -94,6 +94,12 @@ class WorldSpec:
     patrols: tuple[Patrol, ...] = ()
     waypoints: tuple[Point, ...] = ()
     """Places to reach in turn before the target, each within the target's radius [m]."""
+    at_rest: bool = False
+    """Whether the vehicle starts at rest, and not at the speed of its drive."""
+
+    def start_speed(self, speed: float) -> float:
+        """Speed at the start of a vehicle whose drive has a given speed [m/s]."""
+        return 0.0 if self.at_rest else speed
 
     @property
     def targets(self) -> tuple[Point, ...]:
@@ -163,4 +169,5 @@ class WorldSpec:
             box = patrol.box
             numbers += [box.x, box.y, box.half_length, box.half_width, box.yaw, *patrol.end, patrol.speed, patrol.phase]
         text = " ".join(f"{number:.6f}" for number in [*numbers, self.obstacle_height])
+        text += " at rest" if self.at_rest else ""
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -90,6 +91,10 @@ def _hook(folder: Path, blow: Blow) -> tuple[Callable[[str, Any], None], Callabl
     return strike, lambda: count
 
 
+_SLOW_TO_IMPORT = ("matplotlib.backends.backend_agg", "pybullet", "scipy.ndimage", "torch._dynamo", "tyro", "typeguard")
+
 for _verb in VERBS:
     verb_of(_verb)
+for _module in _SLOW_TO_IMPORT:
+    import_module(_module)
 KinematicSimulator(load_vehicle("tricycle"), DriveOptions(), 1).close()

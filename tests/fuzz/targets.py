@@ -1,6 +1,7 @@
 """Classes of input: a valid file of each, what may happen to it, and the reader that a user would reach with it."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from random import Random
 
 import mutators
 import numpy as np
+import trimesh
 from PIL import Image
 
 import nnql_bullet as nb
@@ -24,12 +26,13 @@ from nnql_bullet.presets import PRESETS, load_config
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.html import open_results
 from nnql_bullet.rollout import EpisodeSummary
-from nnql_bullet.run_config import RunConfig
+from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.runs import load_policy, load_run
 from nnql_bullet.session import check
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
-from nnql_bullet.worlds.importers.barn import reference_length
+from nnql_bullet.worlds.importers.barn import path_file, reference_length, world_files
+from nnql_bullet.worlds.waypoints import read_waypoints
 
 Changed = Callable[[bytes, Random], bytes]
 
@@ -80,6 +83,7 @@ def targets(home: Path) -> dict[str, Target]:
     configs = _made(home / "configs")
     for name, config in PRESETS.items():
         (configs / f"{name}.toml").write_text(_config_text(config))
+    (configs / "led.toml").write_text(_config_text(changed(PRESETS["paper"], **_LED)))
     splits = _made(home / "splits")
     (splits / "splits.json").write_bytes((assets.folder("worlds") / "splits.json").read_bytes())
     parts = _made(home / "parts")
@@ -94,12 +98,19 @@ def targets(home: Path) -> dict[str, Target]:
     nb.train("paper", out=home / "sourced", world=worlds / "based.toml", robot=robots / "tricycle.toml", **few)
     policies = open_policies([str(run)])
     return {
-        "configuration": Target(configs, {f"{name}.toml": toml for name in PRESETS}, _configure),
+        "configuration": Target(configs, {path.name: toml for path in configs.iterdir()}, _configure),
         "worlds": Target(worlds, {path.name: toml for path in worlds.iterdir()}, _draw),
         "folders of worlds": Target(
             maps, {"fixed.toml": mutators.bytes_changed, "based.toml": toml, "rooms.toml": toml}, _draw_folder
         ),
         "maps": Target(foreign, _FOREIGN, _import),
+        "BARN": Target(_barn(home / "barn"), _BARN, _import_barn),
+        "way points": Target(
+            _waypoints(home / "waypoints"),
+            {"bare.csv": csv, "named.csv": csv, "list.json": json_, "object.json": json_},
+            lambda folder: read_waypoints(_changed_file(folder)),
+        ),
+        "descriptions": Target(_described(home / "described", robots / "tricycle.urdf"), _DESCRIBED, _describe),
         "robots": Target(robots, {"tricycle.toml": toml, "tricycle.urdf": mutators.bytes_changed}, _load_robot),
         "policies": Target(run, {"policy.safetensors": st}, lambda folder: load_policy(folder / "policy.safetensors")),
         "checkpoints": Target(
@@ -175,6 +186,61 @@ def _foreign_files(folder: Path) -> Path:
     return folder
 
 
+_LED = {
+    "start": [2.0, 2.0, 0.5],
+    "waypoints": [[5.0, 5.0], [40.0, 40.0]],
+    "plan": {"look_ahead": 3.0, "room": 1.0},
+    "shield": {"margin": 0.1},
+    "conditions": {"payload": 10.0},
+}
+_BARN = {f"worlds/world_{n}.world": mutators.numbers_changed for n in (0, 7)} | {
+    f"path_files/path_{n}.npy": mutators.bytes_changed for n in (0, 7)
+}
+_DESCRIBED: dict[str, Changed] = {
+    "mine.urdf": mutators.numbers_changed,
+    "mine.xacro": mutators.numbers_changed,
+    "body.stl": mutators.bytes_changed,
+    "body.obj": mutators.numbers_changed,
+    "body.dae": mutators.numbers_changed,
+}
+
+
+def _barn(folder: Path) -> Path:
+    """A folder as that of BARN, of two worlds."""
+    for name in ("worlds", "path_files"):
+        _made(folder / name)
+    for number in (0, 7):
+        nb.export_world("cells", folder / "worlds" / f"world_{number}.world", seed=number)
+        np.save(folder / "path_files" / f"path_{number}.npy", np.array([[1, 2], [3, 4], [5, 9]]))
+    return folder
+
+
+def _waypoints(folder: Path) -> Path:
+    places = [[1.5, 2.0], [-3.0, 4e1], [5.0, 6.0]]
+    _made(folder)
+    (folder / "bare.csv").write_text("# places\n" + "".join(f"{x},{y}\n" for x, y in places))
+    (folder / "named.csv").write_text("name,x,y\n" + "".join(f"a,{x},{y}\n" for x, y in places))
+    (folder / "list.json").write_text(json.dumps(places))
+    (folder / "object.json").write_text(json.dumps({"waypoints": [{"x": x, "y": y} for x, y in places]}))
+    return folder
+
+
+def _described(folder: Path, shipped: Path) -> Path:
+    """A robot whose body is meshes, as a URDF and a xacro."""
+    _made(folder)
+    text, kinds = shipped.read_text(), ("stl", "obj", "dae")
+    for kind in kinds:
+        trimesh.creation.box((1.1, 0.65, 0.28)).export(folder / f"body.{kind}")
+    own = re.findall(r"<collision>.*?</collision>", text, re.DOTALL)[0]
+    text = text.replace(own, "".join(re.sub(r"<box [^>]*>", f'<mesh filename="body.{kind}"/>', own) for kind in kinds))
+    (folder / "mine.urdf").write_text(text)
+    macro = '<xacro:property name="r" value="${0.5 * 0.25}"/><xacro:arg name="a" default="1"/>'
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="tricycle">'
+    text = re.sub("<robot [^>]*>", head + macro, text).replace('radius="0.125"', 'radius="${r * $(arg a)}"')
+    (folder / "mine.xacro").write_text(text)
+    return folder
+
+
 def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -216,6 +282,18 @@ def _import(folder: Path) -> None:
         return
     path = changed.with_suffix(".yaml") if changed.suffix in (".pgm", ".png") else changed
     nb.import_world(path).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)
+
+
+def _import_barn(folder: Path) -> None:
+    for world in world_files(folder).values():
+        nb.import_world(world).world.draw(0, allow_impassable=True).digest  # noqa: B018 (hashes it)
+        if (path := path_file(world)) is not None:
+            reference_length(path)
+
+
+def _describe(folder: Path) -> None:
+    changed = _changed_file(folder)
+    nb.read_robot(changed if changed.suffix == ".xacro" else folder / "mine.urdf")
 
 
 def _load_robot(folder: Path) -> None:

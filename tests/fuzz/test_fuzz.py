@@ -9,7 +9,7 @@ from targets import Target, targets
 INPUTS = 60
 CLASSES = (
     *("configuration", "worlds", "robots", "policies", "checkpoints", "episodes.csv", "recordings", "results.json"),
-    *("splits", "parts", "sources", "folders of worlds", "maps"),
+    *("splits", "parts", "sources", "folders of worlds", "maps", "BARN", "way points", "descriptions"),
 )
 
 

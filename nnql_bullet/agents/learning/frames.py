@@ -166,7 +166,7 @@ class FrameMaker:
     def commanded(self, look: Look, observations: Observation, commands: Commands) -> Memory:
         """The memory of vehicles after they were given commands."""
         o, memory, actions, goals = observations, look.memory, commands.actions, commands.speed_scales
-        speeds = np.where(memory.age == 0, 1.0, memory.speeds)
+        speeds = np.where(memory.age == 0, o.speed / self._drive.speed, memory.speeds)
         headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
         ways = ramp_distances(self._speed * speeds, self._speed * goals, self._acceleration, self._times)
         steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]

@@ -1,4 +1,4 @@
-"""Training by the DQN of stable-baselines3. The only module that imports it.
+"""Training by the DQN of stable-baselines3.
 
 Resuming retrains. The library's replay buffer, optimizer and random generators are not saved; a checkpoint holds only
 the number of finished episodes. A resumed training repeats these from the first one, which takes as long as it did
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.vec_env import VecEnv
 
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import SB3_INPUTS
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
+from nnql_bullet.agents.learning.sb3_vehicles import Vehicles
 from nnql_bullet.agents.learning.weights import load_state_dict, state_dict
 from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
@@ -62,7 +62,7 @@ class DqnTraining:
     def _train(self) -> Iterator[tuple[TrainingEpisode, dict[str, Array]]]:
         """Trains from the beginning; yields each episode as it finishes, with the weights of then."""
         o = self._agent.options
-        vehicles = VehiclesVecEnv(self._navigation, self._world_of, self._agent.scale)
+        vehicles = TrainingVehicles(self._navigation, self._world_of, self._agent.scale)
         n = vehicles.num_envs
         together = max(o.steps_per_update // n, 1)
         with fenced(rng(self._seed, Stream.WEIGHTS)), without_cache_folder():
@@ -96,7 +96,7 @@ class DqnTraining:
             vehicles.finished.clear()
 
 
-class VehiclesVecEnv(VecEnv):
+class TrainingVehicles(Vehicles):
     """Many vehicles, as stable-baselines3 wants them: one whose episode is over is in its next world at once.
 
     As in `Training`, it takes the next episode that nobody has begun.
@@ -148,27 +148,3 @@ class VehiclesVecEnv(VecEnv):
 
     def close(self) -> None:
         """Does nothing: the caller closes the simulator."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Answers `render_mode`, which stable-baselines3 asks for: None, as vehicles are not drawn.
-
-        Raises:
-            AttributeError: For any other name.
-        """
-        if attr_name != "render_mode":
-            raise AttributeError(attr_name)
-        return [None for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raises an AttributeError: vehicles have no attributes to set."""
-        raise AttributeError(attr_name)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Raises an AttributeError: vehicles have no methods to call."""
-        raise AttributeError(method_name)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """False for each: no vehicle is wrapped."""
-        return [False for _ in self._get_indices(indices)]

@@ -1,0 +1,334 @@
+"""Gives the standard learners of others a fair chance, and fills results/learners.
+
+DQN, QR-DQN, PPO and recurrent PPO of stable-baselines3 and sb3-contrib, on the paper's sectors and on rays, with the
+paper's reward and the shaped one: each of these 16 combinations is tuned by Optuna on validation worlds, trained anew
+from five seeds with the best values, and driven through test worlds. All of it is in the kinematic model at 5 % cover,
+with six actions. What is done is kept in --out, so the same command goes on after an interrupt; the table is written
+after every combination.
+
+    python scripts/learners.py                       # as in the documentation; some hours on 2 idle cores
+    python scripts/learners.py --only ppo --trials 4 --steps 20000
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from sb3_contrib import QRDQN, RecurrentPPO
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+import nnql_bullet as nb
+from nnql_bullet.config import options, parse, to_values
+from nnql_bullet.evaluation.parts import Parts, part_name, run_kept
+from nnql_bullet.evaluation.search import Search
+from nnql_bullet.evaluation.space import Trial, best_of, read_space
+from nnql_bullet.evaluation.statistics import proportion, success_over_seeds
+from nnql_bullet.executors import make_executor
+from nnql_bullet.files import write_text
+from nnql_bullet.integrations.sb3 import make_vec_env
+from nnql_bullet.reports.document import Report, Section, table
+from nnql_bullet.seeding import TEST_WORLDS, Stream, rng
+from nnql_bullet.task import ENDINGS
+from nnql_bullet.training.selection import seeds
+
+VEHICLES = 32
+TRAINED_IN = "paper"
+TESTED_IN = {"paper": "5 % cover", "cover_10": "10 % cover"}
+SEEDS = 5
+TUNING_SEED = 100
+RESULTS = Path("results/learners")
+
+
+@options
+class PpoOptions:
+    """What is searched of PPO and recurrent PPO."""
+
+    learning_rate: float = 3e-4
+    """Of Adam."""
+    discount: float = 0.99
+    """Of later rewards."""
+    horizon: int = 64
+    """Steps of each vehicle from one update to the next."""
+    epochs: int = 10
+    """Passes over the steps of an update."""
+    entropy: float = 0.001
+    """Weight of the entropy in the loss."""
+
+    def learner(self, algorithm: Any, vehicles: Any, seed: int, steps: int) -> Any:
+        """The untrained learner."""
+        policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
+        return algorithm(
+            policy,
+            vehicles,
+            learning_rate=self.learning_rate,
+            gamma=self.discount,
+            n_steps=self.horizon,
+            n_epochs=self.epochs,
+            ent_coef=self.entropy,
+            batch_size=512,
+            seed=seed,
+            device="cpu",
+        )
+
+
+@options
+class DqnOptions:
+    """What is searched of DQN and QR-DQN."""
+
+    learning_rate: float = 5e-4
+    """Of Adam."""
+    discount: float = 0.9
+    """Of later rewards."""
+    steps_per_update: int = 4
+    """Steps, of all vehicles together, from one gradient step to the next."""
+    target_update_steps: int = 1000
+    """Steps after which the target network is renewed."""
+    exploration: float = 0.3
+    """Share of the training over which the probability of a random action falls to 5 %."""
+
+    def learner(self, algorithm: Any, vehicles: Any, seed: int, steps: int) -> Any:
+        """The untrained learner."""
+        return algorithm(
+            "MlpPolicy",
+            vehicles,
+            learning_rate=self.learning_rate,
+            gamma=self.discount,
+            train_freq=1,
+            gradient_steps=max(VEHICLES // self.steps_per_update, 1),
+            target_update_interval=self.target_update_steps,
+            exploration_fraction=self.exploration,
+            exploration_final_eps=0.05,
+            learning_starts=1000,
+            buffer_size=steps,
+            batch_size=64,
+            seed=seed,
+            device="cpu",
+        )
+
+
+RATE = {"low": 1e-4, "high": 3e-3, "log": True}
+PPO_SPACE: dict[str, Any] = {
+    "learning_rate": RATE,
+    "discount": [0.9, 0.97, 0.99],
+    "horizon": [32, 64, 128],
+    "epochs": {"low": 4, "high": 12},
+    "entropy": {"low": 1e-4, "high": 0.03, "log": True},
+}
+DQN_SPACE: dict[str, Any] = {
+    "learning_rate": RATE,
+    "discount": [0.8, 0.9, 0.97, 0.99],
+    "steps_per_update": [2, 4, 8],
+    "target_update_steps": {"low": 250, "high": 8000, "log": True},
+    "exploration": {"low": 0.1, "high": 0.6},
+}
+LEARNERS: dict[str, tuple[Any, Any, dict[str, Any]]] = {
+    "ppo": (PPO, PpoOptions, PPO_SPACE),
+    "dqn": (DQN, DqnOptions, DQN_SPACE),
+    "qr_dqn": (QRDQN, DqnOptions, DQN_SPACE),
+    "recurrent_ppo": (RecurrentPPO, PpoOptions, PPO_SPACE),
+}
+"""Algorithm, options and space of each learner."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training and its test."""
+
+    learner: str
+    observation: str
+    reward: str
+    options: str
+    """As JSON."""
+    seed: int
+    steps: int
+    tested_in: tuple[str, ...]
+    world_seeds: range
+
+    @property
+    def size(self) -> int:
+        """Number of trainings."""
+        return 1
+
+    @property
+    def part(self) -> str:
+        """See `parts.Piece`."""
+        return part_name(*asdict(self).values())
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Drives of a trained learner in one kind of world, by their ending."""
+
+    world: str
+    endings: dict[str, int]
+
+
+def environment(t: Training, world: str) -> dict[str, Any]:
+    """The options of `make_env`."""
+    rays = {"rays": 24} if t.observation == "rays" else {}
+    return {"simulator": "kinematic", "world": world, "observation": t.observation, "reward": t.reward, **rays}
+
+
+def train_and_test(t: Training) -> list[Drives]:
+    """Trains a learner, and drives it greedily through worlds of each kind."""
+    torch.set_num_threads(1)
+    algorithm, kind, _ = LEARNERS[t.learner]
+    with closing(VecNormalize(make_vec_env(VEHICLES, **environment(t, TRAINED_IN), workers=1))) as vehicles:
+        vehicles.seed(1_000 * t.seed)
+        learner = parse(kind, json.loads(t.options), "options").learner(algorithm, vehicles, t.seed, t.steps)
+        learner.learn(t.steps)
+        return [driven(t, learner, vehicles, world) for world in t.tested_in]
+
+
+def driven(t: Training, learner: Any, vehicles: VecNormalize, world: str) -> Drives:
+    """Drives once through the world of each seed."""
+    n = len(t.world_seeds)
+    endings: list[str | None] = [None] * n
+    with closing(nb.make_env(n_envs=n, **environment(t, world))) as envs:
+        seen, _ = envs.reset(options={"world_seed": np.array(t.world_seeds)})
+        memory, first = None, np.ones(n, np.bool_)
+        while None in endings:
+            told = vehicles.normalize_obs(seen)
+            actions, memory = learner.predict(told, state=memory, episode_start=first, deterministic=True)
+            seen, _, terminated, truncated, infos = envs.step(actions)
+            first = terminated | truncated
+            for i in np.flatnonzero(first).tolist():
+                endings[i] = endings[i] or infos["ending"][i]
+    return Drives(world, {name: endings.count(name) for name in ENDINGS})
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A learner with an observation and a reward."""
+
+    learner: str
+    observation: str
+    reward: str
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.learner}-{self.observation}-{self.reward}"
+
+
+def training(cell: Cell, text: str, seed: int, steps: int, tested_in: tuple[str, ...], worlds: range) -> Training:
+    """A training of a combination with options as JSON."""
+    return Training(**asdict(cell), options=text, seed=seed, steps=steps, tested_in=tested_in, world_seeds=worlds)
+
+
+def tuned(cell: Cell, a: argparse.Namespace) -> Trial:
+    """The best values of a search on validation worlds."""
+    _, kind, values = LEARNERS[cell.learner]
+    space = read_space(values, kind(), cell.name)
+    folder = a.out / cell.name
+    folder.mkdir(parents=True, exist_ok=True)
+    identity = f"{nb.__version__} {a.search_steps} {a.worlds} {values}"
+    search = Search(folder / "study.db", space, identity, 0, a.trials // 2)
+    while len(search.trials) < a.trials:
+        number = len(search.trials)
+        drawn = search.draw(number, number)
+        text = json.dumps(to_values(space.options(drawn)), sort_keys=True)
+        task = training(cell, text, TUNING_SEED, a.search_steps, (TRAINED_IN,), seeds(a.worlds))
+        (found,) = train_and_test(task)
+        search.add([Trial(number, drawn, (found.endings["goal"] / a.worlds,), "trained")])
+        print(f"{cell.name}: trial {number + 1} of {a.trials}: {found.endings}", flush=True)
+    best = best_of(search.trials)
+    if best is None:
+        raise SystemExit(f"{cell.name}: no trial")
+    return Trial(best.number, to_values(space.options(best.values)), best.history, best.state)
+
+
+def tested(cell: Cell, best: Trial, a: argparse.Namespace) -> list[list[Drives]]:
+    """What trainings with these values come to in test worlds, seed by seed."""
+    text = json.dumps(dict(best.values), sort_keys=True)
+    worlds = TEST_WORLDS[: a.worlds]
+    tasks = [training(cell, text, seed, a.steps, tuple(TESTED_IN), worlds) for seed in range(SEEDS)]
+    executor = make_executor(None, a.workers)
+    return run_kept(executor, cell.name, train_and_test, tasks, Parts(a.out / cell.name / "parts"), Drives)
+
+
+def record(cell: Cell, best: Trial, found: Sequence[Sequence[Drives]]) -> dict[str, Any]:
+    """All numbers of a combination."""
+    return {
+        **asdict(cell),
+        "options": dict(best.values),
+        "validation": best.score,
+        "endings": {world: [its.endings for one in found for its in one if its.world == world] for world in TESTED_IN},
+    }
+
+
+def row(one: dict[str, Any], worlds: int) -> tuple[str, ...]:
+    """The line of a combination in the table."""
+    cells = []
+    for world in TESTED_IN:
+        shares = np.array([[its["goal"] / worlds for its in one["endings"][world]]])
+        cells.append(str(success_over_seeds(list(shares), rng(0, Stream.BOOTSTRAP))))
+    failures = {name: sum(its[name] for its in one["endings"][TRAINED_IN]) for name in ENDINGS if name != "goal"}
+    share = 100 / (worlds * len(one["endings"][TRAINED_IN]))
+    why = ", ".join(f"{name} {count * share:.0f}" for name, count in failures.items() if count)
+    values = ", ".join(f"{name} {value:.3g}" for name, value in one["options"].items())
+    return one["learner"], one["observation"], one["reward"], *cells, why or "none", values
+
+
+def write(done: Sequence[dict[str, Any]], straight: dict[str, int], a: argparse.Namespace) -> None:
+    """Writes the table of what is done so far."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    header = ("learner", "observation", "reward", *TESTED_IN.values(), "failures at 5 % cover [%]", "tuned values")
+    rule = ("straight", "", "", *(str(proportion(count, a.worlds)) for count in straight.values()), "", "")
+    about = (
+        f"Success in %, inter-quartile mean over {SEEDS} training seeds with its bootstrap 95 % interval; "
+        f"{a.worlds} test worlds of each kind, kinematic model, six actions, {a.steps} steps of training at 5 % cover "
+        f"with {VEHICLES} vehicles. Tuned by {a.trials} trials of {a.search_steps} steps on {a.worlds} validation "
+        "worlds (one training each, so the best may be a lucky one); "
+        "observations and rewards are normalised by what was seen so far. nnql-bullet " + nb.__version__ + "."
+    )
+    missing = len(CELLS) - len(done)
+    more = f"{missing} of the {len(CELLS)} combinations are not trained yet." if missing else ""
+    body = table(header, [*(row(one, a.worlds) for one in done), rule], note=more)
+    report = Report("Learners of others", (Section("", (about, "`python scripts/learners.py`", body)),))
+    write_text(RESULTS / "learners.md", report.markdown())
+    values = {"steps": a.steps, "search_steps": a.search_steps, "trials": a.trials, "worlds": a.worlds}
+    write_text(RESULTS / "learners.json", json.dumps({**values, "straight": straight, "rows": done}, indent=1) + "\n")
+
+
+CELLS = [
+    Cell(learner, observation, reward)
+    for reward, observation, learner in product(("progress", "paper"), ("rays", "sectors"), LEARNERS)
+]
+
+
+def main() -> None:
+    """Does all of it, one combination after the other."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", choices=list(LEARNERS), default=list(LEARNERS), help="some learners")
+    parser.add_argument("--trials", type=int, default=6, help="of the search for each combination")
+    parser.add_argument("--search-steps", type=int, default=30_000, help="of a trial, of all vehicles together")
+    parser.add_argument("--steps", type=int, default=60_000, help="of a training")
+    parser.add_argument("--worlds", type=int, default=100, help="validation worlds, and test worlds of each kind")
+    parser.add_argument("--workers", type=int, default=1, help="trainings at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/learners"), help="what is kept")
+    a = parser.parse_args()
+    rule = nb.evaluate(
+        "straight", worlds=list(TESTED_IN), seeds=TEST_WORLDS[: a.worlds], simulator="kinematic", workers=1
+    )
+    straight = {its["world"]: round(its["goal"] * a.worlds) for its in rule.rows if its["world"] in TESTED_IN}
+    done = []
+    for cell in CELLS:
+        if cell.learner not in a.only:
+            continue
+        best = tuned(cell, a)
+        done.append(record(cell, best, tested(cell, best, a)))
+        write(done, straight, a)
+        print("  ".join(row(done[-1], a.worlds)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
