@@ -18,12 +18,13 @@ from nnql_bullet.cli import main
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.c99 import Cost, c_files
+from nnql_bullet.exports.c99 import Cost, Operations, c_files
 from nnql_bullet.exports.contract import Contract, contract_of
 from nnql_bullet.exports.folder import write_export
 from nnql_bullet.exports.parity import Parity, compare
-from nnql_bullet.exports.running import LibraryPolicy, OnnxPolicy, build
+from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
+from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import changed
@@ -200,6 +201,27 @@ class TestOnnx:
 
     def test_drives_as_the_policy_does(self, kind: str, cases: dict[str, Case]) -> None:
         assert_same_endings(cases[kind], model(cases[kind]))
+
+
+class TestMap:
+    """`double_dqn`, whose graph has its map beside it."""
+
+    def test_runs_as_recorded_and_drives_as_the_policy_does(self, tmp_path: Path) -> None:
+        pytest.importorskip("onnx")
+        pytest.importorskip("onnxruntime")
+        from nnql_bullet.exports.onnx_graph import onnx_model
+
+        policy = load_policy("double_dqn")
+        contract, e, file = contract_of(policy), policy.experiment, tmp_path / "policy.onnx"
+        file.write_bytes(onnx_model(contract, e))
+        v = vectors_of(contract, e, recorded_drives(e, ("traps",)))
+        exported = OnnxMapPolicy(file, contract, frame_maker(e))
+        outputs = exported.decide(v.inputs, v.frames)
+        assert (outputs["action"] == v.actions).all() and (outputs["status"] == v.statuses).all()
+        assert (outputs["next_frames"][:-7][v.drives[1:-6] == 0] == v.frames[1:-6]).all()
+        assert (outputs["next_frames"][-7:] == v.frames[-7:]).all()  # bad input changes no memory
+        assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
+        assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported)
 
 
 def assert_same_endings(case: Case, exported: Any) -> None:
