@@ -163,7 +163,8 @@ def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Obse
     decided = [_decided(contract, experiment, drive) for drive in drives]
     inputs, actions, values, frames = (np.concatenate(part) for part in zip(*decided, strict=True))
     numbers = np.repeat(np.arange(len(drives)), [len(its[0]) for its in decided])
-    places = dict(zip((its.name for its in contract.inputs), np.cumsum([0, *(s.count for s in contract.inputs)])))
+    ends = np.cumsum([signal.count for signal in contract.inputs])
+    places = {signal.name: int(end) - signal.count for signal, end in zip(contract.inputs, ends, strict=True)}
     bad = [(name, value) for name, value in BAD if name in places]
     refused, nothing = np.repeat(inputs[:1], len(bad), axis=0), np.zeros(len(bad))
     for row, (name, value) in zip(refused, bad, strict=True):
