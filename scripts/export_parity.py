@@ -23,8 +23,9 @@ from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import contract_of
 from nnql_bullet.exports.onnx_graph import onnx_model
 from nnql_bullet.exports.parity import Parity, compare
-from nnql_bullet.exports.running import LibraryPolicy, OnnxPolicy, build
+from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import recorded_drives
+from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.rollout import Policy, run_episodes
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy, load_policy
@@ -39,21 +40,30 @@ CALLS = 2000
 
 def exported(policy: LoadedPolicy, folder: Path) -> dict[str, LibraryPolicy | OnnxPolicy]:
     """A policy in every form that it can be exported in."""
-    contract = contract_of(policy)
-    files, cost = c_files(contract, policy.experiment)
+    contract, experiment = contract_of(policy), policy.experiment
     folder.mkdir()
-    for name, text in files.items():
-        (folder / name).write_text(text)
-    library = build(folder, folder / "policy.so")
-    sizes = {"c": library.stat().st_size}
-    found: dict[str, LibraryPolicy | OnnxPolicy] = {"c": LibraryPolicy(library, contract)}
+    found: dict[str, LibraryPolicy | OnnxPolicy] = {}
+    print(policy.name)
     try:
-        model = onnx_model(contract, policy.experiment)
-        (folder / "policy.onnx").write_bytes(model)
-        found["onnx"], sizes["onnx"] = OnnxPolicy(folder / "policy.onnx", contract), len(model)
+        files, cost = c_files(contract, experiment)
+        for name, text in files.items():
+            (folder / name).write_text(text)
+        library = build(folder, folder / "policy.so")
+        found["c"] = LibraryPolicy(library, contract)
+        print(f"  c: {cost.text()}; {len(files['policy.c'])} bytes of source, {library.stat().st_size} compiled")
     except UserError as error:
         print(f"  {error}")
-    print(f"{policy.name}: {cost.text()}; " + ", ".join(f"{form} {size} bytes" for form, size in sizes.items()))
+    try:
+        model = onnx_model(contract, experiment)
+        (folder / "policy.onnx").write_bytes(model)
+        file = folder / "policy.onnx"
+        with_map = contract.kind == "double_dqn"
+        found["onnx"] = (
+            OnnxMapPolicy(file, contract, frame_maker(experiment)) if with_map else OnnxPolicy(file, contract)
+        )
+        print(f"  onnx: {len(model)} bytes")
+    except UserError as error:
+        print(f"  {error}")
     return found
 
 

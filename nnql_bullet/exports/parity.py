@@ -14,7 +14,7 @@ from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.rules.vfh import VfhState
 from nnql_bullet.env import Observation, heading_change
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.running import LibraryPolicy, OnnxPolicy
+from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy
 from nnql_bullet.exports.vectors import observed
 from nnql_bullet.rollout import PolicyState
 from nnql_bullet.seeding import Stream, rng
@@ -71,6 +71,11 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     else:
         states, (actions, _) = [None] * steps, policy.act(drive, None)
     outputs = _outputs(exported, drive, states[:steps])
+    values = None
+    if isinstance(policy, TurnChooser):
+        values = policy.values(drive, np.ones(steps, np.bool_))
+    elif isinstance(exported, OnnxMapPolicy):
+        values = np.concatenate([policy.values_of(state) for state in states[1:]])
     differ = np.flatnonzero(outputs["action"] != actions)
     mine = heading_change(actions[differ], drive.target_bearing[differ])
     same_turn = np.abs(outputs["heading_change"][differ] - mine) < ROUNDING
@@ -79,8 +84,7 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
         for k in differ[~same_turn].tolist()
     )
     error = 0.0
-    if isinstance(policy, TurnChooser):
-        values = policy.values(drive, np.ones(steps, np.bool_))
+    if values is not None:
         largest = np.abs(values).max(axis=-1)
         errors = np.abs(outputs["values"] - values).max(axis=-1)
         error = float((errors[largest > 0] / largest[largest > 0]).max(initial=0.0))
@@ -95,6 +99,9 @@ def _rows(drive: Observation, places: int | NDArray[np.int64]) -> Observation:
 def _outputs(
     exported: LibraryPolicy | OnnxPolicy, drive: Observation, states: list[PolicyState]
 ) -> Mapping[str, NDArray[Any]]:
+    if isinstance(exported, OnnxMapPolicy):
+        seen = [exported.see(_rows(drive, k), state.memory)[:2] for k, state in enumerate(states)]
+        return exported.decide(*(np.concatenate(part) for part in zip(*seen, strict=True)))
     rows = exported.contract.rows(drive)
     if isinstance(exported, OnnxPolicy):
         return exported.decide(rows)
@@ -121,5 +128,9 @@ def _is_tie(
         turned = ROUNDING * generator.uniform(-1, 1, (2, TRIES))
         blocked = np.repeat(state.blocked, TRIES, axis=0)
         state = replace(state, headings=state.headings + turned[0], chosen=state.chosen + turned[1], blocked=blocked)
+    if isinstance(exported, OnnxMapPolicy):
+        memory = {field.name: getattr(state.memory, field.name) for field in fields(state.memory)}
+        memory = {name: np.repeat(values, TRIES, axis=0) for name, values in memory.items()}
+        state = replace(state, memory=replace(state.memory, **memory))
     actions, _ = experiment.policy.act(observed(contract, experiment.task, moved), state)
     return bool((actions == action).any())
