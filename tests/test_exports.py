@@ -93,6 +93,8 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
         for name, text in files.items():
             (folder / name).write_text(text)
         seen = drives["paper of another robot" if "robot" in kind else "paper"]
+        if contract.memory:  # where another policy drives, its reckoned heading is no longer the vehicle's
+            seen = recorded_drives(policy.experiment, ("traps", "cover_20"))
         made[kind] = Case(policy, contract, folder, cost, vectors_of(contract, policy.experiment, seen))
     return made
 
@@ -139,7 +141,7 @@ class TestC:
         assert given["status"].tolist() == v.statuses.tolist()
         out = given["output"]
         same = (out["action"] == v.actions) | (np.abs(out["heading_change"] - v.turns) < 1e-6)
-        assert same.mean() > 0.99 if case.memory else same.all()  # a heading that is reckoned drifts by rounding
+        assert same.all()
         assert out["speed_share"].tolist() == (v.statuses == 0).tolist()
         if "safe" in outputs.fields:
             assert (out["safe"] == v.safe).all()
@@ -222,15 +224,15 @@ class TestMap:
         assert (outputs["next_frames"][: steps - 1] == v.frames[1:steps]).all()
         assert (outputs["next_frames"][-7:] == v.frames[-7:]).all()  # bad input changes no memory
         assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
-        assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported)
+        assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported, (7,))
 
 
-def assert_same_endings(case: Case, exported: Any) -> None:
+def assert_same_endings(case: Case, exported: Any, seeds: tuple[int, ...] = (7, 8)) -> None:
     """Both drive in a few worlds, and do the same at every step."""
     ends = []
     for agent in (case.policy.experiment.policy, exported):
         e = Experiment(changed(case.policy.experiment.config, simulator="kinematic", vehicles=4), agent)
-        worlds = [e.draw(e.kind(kind, own_ends=True), seed) for kind in ("cover_10", "traps") for seed in (7, 8)]
+        worlds = [e.draw(e.kind(kind, own_ends=True), seed) for kind in ("cover_10", "traps") for seed in seeds]
         simulator = e.new_simulator(1)
         ends.append(run_episodes(e.new_navigation(simulator), worlds, e.policy))
         simulator.close()

@@ -60,7 +60,8 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     A policy with a memory decides in the order of the drive. The exported one begins each decision with the policy's
     own memory, so that each is judged by itself.
     """
-    policy, contract, steps = experiment.policy, exported.contract, len(drive.readings)
+    policy: Any = experiment.policy
+    contract, steps = exported.contract, len(drive.readings)
     if contract.memory:
         states = [policy.initial_state(1)]
         actions = np.empty(steps, np.int64)

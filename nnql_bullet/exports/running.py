@@ -125,7 +125,9 @@ class OnnxPolicy(NoMemory):
         """
         ends = np.cumsum([signal.count for signal in self.contract.inputs])[:-1]
         parts = zip(self.contract.inputs, np.split(rows, ends, axis=1), strict=True)
-        given = {signal.name: part if signal.count > 1 else part[:, 0] for signal, part in parts}
+        given: dict[str, NDArray[Any]] = {
+            signal.name: part if signal.count > 1 else part[:, 0] for signal, part in parts
+        }
         if frames is not None:
             given["frames"] = frames
         names = [output.name for output in self._session.get_outputs()]

@@ -192,8 +192,8 @@ def _decided(
     contract: Contract, experiment: Experiment, drive: Observation
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, NDArray[np.uint8]]:
     """Inputs (k, numbers), actions (k,), Q-values (k, m) and frames before (k, bytes) of a drive (k, ...)."""
-    policy, rows = experiment.policy, contract.rows(drive)
-    with_map = isinstance(experiment.config.agent, DoubleDqnOptions)
+    policy: Any = experiment.policy
+    rows, with_map = contract.rows(drive), isinstance(experiment.config.agent, DoubleDqnOptions)
     maker = frame_maker(experiment) if with_map else None
     state, actions = policy.initial_state(1), np.empty(len(rows), np.int64)
     mapped, values, frames = [], [], []
