@@ -193,23 +193,24 @@ class Key:
     """Meaning, from the docstring below the field."""
 
 
-def keys(cls: Any, table: str = "", kind: str = "") -> Iterator[Key]:
+def keys(cls: Any, table: str = "", kind: str = "", told: bool = True) -> Iterator[Key]:
     """Lists the keys of an options class and of the options nested in it, in their order.
 
     Args:
         cls: A class made by `options`.
         table: Dotted name of the keys' table, with a dot at its end.
         kind: The `kind` of that table if it has several.
+        told: Whether they say what they mean, which takes long to read from the sources.
     """
     abouts: dict[str, str] = {}
-    for base in reversed(cls.__mro__[:-1]):
+    for base in reversed(cls.__mro__[:-1] if told else ()):
         abouts |= abouts_of(base)
     for field in fields(cls):
         # A table that a user may give by its name is one key.
         named = str in _leaves(field.type)
         groups = [] if named else _options_in(field.type)
         for group in groups:
-            yield from keys(group, f"{table}{field.name}.", _tags(group)[0] if len(groups) > 1 else "")
+            yield from keys(group, f"{table}{field.name}.", _tags(group)[0] if len(groups) > 1 else "", told)
         if not groups:
             default = None if field.default is MISSING else field.default
             plain = _plain(field.type)

@@ -44,8 +44,8 @@ REVERSE = 2 * ACTIONS
 SLOW = 3 * ACTIONS
 """Added to an action: the same turn, while the vehicle drives ahead as slowly as it reverses."""
 MANOEUVRES = 4 * ACTIONS
-"""An action ahead, with `STOP`, with `REVERSE` or with `SLOW`: what a policy may choose. The agents of this package
-choose among the actions alone; a shield chooses among all, and so may a policy of your own."""
+"""An action ahead, with `STOP`, with `REVERSE` or with `SLOW`: what a policy may choose. Most agents of this package
+choose among the actions alone; `guided_search`, `distilled` and a shield choose among all, and so may your policy."""
 LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from nnql_bullet import paper
 from nnql_bullet.agents import RuleOptions
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.config import merged, parse, read_toml, to_values
 from nnql_bullet.errors import UserError
@@ -66,6 +66,20 @@ PRESETS: dict[str, RunConfig] = {
             domain_randomization=DomainRandomization(
                 start_yaw=True, noise=0.05, dead_sector=0.05, turn_scale=0.1, turn_noise_degrees=3.0
             ),
+        ),
+    ),
+    # It learns what a search over several manoeuvres says, mostly where that is not plain: in tight worlds.
+    "distilled": RunConfig(
+        episodes=1_500,
+        simulator="kinematic",
+        vehicles=64,
+        agent=DistilledOptions(),
+        training=TrainingOptions(
+            worlds=(
+                *("cover_10", "cover_20", "cover_20", "traps", "aisles", "aisles", "moving"),
+                *("poles", "poles", "cluttered", "cluttered", "cells", "cells", "rooms", "rooms"),
+            ),
+            domain_randomization=DomainRandomization(start_yaw=True, noise=0.02, turn_scale=0.05),
         ),
     ),
     # DQN of stable-baselines3 in the paper's task.

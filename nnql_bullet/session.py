@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nnql_bullet.agents import Trainable
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, Sb3DqnOptions
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError, WorkerDied, WorkFailed, missing_library
 from nnql_bullet.experiment import Experiment
@@ -151,7 +151,7 @@ def check(config: RunConfig) -> None:
         UserError: If it does not.
     """
     agent, n = config.agent, config.vehicles
-    learning = agent.training_memory(n) if isinstance(agent, DoubleDqnOptions | Sb3DqnOptions) else 0
+    learning = agent.training_memory(n) if isinstance(agent, DistilledOptions | DoubleDqnOptions | Sb3DqnOptions) else 0
     actions = n * config.task.max_steps * 9  # a byte and a random number for each decision
     remedy = "lower 'vehicles', 'task.max_steps', or sizes of the agent"
     refuse_beyond(learning + actions, "this training", remedy)

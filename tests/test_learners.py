@@ -19,6 +19,10 @@ SMALL: dict[str, tuple[str, str]] = {
         "hidden = [8]\nbatch_size = 8\nlearning_starts = 40\nbuffer_size = 200",
         "exploration,learning_rate,td_error",
     ),
+    "distilled": (
+        "hidden = [8]\nbatch_size = 8\nlearning_starts = 40\nbuffer_size = 200\nsearch.depth = 2\nsearch.width = 2",
+        "led,learning_rate,td_error",
+    ),
     "sb3_dqn": ("hidden = [8]\nbuffer_size = 1000\nlearning_starts = 20", "exploration"),
 }
 """By kind: options with which a few episodes learn something, and the columns that it adds to episodes.csv."""

@@ -625,7 +625,7 @@ def test_drive_leaves_a_video_when_asked(
     run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn = []
-    monkeypatch.setattr("nnql_bullet.cli.drive.render", lambda *paths, **more: drawn.append(paths))
+    monkeypatch.setattr("nnql_bullet.render.filming.render", lambda *paths, **more: drawn.append(paths))
     options = "--world", small_world, "--sim", "kinematic", "--video", "--json", "--out", tmp_path
     code, out, _ = run_cli("drive", "hand_rule", *options)
     assert (code, json.loads(out)["video"]) == (0, str(tmp_path / "trajectory.mp4"))

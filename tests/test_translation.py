@@ -119,6 +119,16 @@ def test_masses_and_footprint_are_those_by_hand(tmp_path: Path) -> None:
     assert (box.x, 2 * box.half_length, 2 * box.half_width) == pytest.approx((-0.2, 0.6, 0.54), abs=1e-5)
 
 
+def test_drive_wheels_that_spin_too_easily_get_the_inertia_of_a_motor(tmp_path: Path) -> None:
+    placeholders = [part.replace("0.002", "1e-06") for part in WHEELS]
+    found = read_robot(written(tmp_path, placeholders + BALL))
+    assert found.vehicle.wheel_spin_inertia == pytest.approx(0.015 * 11.1 * 0.1**2)
+    assert "1e-06 kg m2, is that of no wheel with a motor; 0.00167 is taken" in found.table()
+    again = load_vehicle(found.save(tmp_path / "robot.toml")[0])
+    assert again.wheel_spin_inertia == pytest.approx(found.vehicle.wheel_spin_inertia)
+    assert read_robot(written(tmp_path, WHEELS + BALL)).vehicle.wheel_spin_inertia == pytest.approx(0.002)
+
+
 def test_what_is_written_is_read_as_the_same_vehicle(tmp_path: Path) -> None:
     found = read_robot(written(tmp_path, WHEELS + KINDS["two ahead, two behind"]))
     vehicle = load_vehicle(found.save(tmp_path / "robot.toml")[0])

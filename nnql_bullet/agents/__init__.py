@@ -8,9 +8,10 @@ from typing import Annotated, TypeAlias, get_args
 from pydantic import Field
 
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
+from nnql_bullet.agents.rules.guided_search import GuidedSearchOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
@@ -19,7 +20,9 @@ from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import VfhOptions
 from nnql_bullet.training.base import LearningAgent, Trainable
 
-LearnerOptions: TypeAlias = NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | Sb3DqnOptions
+LearnerOptions: TypeAlias = (
+    NnqlOptions | QTableOptions | GeneticOptions | DoubleDqnOptions | DistilledOptions | Sb3DqnOptions
+)
 RuleOptions: TypeAlias = (
     StraightOptions
     | RandomTurnsOptions
@@ -28,6 +31,7 @@ RuleOptions: TypeAlias = (
     | FuzzyOptions
     | VfhOptions
     | LookAheadOptions
+    | GuidedSearchOptions
 )
 AgentOptions: TypeAlias = LearnerOptions | RuleOptions
 AnyAgentOptions = Annotated[AgentOptions, Field(discriminator="kind")]

@@ -12,9 +12,6 @@ from nnql_bullet.cli.console import progress, say
 from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
 from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.driving import drive_folder, keep
-from nnql_bullet.render.filming import render
-from nnql_bullet.render.video import check_encoder
-from nnql_bullet.render.window import check_window, watch
 from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.sim.engines import PhysicsName
 
@@ -80,9 +77,14 @@ def drive(
         keys: Values in place of the policy's own.
     """
     asked, in_shield, planned = asked_for(keys), shield or "shield" in keys, plan or "plan" in keys
-    if video:
+    if video:  # what films and shows is loaded where it is asked for
+        from nnql_bullet.render.filming import render
+        from nnql_bullet.render.video import check_encoder
+
         check_encoder()
     if gui:
+        from nnql_bullet.render.window import check_window, watch
+
         check_window()
     tell_warnings([world], start, waypoints[-1] if waypoints else target)
     with progress() as show:

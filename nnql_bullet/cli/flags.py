@@ -94,7 +94,7 @@ class KeyFlags:
 
     def keys(self, for_help: bool) -> list[Key]:
         """The keys that have a flag."""
-        found = [key for key in keys(self.cls) if not self.names or key.name.startswith(self.names)]
+        found = [key for key in keys(self.cls, told=for_help) if not self.names or key.name.startswith(self.names)]
         if not for_help:
             return found
         if not self.shown:
@@ -186,7 +186,7 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
         single = {name: _given(its) for name, its in kwargs.items() if not _is(its, "Group")}
         return functools.partial(verb, *args, **single, **grouped)
 
-    hints, abouts = get_type_hints(verb, include_extras=True), abouts_of(verb)
+    hints, abouts = get_type_hints(verb, include_extras=True), abouts_of(verb) if for_help else {}
     taken = frozenset(map(flag, hints))
     parameters = [
         _parameter(its, hints[its.name], abouts.get(its.name, ""), for_help, taken)

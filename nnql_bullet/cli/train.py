@@ -39,8 +39,8 @@ def train(
 
     Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (the same with numbers set by
     evidence), q_table (a table instead of the network), genetic (a search over its weights), double_dqn (decides every
-    step, keeps a map), sb3_dqn (DQN of stable-baselines3). tuned and double_dqn train 64 vehicles in the kinematic
-    model.
+    step, keeps a map), distilled (learns what a search over several manoeuvres says), sb3_dqn (DQN of
+    stable-baselines3). tuned, double_dqn and distilled train 64 vehicles in the kinematic model.
 
     Every key of the configuration is a flag, such as --agent.discount, --speed, --conditions.payload or --rays; to list
     them: nnql-bullet keys --config double_dqn

@@ -23,7 +23,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 _NEVER, _GOING, _OVER = range(3)
 _ENDINGS = np.array([*ENDINGS, None], dtype=object)  # `NO_ENDING` is its last
-_TRUNCATIONS = [ENDINGS.index(name) for name in TRUNCATIONS]
+_TRUNCATES = np.array([*(name in TRUNCATIONS for name in ENDINGS), False])
 _LABELS = np.array([state.label for state in StateProperty], dtype=object)
 
 
@@ -136,7 +136,7 @@ class Fleet:
         if self._sight:
             self._sight.follow(t)
         rewards, terms = self._scored(t)
-        terminated, truncated = active & (t.discount_t == 0.0), active & np.isin(t.ending, _TRUNCATIONS)
+        terminated, truncated = active & (t.discount_t == 0.0), active & _TRUNCATES[t.ending]
         self._phase[terminated | truncated] = _OVER
         for i, live in enumerate(self._lives):
             if active[i]:

@@ -51,8 +51,8 @@ class CopyableSimulator:
         traces: Traces | None = None,
     ) -> tuple[Motion, Array]:
         """See `Simulator.advance`."""
-        vehicles, self._traced = list(driving(active, self.size)), list(traces or ())
-        if vehicles and self._steps[vehicles].max() == len(self._given):
+        vehicles, self._traced = np.array(driving(active, self.size), np.int64), list(traces or ())
+        if len(vehicles) and self._steps[vehicles].max() == len(self._given):
             self._given = np.concatenate([self._given, np.zeros((len(self._given) or 16, self.size, 2))])
         places = self._steps[vehicles], vehicles
         self._given[(*places, 0)] = heading_changes[vehicles]

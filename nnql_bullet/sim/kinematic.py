@@ -236,7 +236,8 @@ class KinematicSimulator:
 
     def _share(self, kernel: Callable[..., None], vehicles: NDArray[np.int64], *arguments: object) -> None:
         """Calls a kernel, which releases the interpreter's lock, for some of the vehicles in each thread."""
-        mine, *others = np.array_split(vehicles, max(1, min(self._threads, len(vehicles) // VEHICLES_PER_THREAD)))
+        threads = min(self._threads, len(vehicles) // VEHICLES_PER_THREAD)
+        mine, *others = np.array_split(vehicles, threads) if threads > 1 else (vehicles,)
         waiting = [self._pool.submit(kernel, share, *arguments) for share in others]
         kernel(mine, *arguments)
         for future in waiting:

@@ -41,6 +41,10 @@ RESERVE = 0.5
 LEAST_EFFORT = 1e-3
 """Torque limits below this mean that the URDF states none [N m]."""
 
+PLACEHOLDER, WITH_MOTOR = 0.002, 0.015
+"""Inertia of a drive wheel over the vehicle's mass at the wheel's radius: that below which no driven wheel is, and what
+is taken in its place. The shipped vehicle's is a fortieth. A rotor counts by the square of its gear."""
+
 
 @dataclass(frozen=True, slots=True)
 class Translation:
@@ -187,11 +191,41 @@ def read_robot(path: Path | str, arguments: Mapping[str, str] = MappingProxyType
         )
         robot = RobotFile(urdf=path.name, limits=unbound, contact=contact, sensor=sensor, joints=joints)
         vehicle = vehicle_of(_name(path), path, written, mechanism, robot)
+        rotors = _add_rotors(written, vehicle)
+        if rotors:
+            vehicle = vehicle_of(_name(path), path, written, mechanism, robot)
     except Unfit as error:
         raise UserError(f"{path}: {error}") from None
     limits, notes = suitable_limits(vehicle, mechanism, unbound.wheel_torque is None)
     vehicle = replace(vehicle, limits=limits, wheel_torque=limits.wheel_torque or vehicle.wheel_torque)
-    return Translation(vehicle, mechanism, text_of(written), (*warned, *mechanism.notes, *notes))
+    return Translation(vehicle, mechanism, text_of(written), (*warned, *mechanism.notes, *rotors, *notes))
+
+
+def _add_rotors(written: Element, vehicle: VehicleSpec) -> list[str]:
+    """Gives drive wheels that spin too easily the inertia of a motor behind its gear, as a vehicle has it.
+
+    Many files have placeholders. A motor would change the speed of such a wheel more than a thousand times as fast as
+    the vehicle's, which PyBullet's solver does not settle.
+
+    Returns:
+        What was changed, in words.
+    """
+    spin, carried = vehicle.wheel_spin_inertia, vehicle.mass * vehicle.wheel_radius**2
+    if spin >= PLACEHOLDER * carried:
+        return []
+    taken = WITH_MOTOR * carried
+    driven = (vehicle.joints["left_drive"], vehicle.joints["right_drive"])
+    children = {joint.get("name"): joint.find("child") for joint in written.findall("joint")}
+    names = {child.get("link") for name in driven if (child := children[name]) is not None}
+    for link in written.findall("link"):
+        moments = link.find("inertial/inertia")
+        if link.get("name") in names and moments is not None:
+            for key in ("ixx", "iyy", "izz"):
+                moments.set(key, repr(float(moments.attrib[key]) + taken - spin))
+    return [
+        f"the drive wheels' inertia, {spin:.3g} kg m2, is that of no wheel with a motor; {taken:.3g} is taken, "
+        f"{100 * WITH_MOTOR:g} % of the vehicle's mass at their radius"
+    ]
 
 
 def _source(path: Path, arguments: Mapping[str, str]) -> tuple[Element, list[str]]:

@@ -10,11 +10,13 @@ from types import ModuleType
 from xml.etree import ElementTree
 
 import pytest
+from scipy.integrate import solve_ivp
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.fidelity import probes
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe, at_most, close_to
 from nnql_bullet.fidelity.probes import PROBES, run_probes
+from nnql_bullet.fidelity.probes_rolling import growth
 from nnql_bullet.fidelity.probes_vehicles import turning_within_its_means
 from nnql_bullet.sim.bullet import PHYSICS
 from nnql_bullet.sim.engines import EngineName
@@ -181,6 +183,16 @@ def test_what_is_expected_is_what_the_design_says(vehicle: VehicleSpec, name: st
 def test_stopping_distance_is_that_of_the_textbook_but_for_the_casters_spin(vehicle: VehicleSpec) -> None:
     distance, _ = PROBES["locked-braking"].measure(Bench(vehicle))
     assert V * V / (2 * BRAKING) < distance.expected < 1.01 * V * V / (2 * BRAKING)
+
+
+def test_a_coasting_vehicle_turns_away_as_chaplygins_sleigh_does(vehicle: VehicleSpec) -> None:
+    a, inertia = -0.1, vehicle.yaw_inertia / vehicle.mass  # m (u' - a w^2) = 0 and (I + m a^2) w' = -m a u w
+    tail_heavy = replace(vehicle, com_ahead=a)
+    found = solve_ivp(
+        lambda _, y: (a * y[1] ** 2, -a * y[0] * y[1] / (inertia + a * a)), (0, 2), (2.0, 1e-6), rtol=1e-9, atol=1e-15
+    )
+    assert growth(tail_heavy, 2.0) == pytest.approx(log(found.y[1, -1] / 1e-6) / 2, rel=1e-5)
+    assert growth(vehicle, 2.0) < 0
 
 
 def test_read_back_expects_what_the_files_say(vehicle: VehicleSpec) -> None:

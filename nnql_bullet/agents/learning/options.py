@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet import paper
+from nnql_bullet.agents import foresight
 from nnql_bullet.agents.learning.frames import frame_width
 from nnql_bullet.agents.learning.q_learning import QLearningOptions
 from nnql_bullet.config import options
@@ -20,12 +21,14 @@ from nnql_bullet.env import ACTIONS
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.mapping.body_map import SIDE
 from nnql_bullet.types import BatchSize, BufferSize, Count, Few, Frames, Layers, Number, Positive, UnitInterval, Units
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 if TYPE_CHECKING:
+    from nnql_bullet.agents.learning.distilled import Distilled
     from nnql_bullet.agents.learning.double_dqn import DoubleDqn
     from nnql_bullet.agents.learning.nnql import Nnql
     from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn
@@ -162,6 +165,62 @@ class DoubleDqnOptions:
             from nnql_bullet.agents.learning.double_dqn import DoubleDqn
 
         return DoubleDqn(self, seed, vehicle, drive)
+
+
+@options
+class DistilledOptions:
+    """Options of a search distilled into a network."""
+
+    network: ClassVar[tuple[str, ...]] = ("hidden", "per_action")
+    """Keys that two agents have to share for the weights of one to be those of the other."""
+    kind: Literal["distilled"] = "distilled"
+    hidden: Layers = (128, 64)
+    """Units of the hidden layers for the surroundings; the last are added to what is foreseen of each manoeuvre."""
+    per_action: Units = 32
+    """Units of the layer that then values each manoeuvre, the same for all."""
+    search: foresight.SearchOptions = foresight.SearchOptions()
+    """The search that is learned from."""
+    learning_rate: Positive = 2e-3
+    """Learning rate of Adam in the first half of the scheduled episodes."""
+    learning_rate_final: Positive = 1e-4
+    """Learning rate from `schedule_episodes` on; it falls over the second half of them."""
+    schedule_episodes: Count = 1_500
+    """Episodes that schedules are made for. They do not follow the number of training episodes, so that a run can be
+    stopped and resumed."""
+    led_episodes: Count = 200
+    """Episodes over which the share of decisions that the search itself takes falls from all to none, linearly."""
+    random_share: UnitInterval = 0.05
+    """Probability of a random manoeuvre, after which the search is asked what to do about it."""
+    softness: Positive = 0.1
+    """Difference of values that matters little [m]."""
+    batch_size: BatchSize = 256
+    """Decisions that one gradient step learns from."""
+    gradient_steps: Few = 8
+    """Gradient steps after each step of all vehicles."""
+    buffer_size: BufferSize = 200_000
+    """Decisions that are learned from, the last ones."""
+    learning_starts: Annotated[int, Field(ge=0, le=1_000_000_000)] = 1_000
+    """Decisions before the first gradient step."""
+
+    def training_memory(self, vehicles: int) -> int:
+        """Memory that a training with so many vehicles needs at least: buffer and maps [bytes]."""
+        return (foresight.WIDTH + 100) * self.buffer_size + 3 * SIDE**2 * vehicles
+
+    def led(self, episodes: NDArray[np.int64]) -> Array:
+        """Share of decisions by the search in training episodes (n,), counted from 0."""
+        return np.asarray(np.maximum(1.0 - episodes / self.led_episodes, 0.0))
+
+    def learning_rate_at(self, episode: int) -> float:
+        """Learning rate in a training episode, counted from 0."""
+        progress = min(max(2 * episode / self.schedule_episodes - 1, 0.0), 1.0)
+        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * progress
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Distilled":
+        """Builds the untrained agent."""
+        with _torch():
+            from nnql_bullet.agents.learning.distilled import Distilled
+
+        return Distilled(self, seed, vehicle, drive)
 
 
 @options

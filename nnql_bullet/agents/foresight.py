@@ -1,0 +1,303 @@
+"""What a vehicle foresees of every manoeuvre: the memory behind it, and its encoding as bytes for a network."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from nnql_bullet.agents.symmetry import MIRRORED_ACTIONS, mirrored_directions, mirrored_rays
+from nnql_bullet.config import options
+from nnql_bullet.env import (
+    ACTIONS,
+    MANOEUVRES,
+    REVERSE,
+    SLOW,
+    STOP,
+    Observation,
+    commands_of,
+    heading_change,
+    speed_scale,
+)
+from nnql_bullet.geometry import Array, as_rows
+from nnql_bullet.mapping import body_map, foresight
+from nnql_bullet.mapping.body_map import FARTHER, SIDE
+from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
+from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
+from nnql_bullet.mapping.search import searched
+from nnql_bullet.sensing import RAYS, nearest_rays
+from nnql_bullet.types import Bytes, NonNegative, Reach
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
+from nnql_bullet.vehicle.scale import length_scale
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+SECTORS = 24
+"""Readings of a scan in what a network sees: each the nearest of three of 72 rays."""
+SCANS = 3
+"""Scans that it sees at once, by which it may tell what moves."""
+FAR = 50.0
+"""Upper bound on the target's distance, over the length scale [m]."""
+MOST_PROGRESS = 2.0
+"""Upper bound on the progress of one decision, over the length scale [m]. More is new knowledge of the map."""
+MIRRORED_MANOEUVRES = (np.arange(0, MANOEUVRES, ACTIONS)[:, None] + MIRRORED_ACTIONS).ravel()
+"""The mirror image of each manoeuvre (24,)."""
+PHI = COLUMNS + 1
+"""Numbers about each manoeuvre: what is foreseen of it, and its turn."""
+CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 8
+"""Numbers about the vehicle and its surroundings."""
+WIDTH = CONTEXT + MANOEUVRES * PHI
+_ODD = 2
+"""How many of the last numbers of the context change their sign in a mirror."""
+_INSTANTS = 5
+_FOLLOW = np.array([0, 1, 2, 3, 4, SLOW, SLOW + 2, SLOW + 4, STOP + 2, STOP + 4, REVERSE, REVERSE + 2, REVERSE + 4])
+"""Manoeuvres that a search tries after the first."""
+
+
+@options
+class SearchOptions:
+    """Options of the search over several manoeuvres in a row."""
+
+    depth: Annotated[int, Field(ge=1, le=10)] = 4
+    """Number of manoeuvres in a row."""
+    width: Annotated[int, Field(ge=1, le=1000)] = 24
+    """Number of states that are driven on after each."""
+    margin: Reach = 0.06
+    """Clearance from all that was seen below which a manoeuvre is a last resort [m]."""
+    room: Reach = 0.3
+    """Clearance that it keeps where that costs little [m]."""
+    constancy: NonNegative = 0.3
+    """What it is worth to keep to the plan [m]."""
+    room_weight: NonNegative = 1.0
+    """Length of way that each metre of clearance is worth that lacks, at every manoeuvre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Memory of n vehicles. While the age is 0, the other entries mean nothing."""
+
+    age: NDArray[np.int64]
+    """Decisions in the episode so far (n,)."""
+    poses: Array
+    """Poses at the last decision, in the frame of `grid_map` (n, 3)."""
+    steps: Array
+    """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
+    corners: NDArray[np.int64]
+    """First cells of the maps (n, 2)."""
+    cells: body_map.Cells
+    """Cells of the maps (n, SIDE, SIDE)."""
+    offsets: body_map.Offsets
+    """Places of points in their cells (n, SIDE, SIDE, 2)."""
+    planned: NDArray[np.int64]
+    """Manoeuvres that were to come next; -1 for none (n,)."""
+    frames: Bytes
+    """What a network sees, or saw last (n, WIDTH)."""
+
+    def state_dict(self) -> dict[str, NDArray[Any]]:
+        """Copies the memory, by name."""
+        return {field.name: getattr(self, field.name).copy() for field in fields(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """The memory of vehicles with their present observation entered, and what they foresee."""
+
+    memory: Memory
+    progress: Array
+    """Distance by which the last decision shortened the way to the target (n,) [m]."""
+    foreseen: Array
+    """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS)."""
+
+    targets: Array
+    """Places of the targets, in the frame of the maps (n, 2) [m]."""
+    turns: Array
+    """Heading changes of the manoeuvres (n, 24) [rad]."""
+
+    @property
+    def stacked(self) -> Bytes:
+        """Network inputs (n, WIDTH)."""
+        return self.memory.frames
+
+
+class Foresight:
+    """Keeps maps of what vehicles see, and foresees what each manoeuvre comes to.
+
+    All that it tells is relative: lengths to the vehicle, speeds to the drive's, and manoeuvres are driven in thought
+    by the vehicle's own limits and footprint, so that one network may drive several vehicles.
+    """
+
+    def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        self._scale, self._limits, self._drive = length_scale(vehicle.footprint), vehicle.limits, drive
+        self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
+        sensor = vehicle.sensor
+        self._seen, self._taken = np.flatnonzero(sensor.seen), nearest_rays(sensor.rays)
+        self._goals = drive.speed * speed_scale(np.arange(MANOEUVRES), drive)
+        self._mover = Mover(
+            cell=vehicle.width / body_map.CELLS_ACROSS,
+            scale=self._scale,
+            footprint=as_rows((vehicle.footprint,))[0],
+            sensor=np.array(sensor.position[:2]),
+            angles=np.ascontiguousarray(sensor.angles[self._seen]),
+            sensor_range=sensor.range,
+            max_rate=vehicle.limits.yaw_rate,
+            yaw_acceleration=vehicle.limits.yaw_acceleration,
+            acceleration=vehicle.limits.acceleration,
+            period=drive.decision_period,
+        )
+        parts = [
+            *(k * SECTORS + mirrored_rays(SECTORS) for k in range(SCANS)),
+            *(SCANS * SECTORS + k * BEARINGS + mirrored_directions(BEARINGS) for k in range(3)),
+            np.arange(CONTEXT - 8, CONTEXT),
+            CONTEXT + (MIRRORED_MANOEUVRES[:, None] * PHI + np.arange(PHI)).ravel(),
+        ]
+        self._mirrored = np.concatenate(parts)
+        self._odd = np.zeros(WIDTH, np.bool_)
+        self._odd[CONTEXT - _ODD : CONTEXT] = True
+        self._odd[CONTEXT + COLUMNS :: PHI] = True
+
+    def nothing(self, size: int) -> Memory:
+        """Memory of vehicles at the start of an episode."""
+        return Memory(
+            age=np.zeros(size, np.int64),
+            poses=np.zeros((size, 3)),
+            steps=np.zeros((size, 2)),
+            corners=np.zeros((size, 2), np.int64),
+            cells=np.zeros((size, SIDE, SIDE), np.int8),
+            offsets=np.zeros((size, SIDE, SIDE, 2), np.uint8),
+            planned=np.full(size, -1),
+            frames=np.zeros((size, WIDTH), np.uint8),
+        )
+
+    def look(self, memory: Memory, observations: Observation) -> Look:
+        """Enters the observations of n vehicles into a copy of their memory, and looks ahead."""
+        o, new, mover = observations, memory.age == 0, self._mover
+        first = first_poses(o.landmark_distance, o.landmark_bearing)
+        later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
+        poses = np.where(new[:, None], first, later)
+        before = np.where(new[:, None], poses, memory.poses)[:, :2]
+        corners, cells, offsets = memory.corners.copy(), memory.cells.copy(), memory.offsets.copy()
+        cells[new] = body_map.UNSEEN
+        rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
+        body_map.add_scans(
+            cells, offsets, corners, poses, rays, mover.sensor, mover.angles, mover.sensor_range, mover.cell
+        )
+        targets = places_of(poses, o.target_distance, o.target_bearing)
+        turns = heading_change(np.arange(MANOEUVRES), o.target_bearing[:, None])
+        foreseen, around, ways, progress = foresee(
+            *(cells, offsets, corners, poses, before, targets, rays),
+            *(o.speed, o.yaw_rate, turns, self._goals, mover),
+        )
+        frame = self._frame(o, memory, new, foreseen, around, ways, turns)
+        seen = replace(
+            memory,
+            planned=np.where(new, -1, memory.planned),
+            poses=poses,
+            corners=corners,
+            cells=cells,
+            offsets=offsets,
+            frames=frame,
+        )
+        most = MOST_PROGRESS * self._scale
+        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, targets, turns)
+
+    def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
+        """Scores the manoeuvres by a search over several in a row (n, 24) [m]; says what follows the best (n,).
+
+        What is planned to follow the last manoeuvre has an advantage, without which plans take turns.
+        """
+        m, scale = look.memory, self._scale
+        rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
+        scores, then = searched(
+            m.cells,
+            m.offsets,
+            m.corners,
+            m.poses,
+            look.targets,
+            rays,
+            observations.speed,
+            observations.yaw_rate,
+            look.turns,
+            self._goals,
+            _FOLLOW,
+            m.planned,
+            o.depth,
+            o.width,
+            o.room * scale,
+            o.room_weight,
+            o.margin * scale,
+            o.constancy * scale,
+            self._mover,
+        )
+        return scores / scale, then
+
+    def after(
+        self,
+        look: Look,
+        observations: Observation,
+        actions: NDArray[np.int64],
+        planned: NDArray[np.int64] | None = None,
+    ) -> Memory:
+        """The memory of vehicles after they were given manoeuvres (n,), and planned what follows (n,)."""
+        o, memory = observations, look.memory
+        commands = commands_of(actions, o.target_bearing, self._drive)
+        headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
+        goals = self._drive.speed * commands.speed_scales
+        ways = ramp_distances(o.speed, goals, self._limits.acceleration, self._times)
+        steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
+        planned = np.full(len(actions), -1) if planned is None else planned
+        return replace(memory, age=memory.age + 1, steps=steps, planned=planned)
+
+    def mirrored(self, stacked: Bytes) -> Bytes:
+        """Mirror images of network inputs (m, WIDTH)."""
+        seen = stacked[:, self._mirrored]
+        return np.where(self._odd, 255 - seen, seen)
+
+    def _frame(
+        self,
+        o: Observation,
+        memory: Memory,
+        new: NDArray[np.bool_],
+        foreseen: Array,
+        around: Array,
+        ways: Array,
+        turns: Array,
+    ) -> Bytes:
+        """What a network sees (n, WIDTH)."""
+        n, scale, limits = len(new), self._scale, self._limits
+        nearest = (o.ray_distances[:, self._taken] / scale).reshape(n, SECTORS, RAYS // SECTORS).min(axis=-1)
+        scan = _as_bytes(2 / (1 + nearest) - 1)
+        earlier = np.where(
+            new[:, None, None], scan[:, None], memory.frames[:, : SECTORS * (SCANS - 1)].reshape(n, SCANS - 1, SECTORS)
+        )
+        most = FARTHER * self._mover.cell
+        probes = np.concatenate([around[:, :2] / most, around[:, 2:] / (SIGHT * scale) * 2 - 1], axis=1)
+        away = o.target_distance
+        context: list[Array | float] = [
+            o.speed / self._drive.speed,
+            1 - 2 * away / (FAR * scale),
+            2 * (ways - away) / (20.0 * scale) - 1,
+            1 - 2 * away / (5.0 * scale),
+            self._drive.speed / scale / 2 - 1,
+            np.cos(o.target_bearing),
+            np.sin(o.target_bearing),
+            o.yaw_rate / limits.yaw_rate,
+        ]
+        phi = np.concatenate([foreseen, turns[..., None]], axis=-1)
+        phi[..., foresight.ROOM : foresight.STOP_ROOM + 1] *= 2 / (MOST_ROOM * scale)
+        phi[..., foresight.ROOM : foresight.STOP_ROOM + 1] -= 1
+        phi[..., foresight.LASTS] = 2 * phi[..., foresight.LASTS] - 1
+        phi[..., foresight.WAY : foresight.WAY_AHEAD + 1] /= most
+        phi[..., foresight.UNKNOWN] = 2 * phi[..., foresight.UNKNOWN] - 1
+        phi[..., COLUMNS] /= np.pi / 3
+        rest = [
+            probes.reshape(n, -1),
+            np.stack([np.broadcast_to(its, n) for its in context], axis=-1),
+            phi.reshape(n, -1),
+        ]
+        return np.concatenate([scan, earlier.reshape(n, -1), _as_bytes(np.concatenate(rest, axis=-1))], axis=-1)
+
+
+def _as_bytes(numbers: Array) -> Bytes:
+    """Numbers from -1 to 1 as bytes. The byte of -x is 255 minus that of x, except half-way between two bytes."""
+    return np.rint(127.5 * (np.clip(numbers, -1.0, 1.0) + 1)).astype(np.uint8)

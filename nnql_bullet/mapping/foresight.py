@@ -1,0 +1,299 @@
+"""What each manoeuvre would come to, by the vehicle's own model and a map of what was seen: its room, and the way left.
+
+Every manoeuvre is driven in thought for a decision, and then to a stand. The footprint's clearance from the points of
+the map and of the last scan is exact but for what stands between two points; the way left is that of `body_map`. After
+the dynamic window approach (Fox, Burgard and Thrun, 1997), with the cost to go of a map in place of the direction of
+the goal (Brock and Khatib, "High-speed navigation using the global dynamic window approach", ICRA 1999).
+"""
+
+from math import floor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.geometry import Array, reach_of, squared_distance
+from nnql_bullet.jit import njit
+from nnql_bullet.mapping.body_map import (
+    FARTHER,
+    SIDE,
+    UNSEEN,
+    Cells,
+    Lengths,
+    Offsets,
+    cost_at,
+    cost_factors,
+    costs_to_go,
+    open_until,
+)
+from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile
+
+ROOM, STOP_ROOM, LASTS, WAY, WAY_AHEAD, UNKNOWN = range(6)
+"""Columns of what is foreseen of a manoeuvre: smallest clearance while it is driven, and then to a stand [m], up to
+`MOST_ROOM`; share of all that until the first contact, 1 if there is none; how much longer the way from its end is than
+from here, and from a place as far ahead of its end as the vehicle reaches [m]; share of places under the vehicle that
+were never seen."""
+COLUMNS = 6
+MOST_ROOM = 0.6
+"""Clearance that is enough, over the length scale [m]."""
+BEARINGS = 24
+"""Number of directions about the vehicle in which the map is probed, from straight ahead counter-clockwise."""
+REACHES = (1.25, 2.5)
+"""Distances at which the way left is probed, over the length scale [m]."""
+SIGHT = 5.0
+"""Largest distance to what is not known to be free, over the length scale [m]."""
+_DRIVEN, _STOPPING = 5, 10
+"""Number of poses while a manoeuvre is driven, and most while the vehicle then brakes."""
+_NEAR = 3.6
+"""Distance up to which points may be met, over the length scale [m]."""
+
+
+State = tuple[float, float, float, float, float]
+"""A vehicle: x, y [m], heading [rad], speed [m/s] and yaw rate [rad/s]."""
+
+
+class Mover(NamedTuple):
+    """What the kernel knows of the vehicle and its drive."""
+
+    cell: float
+    """Side of a cell of the map [m]."""
+    scale: float
+    """Length scale; see `vehicle.scale`."""
+    footprint: Array
+    """A row (7,) of `geometry.as_rows`, in the vehicle's frame."""
+    sensor: Array
+    """Origin of the rays in the vehicle frame (2,) [m]."""
+    angles: Array
+    """Of the rays (r,) [rad]."""
+    sensor_range: float
+    """[m]"""
+    max_rate: float
+    """Limit on the yaw rate [rad/s]."""
+    yaw_acceleration: float
+    """Limit on the yaw acceleration [rad/s2]."""
+    acceleration: float
+    """Limit on acceleration and deceleration [m/s2]."""
+    period: float
+    """Time between decisions [s]."""
+
+
+@njit(nogil=True)
+def foresee(
+    cells: Cells,
+    offsets: Offsets,
+    corners: NDArray[np.int64],
+    poses: Array,
+    before: Array,
+    targets: Array,
+    rays: Array,
+    speeds: Array,
+    yaw_rates: Array,
+    turns: Array,
+    goals: Array,
+    mover: Mover,
+) -> tuple[Array, Array, Array, Array]:
+    """Looks ahead for n vehicles.
+
+    Args:
+        cells: Maps (n, SIDE, SIDE).
+        offsets: See `body_map.add_scans`.
+        corners: First cells of the maps (n, 2).
+        poses: Of the vehicles, in the landmark's frame (n, 3).
+        before: Their places at the decision before (n, 2) [m].
+        targets: Places of the targets (n, 2) [m].
+        rays: Distances of the last scan (n, r) [m].
+        speeds: (n,) [m/s]
+        yaw_rates: (n,) [rad/s]
+        turns: Heading changes of the m manoeuvres (n, m) [rad].
+        goals: Speeds that they ask for (m,) [m/s].
+        mover: The vehicle.
+
+    Returns:
+        What is foreseen of the manoeuvres (n, m, COLUMNS); for `BEARINGS`, how much longer the way from `REACHES` is,
+        and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; the cost of the way left (n,) [m];
+        and by how much the last decision shortened it (n,) [m].
+    """
+    n = len(cells)
+    seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
+    ways, progress = np.empty(n), np.empty(n)
+    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 2)), mover.cell
+    for i in range(n):
+        corner, pose = corners[i], poses[i]
+        factors = cost_factors(cells[i], offsets[i])
+        left = costs_to_go(factors, corner, pose[:2], targets[i], cell)
+        here = cost_at(left, corner, pose[0], pose[1], cell, np.inf)
+        most = here + FARTHER
+        ways[i] = here * cell
+        progress[i] = (cost_at(left, corner, before[i, 0], before[i, 1], cell, most) - here) * cell
+        count = points_near(cells[i], offsets[i], corner, pose, rays[i], mover, points)
+        for j in range(turns.shape[1]):
+            _drive(
+                cells[i],
+                corner,
+                pose,
+                factors,
+                left,
+                here,
+                points[:count],
+                speeds[i],
+                yaw_rates[i],
+                turns[i, j],
+                goals[j],
+                mover,
+                seen[i, j],
+            )
+        for j in range(BEARINGS):
+            c, s = np.cos(pose[2] + j * 2 * np.pi / BEARINGS), np.sin(pose[2] + j * 2 * np.pi / BEARINGS)
+            for k in range(2):
+                steps = int(REACHES[k] * mover.scale / cell)
+                around[i, k, j] = FARTHER * cell
+                if open_until(factors, corner, pose[0] / cell, pose[1] / cell, c, s, steps) == steps:
+                    way = steps * cell
+                    there = cost_at(left, corner, pose[0] + c * way, pose[1] + s * way, cell, most)
+                    around[i, k, j] = (there - here) * cell
+            around[i, 2, j] = _known_free(cells[i], corner, pose, c, s, mover)
+    return seen, around, ways, progress
+
+
+@njit(nogil=True)
+def points_near(
+    cells: Cells,
+    offsets: Offsets,
+    corner: NDArray[np.int64],
+    pose: Array,
+    rays: Array,
+    mover: Mover,
+    points: Array,
+) -> int:
+    """Lists the points of a map and of the last scan near a vehicle, in its frame, into `points`; returns how many."""
+    most, cell, count = _NEAR * mover.scale, mover.cell, 0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] / cell - corner[0], pose[1] / cell - corner[1]
+    for a in range(max(int(x - most / cell), 0), min(int(x + most / cell) + 1, SIDE)):
+        for b in range(max(int(y - most / cell), 0), min(int(y + most / cell) + 1, SIDE)):
+            if cells[a, b] > 0:
+                dx, dy = (a + offsets[a, b, 0] / 256 - x) * cell, (b + offsets[a, b, 1] / 256 - y) * cell
+                points[count, 0], points[count, 1] = c * dx + s * dy, c * dy - s * dx
+                count += 1
+    for j in range(len(rays)):
+        if rays[j] < min(most, mover.sensor_range):
+            points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
+            points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
+            count += 1
+    return count
+
+
+@njit(nogil=True)
+def _drive(
+    cells: Cells,
+    corner: NDArray[np.int64],
+    pose: Array,
+    factors: Lengths,
+    left: Lengths,
+    here: float,
+    points: Array,
+    speed: float,
+    yaw_rate: float,
+    turn: float,
+    goal: float,
+    mover: Mover,
+    seen: Array,
+) -> None:
+    """Drives one manoeuvre in thought, then to a stand, and writes what is foreseen into `seen` (COLUMNS,)."""
+    most_room = MOST_ROOM * mover.scale
+    here_now = (0.0, 0.0, 0.0, speed, yaw_rate)
+    driven, seen[ROOM], lasts = course(here_now, turn, goal, mover.period, _DRIVEN, points, mover, most_room)
+    stop = abs(driven[3]) / mover.acceleration
+    count = min(int(np.ceil(stop / mover.period * _DRIVEN)), _STOPPING)
+    stopped, seen[STOP_ROOM], more = course(driven, 0.0, 0.0, stop, count, points, mover, most_room)
+    seen[LASTS] = (lasts + (more if lasts == _DRIVEN else 0)) / (_DRIVEN + count)
+    unseen = _unseen_corners(cells, corner, pose, driven[0], driven[1], driven[2], mover)
+    unseen += _unseen_corners(cells, corner, pose, stopped[0], stopped[1], stopped[2], mover)
+    end_x, end_y, end_heading = driven[0], driven[1], driven[2]
+    most, cell = here + FARTHER, mover.cell
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end_x - s * end_y, pose[1] + s * end_x + c * end_y
+    seen[WAY] = (cost_at(left, corner, x, y, cell, most) - here) * cell
+    c, s = np.cos(pose[2] + end_heading), np.sin(pose[2] + end_heading)
+    way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
+    seen[WAY_AHEAD] = (cost_at(left, corner, x + c * way, y + s * way, cell, most) - here) * cell
+    seen[UNKNOWN] = unseen / 8
+
+
+@njit(nogil=True)
+def course(
+    start: State, turn: float, goal: float, duration: float, count: int, points: Array, mover: Mover, most: float
+) -> tuple[State, float, int]:
+    """Drives in thought: returns the state in the end, the smallest clearance, and the poses before the first contact.
+
+    Args:
+        start: Where it begins.
+        turn: Heading change that is asked for [rad].
+        goal: Speed that is asked for [m/s].
+        duration: [s]
+        count: Number of poses at which the clearance is computed.
+        points: That may be met, in the frame of the state (k, 2) [m].
+        mover: The vehicle.
+        most: Clearance that is enough [m].
+    """
+    x, y, heading, speed, rate = start
+    begin, room, lasts = heading, most, count
+    times = np.arange(1.0, count + 1.0) * (duration / max(count, 1))
+    headings, rates, speeds = np.empty(count), np.empty(count), np.empty(count)
+    peak, rise, hold, fall = turn_profile(rate, turn, mover.max_rate, mover.yaw_acceleration)
+    sample_profile(rate, peak, rise, hold, fall, times, rates, headings)
+    sample_ramp(speed, goal, mover.acceleration, times, speeds)
+    for k in range(count):
+        length, middle = (speed + speeds[k]) / 2 * (duration / count), (heading + begin + headings[k]) / 2
+        x, y = x + length * np.cos(middle), y + length * np.sin(middle)
+        heading, speed, rate = begin + headings[k], speeds[k], rates[k]
+        room = min(room, _room(x, y, heading, points, mover.footprint, room))
+        if room <= 0.0 and lasts == count:
+            lasts = k
+    return (x, y, heading, speed, rate), room, lasts
+
+
+@njit(nogil=True)
+def _room(x: float, y: float, heading: float, points: Array, footprint: Array, most: float) -> float:
+    """The clearance of a vehicle at a pose from points (k, 2), all in one frame [m]; `most` if it is larger."""
+    c, s = np.cos(heading), np.sin(heading)
+    middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    nearest, within = most * most, (most + reach_of(footprint)) ** 2
+    for r in range(len(points)):
+        dx, dy = points[r, 0] - middle_x, points[r, 1] - middle_y
+        if dx * dx + dy * dy < within:
+            dx, dy = points[r, 0] - x, points[r, 1] - y
+            nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
+    return float(np.sqrt(nearest))
+
+
+@njit(nogil=True)
+def _unseen_corners(
+    cells: Cells, corner: NDArray[np.int64], pose: Array, x: float, y: float, heading: float, mover: Mover
+) -> int:
+    """How many of the four corners of a vehicle at a pose in its present frame lie where nothing was ever seen."""
+    count = 0
+    footprint = mover.footprint
+    for k in range(4):
+        along = footprint[0] + footprint[2] * (1 if k < 2 else -1)
+        across = footprint[1] + footprint[3] * (1 if k % 2 else -1)
+        ahead, beside = x + np.cos(heading) * along - np.sin(heading) * across, 0.0
+        beside = y + np.sin(heading) * along + np.cos(heading) * across
+        at_x = pose[0] + np.cos(pose[2]) * ahead - np.sin(pose[2]) * beside
+        at_y = pose[1] + np.sin(pose[2]) * ahead + np.cos(pose[2]) * beside
+        a, b = floor(at_x / mover.cell) - corner[0], floor(at_y / mover.cell) - corner[1]
+        if not (0 <= a < SIDE and 0 <= b < SIDE) or cells[a, b] == UNSEEN:
+            count += 1
+    return count
+
+
+@njit(nogil=True)
+def _known_free(cells: Cells, corner: NDArray[np.int64], pose: Array, c: float, s: float, mover: Mover) -> float:
+    """The distance in a direction up to which all is known to be free, beyond the vehicle itself [m]."""
+    first = reach_of(mover.footprint)
+    for k in range(1, int((SIGHT * mover.scale - first) / mover.cell) + 1):
+        way = first + k * mover.cell
+        a, b = floor((pose[0] + c * way) / mover.cell) - corner[0], floor((pose[1] + s * way) / mover.cell) - corner[1]
+        if not (0 <= a < SIDE and 0 <= b < SIDE) or cells[a, b] >= UNSEEN:
+            return way
+    return SIGHT * mover.scale

@@ -1,0 +1,195 @@
+"""A search over several manoeuvres in a row: what each first manoeuvre is worth, by the best that can follow it.
+
+A beam search (Lowerre, 1976) with the vehicle's own model: of all states after k manoeuvres, those with the best
+scores are driven on. A score is the cost of the way left through the map of what was seen, the unseen counted as free,
+and what lacked in room on the way there. It is the same for every vehicle but for its lengths.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
+from nnql_bullet.mapping.body_map import (
+    FARTHER,
+    Cells,
+    Lengths,
+    Offsets,
+    cost_at,
+    cost_factors,
+    costs_to_go,
+    open_until,
+)
+from nnql_bullet.mapping.foresight import Mover, State, course, points_near
+
+WORST = -30.0
+"""Least score, of a manoeuvre that meets something [m]."""
+_POSES, _STOPPING = 3, 4
+"""Poses at which clearances are computed while a manoeuvre is driven, and while the vehicle then brakes."""
+_MOST_OF_ONE = 3
+"""Most states of one first manoeuvre among those that are driven on, so that several stay."""
+_AHEAD = 0.5
+"""What the way from a place ahead counts beside that from the end of a course."""
+_BACKING = 0.1
+"""What a manoeuvre backwards costs beside its way [m]."""
+_KEPT = 0.7
+"""Share of the present clearance that a vehicle keeps where it has less than its margin."""
+_DROPPED = 0.3
+"""What a first manoeuvre loses with every level at which nothing that follows it is driven on [m]."""
+_DONE = 4.0
+"""Way left at which the target is as good as reached [cells]."""
+
+
+@njit(nogil=True)
+def searched(
+    cells: Cells,
+    offsets: Offsets,
+    corners: NDArray[np.int64],
+    poses: Array,
+    targets: Array,
+    rays: Array,
+    speeds: Array,
+    yaw_rates: Array,
+    turns: Array,
+    goals: Array,
+    follow: NDArray[np.int64],
+    planned: NDArray[np.int64],
+    depth: int,
+    width: int,
+    room: float,
+    weight: float,
+    margin: float,
+    constancy: float,
+    mover: Mover,
+) -> tuple[Array, NDArray[np.int64]]:
+    """Scores the manoeuvres of n vehicles (n, m) [m], the greatest is the best; and says what is to follow it (n,).
+
+    Args:
+        cells: Maps (n, SIDE, SIDE).
+        offsets: See `body_map.add_scans`.
+        corners: First cells of the maps (n, 2).
+        poses: Of the vehicles, in the landmark's frame (n, 3).
+        targets: Places of the targets (n, 2) [m].
+        rays: Distances of the last scan (n, r) [m].
+        speeds: (n,) [m/s]
+        yaw_rates: (n,) [rad/s]
+        turns: Heading changes of the manoeuvres (n, m) [rad].
+        goals: Speeds that they ask for (m,) [m/s].
+        follow: Manoeuvres that may follow the first (k,).
+        planned: Manoeuvres that were to come now; -1 for none (n,).
+        depth: Number of manoeuvres in a row.
+        width: Number of states that are driven on.
+        room: Clearance below which a manoeuvre costs [m].
+        weight: What each metre of clearance costs that lacks.
+        margin: Clearance below which a manoeuvre counts as meeting something [m].
+        constancy: What it is worth to keep to the plan [m].
+        mover: The vehicle.
+    """
+    n, m = turns.shape
+    then = np.full(n, -1)
+    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 2))
+    most = max(m, width * len(follow))
+    states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
+    roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
+    taken, nexts = np.empty(m, np.int64), np.empty(m, np.int64)
+    for i in range(n):
+        factors = cost_factors(cells[i], offsets[i])
+        left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
+        here = cost_at(left, corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
+        near = points[: points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], mover, points)]
+        _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 1, near, mover, room)
+        least = min(margin, _KEPT * now)
+        count = 1
+        states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
+        costs[0, 0] = 0.0
+        scores[i], nexts[:] = WORST, -1
+        for level in range(depth):
+            old, new = level % 2, (level + 1) % 2
+            made = 0
+            if level > 0:  # those that are driven on are worth what follows; the others were worse, and stay so
+                scores[i] -= _DROPPED * mover.scale
+                for j in range(count):
+                    scores[i, roots[old, j]] = WORST / 2
+            for j in range(count):
+                start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
+                for k in range(m if level == 0 else len(follow)):
+                    action = k if level == 0 else follow[k]
+                    end, cost, lasts = _tried(start, turns[i, action], goals[action], near, room, weight, least, mover)
+                    if lasts < 1.0:
+                        if level == 0:
+                            scores[i, k] = WORST + 10.0 * lasts
+                        continue
+                    value = _way(end, left, factors, corners[i], poses[i], here, mover)
+                    if goals[action] < 0.0:
+                        cost += _BACKING
+                    states[new, made] = end
+                    costs[new, made] = costs[old, j] + cost
+                    roots[new, made] = k if level == 0 else roots[old, j]
+                    seconds[new, made] = action if level == 1 else seconds[old, j] if level > 1 else -1
+                    values[made] = -value - costs[new, made]
+                    made += 1
+            order = np.argsort(-values[:made])
+            taken[:] = 0
+            count = 0
+            for j in order:
+                root = roots[new, j]
+                if taken[root] == 0:
+                    scores[i, root], nexts[root] = values[j], seconds[new, j]
+                if level < depth - 1 and taken[root] < _MOST_OF_ONE and count < width:
+                    states[old, count], costs[old, count], roots[old, count] = states[new, j], costs[new, j], root
+                    seconds[old, count] = seconds[new, j]
+                    count += 1
+                taken[root] += 1
+            states[new, :count], costs[new, :count] = states[old, :count], costs[old, :count]
+            roots[new, :count], seconds[new, :count] = roots[old, :count], seconds[old, :count]
+            if count == 0:
+                break
+        if planned[i] >= 0:
+            scores[i, planned[i]] += constancy
+        then[i] = nexts[np.argmax(scores[i])]
+    return scores, then
+
+
+@njit(nogil=True)
+def _tried(
+    start: State,
+    turn: float,
+    goal: float,
+    points: Array,
+    room: float,
+    weight: float,
+    least: float,
+    mover: Mover,
+) -> tuple[State, float, float]:
+    """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
+    end, driven, lasts = course(start, turn, goal, mover.period, _POSES, points, mover, room)
+    if driven < least:
+        return end, 0.0, lasts / (_POSES + _STOPPING)
+    stop = abs(end[3]) / mover.acceleration
+    count = _STOPPING if stop > 0.0 else 0
+    _, then, more = course(end, 0.0, 0.0, stop, count, points, mover, room)
+    if then < least:
+        return end, 0.0, (_POSES + more) / (_POSES + _STOPPING + 1)
+    return end, weight * (room - min(driven, then)), 1.0
+
+
+@njit(nogil=True)
+def _way(
+    end: State,
+    left: Lengths,
+    factors: Lengths,
+    corner: NDArray[np.int64],
+    pose: Array,
+    here: float,
+    mover: Mover,
+) -> float:
+    """How much longer the way left is from a state than from here [m]: from its place, and from a place ahead of it."""
+    c, s, cell = np.cos(pose[2]), np.sin(pose[2]), mover.cell
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    place = cost_at(left, corner, x, y, cell, here + 2 * FARTHER)
+    if place < _DONE:
+        return -here * cell - mover.scale
+    c, s = np.cos(pose[2] + end[2]), np.sin(pose[2] + end[2])
+    way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
+    ahead = cost_at(left, corner, x + c * way, y + s * way, cell, here + 2 * FARTHER)
+    return ((1 - _AHEAD) * place + _AHEAD * ahead - here) * cell

@@ -1,0 +1,61 @@
+"""What is foreseen of manoeuvres and searched among them: against what the simulator then does, and brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nnql_bullet.agents.foresight import Foresight, SearchOptions
+from nnql_bullet.env import MANOEUVRES, Navigation
+from nnql_bullet.mapping.foresight import LASTS, MOST_ROOM, ROOM
+from nnql_bullet.sim.kinematic import KinematicSimulator
+from nnql_bullet.task import TaskOptions
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.worlds.source import World
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    its = VehicleSpec.load("tricycle")
+    return replace(its, sensor=replace(its.sensor, rays=720))
+
+
+def set_out(vehicle, boxes):
+    """24 vehicles at one start among boxes, and what they foresee."""
+    drive = DriveOptions()
+    world = World.from_boxes(boxes, name="boxes").draw(seed=0)
+    navigation = Navigation(KinematicSimulator(vehicle, drive, MANOEUVRES, 1), TaskOptions())
+    navigation.reset(dict.fromkeys(range(MANOEUVRES), world))
+    foresight = Foresight(vehicle, drive)
+    look = foresight.look(foresight.nothing(MANOEUVRES), navigation.observation)
+    return navigation, foresight, look
+
+
+def test_every_manoeuvre_comes_as_near_as_foreseen(vehicle):
+    x, y = World.load("paper").start
+    boxes = [(x + 1.2, y - 0.6, 0.8, 0.8), (x - 0.7, y + 1.1, 1.0, 0.6), (x + 0.9, y + 2.1, 0.6, 0.6)]
+    navigation, foresight, look = set_out(vehicle, boxes)
+    actions = np.arange(MANOEUVRES)
+    foreseen = look.foreseen[actions, actions]
+    t = navigation.step(actions)
+    room = np.minimum(t.motion.clearance, MOST_ROOM)
+    assert (room < MOST_ROOM).sum() > MANOEUVRES / 2
+    assert np.abs(foreseen[:, ROOM] - room)[~t.motion.touching].max() < 0.03
+    assert (foreseen[t.motion.touching, ROOM] < 0.03).all()
+    assert (foreseen[~t.motion.touching & (foreseen[:, ROOM] > 0.03), LASTS] > 0.25).all()
+    after = foresight.after(look, navigation.observation, actions)
+    assert np.array_equal(after.age, np.ones(MANOEUVRES))
+
+
+def test_a_deeper_search_does_not_choose_what_leads_to_a_contact(vehicle):
+    """One step ahead it may turn toward the wall; it never chooses what cannot be followed by a stop."""
+    x, y = World.load("paper").start
+    navigation, foresight, look = set_out(vehicle, [(x + 2.5, y + 2.5, 0.5, 8.0), (x, y + 4.5, 8.0, 0.5)])
+    for depth in (1, 3):
+        scores, then = foresight.searched(look, navigation.observation, SearchOptions(depth=depth))
+        assert scores.shape == (MANOEUVRES, MANOEUVRES)
+        assert (scores == scores[0]).all()
+        best = int(scores[0].argmax())
+        assert look.foreseen[0, best, LASTS] == 1.0
+        assert (then[0] >= 0) == (depth > 1)
