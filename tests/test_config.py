@@ -79,8 +79,14 @@ def refusal(cls, values):
             {"front": {"raduis": 1}},
             "unknown key 'front.raduis' (did you mean 'front.radius'?); valid keys: colour, radius",
         ),
-        ({"drive": {"kind": "engine", "length": 2}}, "unknown key 'drive.length' (it belongs to kind 'pedals'); valid keys: kind, power"),
-        ({"drive": {"kind": "pedals", "power": 2}}, "unknown key 'drive.power'; valid keys: kind, length, wheel"),
+        (
+            {"drive": {"kind": "engine", "length": 2}},
+            "unknown key 'drive.length' (it belongs to kind 'pedals'); valid keys: kind, power",
+        ),
+        (
+            {"drive": {"kind": "pedals", "power": 2}},
+            "unknown key 'drive.power' (it belongs to kind 'engine'); valid keys: kind, length, wheel",
+        ),
         (
             {"drive": {"kind": "pedals", "wheel": {"radius": 1, "x": 1}}},
             "unknown key 'drive.wheel.x'; valid keys: colour, radius",

@@ -456,7 +456,7 @@ def test_base_that_leads_back_to_itself_is_refused(tmp_path, bases):
     [
         (
             'widht = 3.0\n[layout]\nkind = "boxes"\nboxes = []\n',
-            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: clearance, depth, layout, "
+            r"unknown key 'widht' \(did you mean 'width'\?\); valid keys: at_rest, clearance, depth, layout, "
             r"max_clearance, name, obstacle_height, origin, origin_yaw_degrees, patrols, start, "
             r"start_yaw_degrees, target, target_radius, waypoints, width",
         ),
