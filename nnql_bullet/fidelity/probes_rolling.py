@@ -185,6 +185,14 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
     ]
 
 
+def _swing(engine: ContactEngine, angle: float, speed: float) -> None:
+    """Turns the caster to an angle from trailing [rad], rolling at the vehicle's speed straight ahead [m/s].
+
+    One at rest would slide until friction has spun up its fork.
+    """
+    engine.set_swivel(angle, -speed / engine.vehicle.casters[0].trail * sin(angle))
+
+
 def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
     """Measures the time [s] after which the caster, released `begin` short of trailing, stays within `end` [rad].
 
@@ -194,7 +202,7 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
     engine.place(open_ground(), MIDDLE, speed)
     engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
     engine.run(0.2)
-    engine.set_swivel(abs(trailing - begin))
+    _swing(engine, abs(trailing - begin), speed)
     start, before, within = engine.time(), begin, nan
     while (time := engine.time() - start) < longest:
         engine.step()
@@ -254,7 +262,7 @@ def _reversing(bench: Bench) -> list[Measurement]:
             trace: list[Sample] = []
             engine.reset(open_ground())
             start = engine.advance(0.0, speed_scale=-slowly / engine.drive.speed).pose
-            engine.set_swivel(copysign(begin, turn))
+            _swing(engine, copysign(begin, turn), -slowly)
             since, motion = engine.time(), engine.advance(turn, trace, -slowly / engine.drive.speed)
             wanted, reached = degrees(turn), degrees(motion.pose.yaw - start.yaw)
             rows.append(close_to(f"turn of {wanted:.0f} deg backwards", "deg", wanted, reached, absolute=0.1))

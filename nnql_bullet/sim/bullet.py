@@ -210,10 +210,10 @@ class BulletEngine(ContactEngine):
         """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
         bullet.resetBaseVelocity(self.body, [x, y, 0.0], [0.0, 0.0, 0.0], self.client)
 
-    def set_swivel(self, angle: float) -> None:
-        """Turns the caster to an angle from trailing [rad], at rest."""
+    def set_swivel(self, angle: float, rate: float = 0.0) -> None:
+        """See `VehiclePhysics.set_swivel`."""
         for swivel in self._swivels:
-            bullet.resetJointState(self.body, swivel, angle, 0.0, self.client)
+            bullet.resetJointState(self.body, swivel, angle, rate, self.client)
 
     def twist(self, torque: float) -> None:
         """Applies a torque about the vertical to the chassis during the next physics step [N m]."""
