@@ -184,8 +184,8 @@ CONTACT = (
         name="wall",
         title="A wall takes the momentum and gives none back: free flight into it, joints locked",
         closed_form=(
-            "impulse = m (v_before - v_after); restitution 0 where it is struck. An engine feels contact up to a step late, v dt deep, "
-            "and pushes a fifth of that out again a step: rebound <= 0.2 v"
+            "impulse = m (v_before - v_after); restitution 0 where it is struck. An engine feels contact up to a step "
+            "late, v dt deep, and pushes a fifth of that out again a step: rebound <= 0.2 v"
         ),
         source=(
             "Beer and Johnston, Vector Mechanics for Engineers: Dynamics, ch. 13 (impulse and momentum, impact); "

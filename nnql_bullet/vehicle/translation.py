@@ -274,10 +274,10 @@ def suitable_limits(vehicle: VehicleSpec, mechanism: Mechanism, torque_told: boo
     turning = abs(a) * vehicle.mass * speed * rate
     by_grip = (spare * vehicle.track - turning - drag) / inertia
     least = 0.1 * YAW_ACCELERATION
-    if by_grip < least:
-        held, needed = spare * vehicle.track / RESERVE, turning + drag + inertia * least
+    held, needed = spare * vehicle.track / RESERVE, turning + drag + inertia * least
+    if held < needed:
         notes.append(
-            f"it turns with little grip or slips: its drive wheels carry {100 * share:.0f} % of the weight and hold "
+            f"its wheels slip in turns: its drive wheels carry {100 * share:.0f} % of the weight and hold "
             f"{held:.3g} N m about the vertical, and a gentle turn needs {needed:.3g} N m, of which casters that slide "
             f"take {drag:.3g}; put more weight on the drive wheels, or lower contact.ball_friction if it is less"
         )
