@@ -147,6 +147,20 @@ class TestWayPoints:
         assert again.summary.waypoint_times == summary.waypoint_times
         assert np.array_equal(again.aims, recording.aims)
 
+    @pytest.mark.parametrize("simulator", ["bullet", "mujoco"])
+    def test_are_reached_in_turn_in_contact_physics(self, simulator):
+        pytest.importorskip("mujoco" if simulator == "mujoco" else "pybullet")
+        places = (26.0, 26.0), (34.0, 24.0), (34.0, 32.0)
+        asked = {"world": "empty", "simulator": simulator, "physics": "fast", "waypoints": places}
+        recording = nb.drive("straight", **asked)
+        summary = recording.summary
+        assert summary.ending == "goal"
+        times = [*summary.waypoint_times, summary.duration]
+        assert len(times) == 3
+        assert times == sorted(times)
+        at = [recording.state_pose[np.searchsorted(recording.state_time, time - 1e-9), :2] for time in times]
+        assert all(hypot(*(here - place)) <= 2.0 + 1e-6 for here, place in zip(at, places, strict=True))
+
     def test_several_vehicles_do_as_each_alone(self, vehicle):
         worlds = [
             WorldSpec("a", seed, 100.0, 100.0, (), Pose(20.0, 20.0, 0.0), (80.0, 80.0), 2.0, 1.5, (), places)

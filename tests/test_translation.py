@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from nnql_bullet.errors import UserError
+from nnql_bullet.fidelity.probe import Bench
+from nnql_bullet.fidelity.probes import PROBES
+from nnql_bullet.fidelity.probes_contact import struck
 from nnql_bullet.geometry import Pose
 from nnql_bullet.sim.engines import contact_engine
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -127,6 +130,26 @@ def test_drive_wheels_that_spin_too_easily_get_the_inertia_of_a_motor(tmp_path: 
     again = load_vehicle(found.save(tmp_path / "robot.toml")[0])
     assert again.wheel_spin_inertia == pytest.approx(found.vehicle.wheel_spin_inertia)
     assert read_robot(written(tmp_path, WHEELS + BALL)).vehicle.wheel_spin_inertia == pytest.approx(0.002)
+
+
+def test_a_robot_whose_weight_is_on_a_ball_is_told_that_it_slips_in_turns(tmp_path: Path) -> None:
+    heavy = [link("ballast", 40.0, '<box size="0.1 0.1 0.1"/>', 0.05), joint("w", "ballast", "-0.19 0 0.2")]
+    found = read_robot(written(tmp_path, WHEELS + BALL + heavy)).table()
+    behind = (10 * 0.2 + 0.1 * 0.4 + 40 * 0.39) / 51.1  # the centre of mass, of 0.4 m to the ball
+    share = 1 - behind / 0.4
+    held, slides = 0.8 * share * 51.1 * 9.81 / 2 * 0.5, 0.1 * (1 - share) * 51.1 * 9.81 * 0.4
+    assert f"carry {100 * share:.0f} % of the weight and hold {held:.3g} N m" in found
+    assert f"casters that slide take {slides:.3g};" in found
+    assert "slip in turns" not in read_robot(written(tmp_path, WHEELS + BALL)).table()
+
+
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_a_wall_that_strikes_below_or_above_the_centre_of_mass_takes_its_momentum(tmp_path: Path, engine: str) -> None:
+    if engine == "mujoco":
+        pytest.importorskip("mujoco")
+    vehicle = read_robot(written(tmp_path, WHEELS + BALL)).vehicle
+    assert struck(vehicle) == pytest.approx((0.1, 0.0, 0.0), abs=1e-5)  # the lower edge, over the centre of mass
+    assert all(row.ok for row in PROBES["wall"].measure(Bench(vehicle, engine, "fast")))  # type: ignore[arg-type]
 
 
 def test_what_is_written_is_read_as_the_same_vehicle(tmp_path: Path) -> None:

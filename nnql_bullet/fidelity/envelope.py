@@ -20,7 +20,7 @@ from nnql_bullet.sim.base import SAMPLE_EVERY
 from nnql_bullet.sim.contact import ContactEngine
 from nnql_bullet.vehicle.controller import own_speed
 from nnql_bullet.vehicle.limits import TurnDemand, static_rear_load, tip_angle, turn_demand
-from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.payload import deck_load, fitting_mass, loaded
 from nnql_bullet.vehicle.profiles import plan_turn
 from nnql_bullet.vehicle.spec import VehicleSpec
 
@@ -147,7 +147,7 @@ def envelope_slices(vehicle: VehicleSpec) -> tuple[Slice, ...]:
         "speed": tuple(share * base.speed for share in (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)),
         "heading_change": tuple(radians(angle) for angle in (15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0)),
         "friction": (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0),
-        "payload": (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0),
+        "payload": tuple(fitting_mass(vehicle, sixths / 6) for sixths in range(7)),
     }
     return tuple(
         Slice(quantity, tuple(sorted({*points, getattr(base, quantity)})), periods, base)

@@ -163,8 +163,8 @@ def _tilt_table(bench: Bench) -> list[Measurement]:
     rows = []
     with bench.open_engine(rolling_freely(vehicle).gripping(max(1.0, 3 * tan(slope)))) as engine:
         for side, name in ((1, "left"), (-1, "right")):
-            tipped = _tilted_until_it_tips(engine, side, slope)
-            rows.append(close_to(f"slope to the {name}", "deg", degrees(slope), degrees(tipped), absolute=0.25))
+            tipped, tolerance = _tilted_until_it_tips(engine, side, slope), 0.25 * step_factor(engine)
+            rows.append(close_to(f"slope to the {name}", "deg", degrees(slope), degrees(tipped), absolute=tolerance))
     return rows
 
 

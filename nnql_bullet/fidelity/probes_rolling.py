@@ -39,9 +39,9 @@ def _acceleration(bench: Bench) -> list[Measurement]:
         engine.place(open_ground(), MIDDLE, 0.0)
         engine.command_wheels(OUT_OF_REACH, OUT_OF_REACH)
         engine.run(1.0)
-        speed, time = engine.speed(), engine.time()
+        speed, time, tolerance = engine.speed(), engine.time(), 1e-3 * step_factor(engine)
     expected = 2 * torque * time / (vehicle.wheel_radius * vehicle.rolling_mass)
-    return [close_to("speed after 1 s", "m/s", expected, speed, relative=1e-3)]
+    return [close_to("speed after 1 s", "m/s", expected, speed, relative=tolerance)]
 
 
 def _coast(bench: Bench) -> list[Measurement]:
@@ -87,10 +87,10 @@ def _straight(bench: Bench) -> list[Measurement]:
         engine.reset(open_ground())
         periods = round(20.0 / engine.drive.decision_period)
         path_length = sum(engine.advance(0.0).path_length for _ in range(periods))
-        expected, pose = engine.drive.speed * engine.time(), engine.pose()
+        expected, pose, tolerance = engine.drive.speed * engine.time(), engine.pose(), 2e-4 * step_factor(engine)
     return [
-        close_to("distance in 20 s", "m", expected, pose.x - MIDDLE.x, relative=2e-4),
-        close_to("path length", "m", expected, path_length, relative=2e-4),
+        close_to("distance in 20 s", "m", expected, pose.x - MIDDLE.x, relative=tolerance),
+        close_to("path length", "m", expected, path_length, relative=tolerance),
         at_most("sideways", "mm", 10.0 * bench.size, 1e3 * abs(pose.y - MIDDLE.y)),
         at_most("change of heading", "deg", 0.02, degrees(abs(pose.yaw))),
     ]
@@ -175,14 +175,24 @@ def _steady_turn(bench: Bench) -> list[Measurement]:
         v = engine.drive.speed
         w = min(grip_acceleration(vehicle) / 3 / v, tip_acceleration(vehicle) / 3 / v, vehicle.limits.yaw_rate)
         *loads, speed, yaw_rate = _turn_steadily(engine, v, w).tolist()
+        # An engine may state velocities of the pose before the step, which has turned since: by so much it reads fast.
+        turned_on = abs(vehicle.com_ahead) * w * w * engine.time_step
     inner, outer, front = quasi_steady(vehicle, v, np.array([w]), np.zeros(1)).loads[0].tolist()
     return [
-        close_to("speed", "m/s", v, speed, relative=2e-3),
+        close_to("speed", "m/s", v, speed, absolute=2e-3 * v + turned_on),
         close_to("yaw rate", "rad/s", w, yaw_rate, relative=7e-3),
         close_to("load on inner wheel", "N", inner, loads[0], relative=1.5e-2),
         close_to("load on outer wheel", "N", outer, loads[1], relative=1.5e-2),
         close_to("load on caster", "N", front, loads[2], relative=1.5e-2),
     ]
+
+
+def _swing(engine: ContactEngine, angle: float, speed: float) -> None:
+    """Turns the caster to an angle from trailing [rad], rolling at the vehicle's speed straight ahead [m/s].
+
+    One at rest would slide until friction has spun up its fork.
+    """
+    engine.set_swivel(angle, -speed / engine.vehicle.casters[0].trail * sin(angle))
 
 
 def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: float, longest: float) -> float:
@@ -194,7 +204,7 @@ def _trailing_after(engine: ContactEngine, speed: float, begin: float, end: floa
     engine.place(open_ground(), MIDDLE, speed)
     engine.command_wheels(*(speed / engine.vehicle.wheel_radius,) * 2)
     engine.run(0.2)
-    engine.set_swivel(abs(trailing - begin))
+    _swing(engine, abs(trailing - begin), speed)
     start, before, within = engine.time(), begin, nan
     while (time := engine.time() - start) < longest:
         engine.step()
@@ -254,7 +264,7 @@ def _reversing(bench: Bench) -> list[Measurement]:
             trace: list[Sample] = []
             engine.reset(open_ground())
             start = engine.advance(0.0, speed_scale=-slowly / engine.drive.speed).pose
-            engine.set_swivel(copysign(begin, turn))
+            _swing(engine, copysign(begin, turn), -slowly)
             since, motion = engine.time(), engine.advance(turn, trace, -slowly / engine.drive.speed)
             wanted, reached = degrees(turn), degrees(motion.pose.yaw - start.yaw)
             rows.append(close_to(f"turn of {wanted:.0f} deg backwards", "deg", wanted, reached, absolute=0.1))

@@ -14,7 +14,7 @@ from nnql_bullet.fidelity.turning import mean_forces
 from nnql_bullet.sim.base import SAMPLE_EVERY
 from nnql_bullet.vehicle.controller import DriveOptions, own_speed
 from nnql_bullet.vehicle.limits import Braking, braking, braking_rear_load, static_rear_load
-from nnql_bullet.vehicle.payload import deck_load, loaded
+from nnql_bullet.vehicle.payload import deck_load, fitting_mass, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 STANDSTILL_SPEED = 0.01
@@ -84,7 +84,8 @@ class SafeSpeed:
 def stopping_tasks(bench: Bench) -> list[StopTask]:
     """Lists tasks for all stops: several speeds, loads and frictions, including the vehicle's own."""
     frictions = sorted({0.4, 0.6, 0.8, bench.vehicle.contact.wheel_friction})
-    conditions = [StopConditions(payload, friction) for friction in frictions for payload in (0.0, 40.0, 80.0)]
+    payloads = [fitting_mass(bench.vehicle, thirds / 3) for thirds in range(3)]
+    conditions = [StopConditions(payload, friction) for friction in frictions for payload in payloads]
     half = own_speed(bench.vehicle) / 2
     cases = [(each, half * count) for each in conditions for count in range(1, 13)]
     return [StopTask(bench, each, speed, number) for number, (each, speed) in enumerate(cases)]

@@ -63,8 +63,11 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 STRAIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 """The orientation that is no rotation."""
 
-USUAL_SUPPORTS = 3
-"""Wheels and casters of the vehicle that `PHYSICS` is stated for."""
+USUAL_SUPPORTS, USUAL_BURDEN = 3, 23.0
+"""Wheels and casters of the vehicles that `PHYSICS` is stated for, and the most mass that a drive wheel of theirs
+carries, over what its own inertia counts for as it rolls."""
+MOST_BURDENED = 4.0
+"""Largest factor of the solver's rounds for light wheels."""
 
 LOCK = 1e4
 """Torque that holds a locked joint [N m]."""
@@ -95,12 +98,15 @@ def suited(physics: Physics, vehicle: VehicleSpec) -> Physics:
     """Returns the settings, which are stated for the shipped vehicle, for another one.
 
     The solver goes from contact to contact and stops when none misses its speed by more than the root of the residual.
-    The misses of all add up in the vehicle's speed, and are to be small against it; more contacts need more rounds.
+    The misses of all add up in the vehicle's speed, and are to be small against it; more contacts need more rounds. So
+    do light wheels under a heavy body, of whose speed a round puts right only the share that a wheel's inertia has.
     """
     supports, pace = len(vehicle.contacts) / USUAL_SUPPORTS, min(own_speed(vehicle) / paper.SPEED, 1.0)
+    carried, wheel = vehicle.mass * vehicle.rear_share / 2, vehicle.wheel_spin_inertia / vehicle.wheel_radius**2
+    burden = min(carried / USUAL_BURDEN / wheel, MOST_BURDENED) if wheel else MOST_BURDENED
     return replace(
         physics,
-        iterations=ceil(physics.iterations * supports),
+        iterations=ceil(physics.iterations * supports * max(burden, 1.0)),
         residual=physics.residual * (pace / supports) ** 2,
     )
 
@@ -210,10 +216,10 @@ class BulletEngine(ContactEngine):
         """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
         bullet.resetBaseVelocity(self.body, [x, y, 0.0], [0.0, 0.0, 0.0], self.client)
 
-    def set_swivel(self, angle: float) -> None:
-        """Turns the caster to an angle from trailing [rad], at rest."""
+    def set_swivel(self, angle: float, rate: float = 0.0) -> None:
+        """See `VehiclePhysics.set_swivel`."""
         for swivel in self._swivels:
-            bullet.resetJointState(self.body, swivel, angle, 0.0, self.client)
+            bullet.resetJointState(self.body, swivel, angle, rate, self.client)
 
     def twist(self, torque: float) -> None:
         """Applies a torque about the vertical to the chassis during the next physics step [N m]."""

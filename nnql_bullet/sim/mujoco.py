@@ -124,10 +124,10 @@ class MujocoEngine(ContactEngine):
         """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
         self._velocity[:6] = x, y, 0.0, 0.0, 0.0, 0.0
 
-    def set_swivel(self, angle: float) -> None:
-        """Turns the caster to an angle from trailing [rad], at rest."""
+    def set_swivel(self, angle: float, rate: float = 0.0) -> None:
+        """See `VehiclePhysics.set_swivel`."""
         self._position[self._joint_angles[2::2]] = angle
-        self._velocity[self._joint_rates[2::2]] = 0.0
+        self._velocity[self._joint_rates[2::2]] = rate
 
     def twist(self, torque: float) -> None:
         """Applies a torque about the vertical to the chassis during the next physics step [N m]."""

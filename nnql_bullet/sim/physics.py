@@ -136,8 +136,8 @@ class VehiclePhysics(ABC):
         """Sets the velocity of the chassis [m/s] and a yaw rate of zero; the joints keep their speeds."""
 
     @abstractmethod
-    def set_swivel(self, angle: float) -> None:
-        """Turns the casters that swivel to an angle from trailing [rad], at rest."""
+    def set_swivel(self, angle: float, rate: float = 0.0) -> None:
+        """Turns the casters that swivel to an angle from trailing [rad], where they swivel at a rate [rad/s]."""
 
     @abstractmethod
     def twist(self, torque: float) -> None:

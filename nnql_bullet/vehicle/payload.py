@@ -8,18 +8,30 @@ import numpy as np
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.vehicle.description import for_physics, parse, root_of, text_of
+from nnql_bullet.vehicle.scale import length_scale
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 from nnql_bullet.vehicle.stances import margin
 
 LINK = "payload"
 """Name of the load's link in the URDF, fixed to the base."""
 LOAD_HEIGHT = 0.55
-"""Default height of the centre of a load above the ground [m]."""
+"""Height of the centre of a load above the ground, on the shipped vehicle [m]."""
 
 
-def deck_load(vehicle: VehicleSpec, mass: float, height: float = LOAD_HEIGHT) -> Payload:
-    """Makes a load of a mass [kg] on the middle of the deck; `height` is that of its centre above the ground [m]."""
-    return Payload(mass, vehicle.footprint.x, height)
+def deck_load(vehicle: VehicleSpec, mass: float, height: float | None = None) -> Payload:
+    """Makes a load of a mass [kg] on the middle of the deck.
+
+    `height` is that of its centre above the ground [m]; without one, size and height are those on the shipped vehicle,
+    smaller as the vehicle is.
+    """
+    scale = min(length_scale(vehicle.footprint), 1.0)
+    usual = Payload(mass, vehicle.footprint.x, LOAD_HEIGHT if height is None else height)
+    return usual if height is not None else replace(usual, height=scale * usual.height, side=scale * usual.side)
+
+
+def fitting_mass(vehicle: VehicleSpec, share: float) -> float:
+    """Returns the mass of a load that is a share of the vehicle's own, to two digits [kg]."""
+    return float(f"{share * vehicle.mass:.2g}")
 
 
 def loaded(vehicle: VehicleSpec, payload: Payload) -> VehicleSpec:

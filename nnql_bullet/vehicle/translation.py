@@ -273,12 +273,20 @@ def suitable_limits(vehicle: VehicleSpec, mechanism: Mechanism, torque_told: boo
     inertia = vehicle.yaw_inertia + vehicle.mass * a * a
     turning = abs(a) * vehicle.mass * speed * rate
     by_grip = (spare * vehicle.track - turning - drag) / inertia
-    yaw_acceleration = max(min(YAW_ACCELERATION, by_grip), 0.1 * YAW_ACCELERATION)
+    least = 0.1 * YAW_ACCELERATION
+    held, needed = spare * vehicle.track / RESERVE, turning + drag + inertia * least
+    if held < needed:
+        notes.append(
+            f"its wheels slip in turns: its drive wheels carry {100 * share:.0f} % of the weight and hold "
+            f"{held:.3g} N m about the vertical, and a gentle turn needs {needed:.3g} N m, of which casters that slide "
+            f"take {drag:.3g}; put more weight on the drive wheels, or lower contact.ball_friction if it is less"
+        )
+    yaw_acceleration = max(min(YAW_ACCELERATION, by_grip), least)
     if torque_told:
         push = RESERVE * vehicle.wheel_torque / vehicle.wheel_radius
         acceleration = min(acceleration, 2 * push / vehicle.rolling_mass)
         by_torque = (push * vehicle.track - turning - drag) / inertia
-        yaw_acceleration = max(min(yaw_acceleration, by_torque), 0.1 * YAW_ACCELERATION)
+        yaw_acceleration = max(min(yaw_acceleration, by_torque), least)
         return _limits(rate, yaw_acceleration, acceleration, speed), notes
     force = max(vehicle.rolling_mass * acceleration / 2, (inertia * yaw_acceleration + turning + drag) / vehicle.track)
     torque = force * vehicle.wheel_radius / RESERVE
