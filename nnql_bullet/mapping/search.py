@@ -30,6 +30,11 @@ _MOST_OF_ONE = 3
 """Most states of one first manoeuvre among those that are driven on, so that several stay."""
 _AHEAD = 0.5
 """What the way from a place ahead counts beside that from the end of a course."""
+_EARLIER = 0.1
+"""What the way left after every manoeuvre counts beside that in the end: progress at once is better than later."""
+_IDLE, _SAME = 2.0, 0.01
+"""What it costs to stay at a pose for a decision, over the length scale [m]; and how far that reaches [m, rad]. A plan
+that begins with it is the same at the next decision, and never begins."""
 _BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
 _KEPT = 0.7
@@ -48,6 +53,7 @@ def searched(
     poses: Array,
     targets: Array,
     rays: Array,
+    moving: Array,
     speeds: Array,
     yaw_rates: Array,
     turns: Array,
@@ -71,6 +77,7 @@ def searched(
         poses: Of the vehicles, in the landmark's frame (n, 3).
         targets: Places of the targets (n, 2) [m].
         rays: Distances of the last scan (n, r) [m].
+        moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
         yaw_rates: (n,) [rad/s]
         turns: Heading changes of the manoeuvres (n, m) [rad].
@@ -87,7 +94,7 @@ def searched(
     """
     n, m = turns.shape
     then = np.full(n, -1)
-    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 2))
+    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 4))
     most = max(m, width * len(follow))
     states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
     roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
@@ -96,8 +103,9 @@ def searched(
         factors = cost_factors(cells[i], offsets[i])
         left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
         here = cost_at(left, corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
-        near = points[: points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], mover, points)]
-        _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 1, near, mover, room)
+        count = points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], moving[i], mover, points)
+        near = points[:count]
+        _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 1, near, mover, room)
         least = min(margin, _KEPT * now)
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
@@ -114,7 +122,19 @@ def searched(
                 start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
-                    end, cost, lasts = _tried(start, turns[i, action], goals[action], near, room, weight, least, mover)
+                    end, cost, lasts = _tried(
+                        *(
+                            start,
+                            level * mover.period,
+                            turns[i, action],
+                            goals[action],
+                            near,
+                            room,
+                            weight,
+                            least,
+                            mover,
+                        )
+                    )
                     if lasts < 1.0:
                         if level == 0:
                             scores[i, k] = WORST + 10.0 * lasts
@@ -122,8 +142,10 @@ def searched(
                     value = _way(end, left, factors, corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
+                    if level == 0 and max(abs(end[0]), abs(end[1]), abs(end[2])) < _SAME:
+                        cost += _IDLE * mover.scale
                     states[new, made] = end
-                    costs[new, made] = costs[old, j] + cost
+                    costs[new, made] = costs[old, j] + cost + _EARLIER * value
                     roots[new, made] = k if level == 0 else roots[old, j]
                     seconds[new, made] = action if level == 1 else seconds[old, j] if level > 1 else -1
                     values[made] = -value - costs[new, made]
@@ -153,6 +175,7 @@ def searched(
 @njit(nogil=True)
 def _tried(
     start: State,
+    time: float,
     turn: float,
     goal: float,
     points: Array,
@@ -162,12 +185,12 @@ def _tried(
     mover: Mover,
 ) -> tuple[State, float, float]:
     """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
-    end, driven, lasts = course(start, turn, goal, mover.period, _POSES, points, mover, room)
+    end, driven, lasts = course(start, time, turn, goal, mover.period, _POSES, points, mover, room)
     if driven < least:
         return end, 0.0, lasts / (_POSES + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
     count = _STOPPING if stop > 0.0 else 0
-    _, then, more = course(end, 0.0, 0.0, stop, count, points, mover, room)
+    _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, count, points, mover, room)
     if then < least:
         return end, 0.0, (_POSES + more) / (_POSES + _STOPPING + 1)
     return end, weight * (room - min(driven, then)), 1.0
