@@ -23,7 +23,7 @@ def found(speed, direction, moved, away=3.0):
     v = velocities(scans[1], scans[0], place, before, np.zeros(2), angles, RANGE, PERIOD, FASTEST, 1.0)[0]
     c, s = np.cos(moved[2]), np.sin(moved[2])
     v = v @ np.array([[c, s], [-s, c]])
-    ahead = np.abs(moved[2] + angles) < np.pi / 2
+    ahead = np.cos(moved[2] + angles) > 0.0
     assert not v[~ahead].any()
     return v[v.any(axis=-1)]
 

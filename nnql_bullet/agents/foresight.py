@@ -40,6 +40,8 @@ SCANS = 3
 """Scans that it sees at once, by which it may tell what moves."""
 FAR = 50.0
 """Upper bound on the target's distance, over the length scale [m]."""
+TRAIL = 32
+"""Decisions for which a vehicle remembers its poses."""
 FASTEST = 0.6
 """Largest speed of an obstacle, over the drive's."""
 MOST_PROGRESS = 2.0
@@ -86,6 +88,8 @@ class Memory:
     """Decisions in the episode so far (n,)."""
     poses: Array
     """Poses at the last decision, in the frame of `grid_map` (n, 3)."""
+    trails: Array
+    """Poses at the last decisions likewise, the newest first (n, TRAIL, 3); NaN for none."""
     steps: Array
     """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
     corners: NDArray[np.int64]
@@ -171,6 +175,7 @@ class Foresight:
         return Memory(
             age=np.zeros(size, np.int64),
             poses=np.zeros((size, 3)),
+            trails=np.full((size, TRAIL, 3), np.nan),
             steps=np.zeros((size, 2)),
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, SIDE, SIDE), np.int8),
@@ -187,6 +192,8 @@ class Foresight:
         later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
         before = np.where(new[:, None], poses, memory.poses)
+        trails = np.where(new[:, None, None], np.nan, np.roll(memory.trails, 1, axis=1))
+        trails[:, 0] = poses
         corners, cells, offsets = memory.corners.copy(), memory.cells.copy(), memory.offsets.copy()
         cells[new] = body_map.UNSEEN
         rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
@@ -210,6 +217,7 @@ class Foresight:
             memory,
             planned=np.where(new, -1, memory.planned),
             poses=poses,
+            trails=trails,
             corners=corners,
             cells=cells,
             offsets=offsets,
@@ -231,6 +239,7 @@ class Foresight:
             m.offsets,
             m.corners,
             m.poses,
+            m.trails,
             look.targets,
             rays,
             look.moving,

@@ -199,10 +199,10 @@ def points_near(
 @njit(nogil=True)
 def _beside(x: float, y: float, points: Array, most: float) -> bool:
     """Whether a place is less than a distance from one of the points (k, 4) [m]."""
+    found = False
     for k in range(len(points)):
-        if (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < most * most:
-            return True
-    return False
+        found = found or (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < most * most
+    return found
 
 
 @njit(nogil=True)

@@ -24,17 +24,19 @@ from nnql_bullet.mapping.foresight import Mover, State, course, points_near
 
 WORST = -30.0
 """Least score, of a manoeuvre that meets something [m]."""
-_POSES, _STOPPING = 3, 4
-"""Poses at which clearances are computed while a manoeuvre is driven, and while the vehicle then brakes."""
+_FIRST, _POSES, _STOPPING = 6, 3, 4
+"""Poses at which clearances are computed while the first manoeuvre is driven, and while a later one is, and while the
+vehicle then brakes."""
 _MOST_OF_ONE = 3
 """Most states of one first manoeuvre among those that are driven on, so that several stay."""
 _AHEAD = 0.5
 """What the way from a place ahead counts beside that from the end of a course."""
 _EARLIER = 0.1
 """What the way left after every manoeuvre counts beside that in the end: progress at once is better than later."""
-_IDLE, _SAME = 2.0, 0.01
-"""What it costs to stay at a pose for a decision, over the length scale [m]; and how far that reaches [m, rad]. A plan
-that begins with it is the same at the next decision, and never begins."""
+_AGAIN = 0.5
+"""What it costs to come back to a pose, each time, over the length scale [m]; without it plans repeat each other."""
+_SAME = 0.15, 0.25
+"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 _BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
 _KEPT = 0.7
@@ -51,6 +53,7 @@ def searched(
     offsets: Offsets,
     corners: NDArray[np.int64],
     poses: Array,
+    trails: Array,
     targets: Array,
     rays: Array,
     moving: Array,
@@ -75,6 +78,7 @@ def searched(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
+        trails: Poses at the last decisions and now, likewise (n, t, 3); NaN for none.
         targets: Places of the targets (n, 2) [m].
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
@@ -113,6 +117,7 @@ def searched(
         scores[i], nexts[:] = WORST, -1
         for level in range(depth):
             old, new = level % 2, (level + 1) % 2
+            time, poses_each = level * mover.period, _FIRST if level == 0 else _POSES
             made = 0
             if level > 0:  # those that are driven on are worth what follows; the others were worse, and stay so
                 scores[i] -= _DROPPED * mover.scale
@@ -123,17 +128,7 @@ def searched(
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
                     end, cost, lasts = _tried(
-                        *(
-                            start,
-                            level * mover.period,
-                            turns[i, action],
-                            goals[action],
-                            near,
-                            room,
-                            weight,
-                            least,
-                            mover,
-                        )
+                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, least, mover
                     )
                     if lasts < 1.0:
                         if level == 0:
@@ -142,8 +137,7 @@ def searched(
                     value = _way(end, left, factors, corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
-                    if level == 0 and max(abs(end[0]), abs(end[1]), abs(end[2])) < _SAME:
-                        cost += _IDLE * mover.scale
+                    cost += _AGAIN * mover.scale * _visits(end, trails[i], poses[i], mover.scale)
                     states[new, made] = end
                     costs[new, made] = costs[old, j] + cost + _EARLIER * value
                     roots[new, made] = k if level == 0 else roots[old, j]
@@ -173,11 +167,24 @@ def searched(
 
 
 @njit(nogil=True)
+def _visits(end: State, trail: Array, pose: Array, scale: float) -> int:
+    """How often a vehicle was at a state's pose (k, 3)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    count = 0
+    for k in range(len(trail)):
+        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
+        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
+    return count
+
+
+@njit(nogil=True)
 def _tried(
     start: State,
     time: float,
     turn: float,
     goal: float,
+    poses: int,
     points: Array,
     room: float,
     weight: float,
@@ -185,14 +192,14 @@ def _tried(
     mover: Mover,
 ) -> tuple[State, float, float]:
     """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
-    end, driven, lasts = course(start, time, turn, goal, mover.period, _POSES, points, mover, room)
+    end, driven, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
     if driven < least:
-        return end, 0.0, lasts / (_POSES + _STOPPING)
+        return end, 0.0, lasts / (poses + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
     count = _STOPPING if stop > 0.0 else 0
     _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, count, points, mover, room)
     if then < least:
-        return end, 0.0, (_POSES + more) / (_POSES + _STOPPING + 1)
+        return end, 0.0, (poses + more) / (poses + _STOPPING + 1)
     return end, weight * (room - min(driven, then)), 1.0
 
 

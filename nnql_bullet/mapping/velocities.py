@@ -128,7 +128,7 @@ def _shift(places: Array, outline: Array, gap: float, cap: float, most: float) -
 
 @njit(nogil=True)
 def _distance(x: float, y: float, outline: Array, gap: float, most: float) -> float:
-    """The distance of a place from points (r, 2), and the lines between neighbours at most a gap apart, up to `most`."""
+    """The distance of a place from points (r, 2) and the lines between neighbours, up to `most`."""
     nearest = most * most
     for j in range(len(outline)):
         ax, ay = outline[j - 1]  # the last is the neighbour of the first
