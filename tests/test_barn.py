@@ -121,11 +121,11 @@ class TestWorlds:
 
 class TestProtocol:
     def test_9_of_the_10_m_are_driven_at_2_m_per_s(self, here: Path) -> None:
-        """The target is reached within 1 m of it: after 4.5 s, in the 9th or 10th decision."""
+        """The target is reached within 1 m of it: after 4.5 s, and v / 2 a to get to 2 m/s from rest with 2 m/s2."""
         results = drive("straight", n_worlds=1)
         (it,) = results.drives
         assert (it["world"], it["ending"], it["path_length"]) == (0, "goal", pytest.approx(9.0, abs=1e-6))
-        assert it["time"] == pytest.approx(4.5, abs=1e-6)
+        assert it["time"] == pytest.approx(9 / 2 + 2 / (2 * 2), abs=1e-6)
         assert it["score 2-8 OT"] == 0.5
         assert it["score 4-8 OT"] == 0.25
         assert it["optimal_time"] == pytest.approx(reference_length(here / "BARN/path_files/path_0.npy") / 2)
@@ -163,7 +163,7 @@ class TestVerb:
         assert "1 of 2 worlds have no path_N.npy" in out
         values = json.loads((here / "out" / "results.json").read_text())
         (row,) = values["rows"]
-        assert (row["worlds"], row["outcomes"]["goal"][0], row["time"]) == (2, 0.5, pytest.approx(4.5))
+        assert (row["worlds"], row["outcomes"]["goal"][0], row["time"]) == (2, 0.5, pytest.approx(5.0))
         assert row["scores"]["2-8 OT"][0] == 0.25
         assert [(its["number"], its["given"]) for its in values["worlds"]] == [(0, True), (2, False)]
         assert "| straight | collision | 2 |" in (here / "out" / "barn.md").read_text()

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+import nnql_bullet as nb
 from nnql_bullet.cli import main
 from nnql_bullet.cli.parser import VERBS
 from nnql_bullet.errors import UserError, WorkerDied, WorkFailed
@@ -72,6 +73,28 @@ class TestJson:
         code, out, _ = run_cli(verb, "straight", "--sim", "kinematic", *some, "--out", tmp_path / "out", "--json")
         assert code == 0
         assert isinstance(json.loads(out), dict)
+
+    def test_so_it_is_of_robots_and_worlds(
+        self, run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_world: Path
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        Path("maps").mkdir()
+        answers = [
+            run_cli(*words, "--json")
+            for words in (
+                ("robot", nb.Vehicle.load("tricycle").urdf, "--write", "mine.toml"),
+                ("worlds", "list"),
+                ("worlds", "show", small_world, "--out", "small.png"),
+                ("worlds", "export", small_world, "--out", "maps/small.world"),
+                ("worlds", "import", "maps/small.world", "--out", "small.toml"),
+                ("worlds", "import", "maps", "--out", "all"),
+            )
+        ]
+        assert [code for code, *_ in answers] == [0] * 6
+        robot, _, shown, exported, imported, every = (json.loads(out) for _, out, _ in answers)
+        assert robot["track"] == pytest.approx(0.6)
+        assert exported["files"] == ["maps/small.world"]
+        assert shown["boxes"] == imported["boxes"] == every[0]["boxes"]
 
     @pytest.mark.parametrize(
         "words",

@@ -169,6 +169,7 @@ class TestFiles:
         with pytest.raises(UserError, match="unpacks to more than"):
             nb.Recording.load(bomb)
 
+    @pytest.mark.usefixtures("compiled_kernels")
     @pytest.mark.parametrize(
         "words",
         [

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from functools import partial
 from math import ceil, floor, hypot, pi, radians
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.learning.genetic import GeneticOptions
@@ -25,7 +24,7 @@ from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.env import MOST_YAW_RATE, TOWARD_TARGET
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract
+from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
 from nnql_bullet.vehicle.scale import length_scale, scaled
@@ -61,15 +60,44 @@ class Operations:
 
 
 _N = Operations
-Body = tuple[str, dict[str, Any], Operations]
-"""Template of a kind's functions, what it needs, and the operations of these."""
+FRAME = 128
+"""Stack that a call takes beside its arrays, generously: variables, saved registers, return address [bytes]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a decision takes in the worst case."""
+
+    operations: Operations
+    stack: int
+    """Of its deepest calls together [bytes]."""
+
+    def text(self) -> str:
+        """In words."""
+        return f"{self.operations.text()}; {self.stack} bytes of stack"
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """The functions of a kind of policies."""
+
+    template: str
+    values: dict[str, Any]
+    """What the template needs."""
+    operations: Operations
+    arrays: int = 0
+    """Numbers in the arrays of its deepest calls."""
+    depth: int = 1
+    """Of its calls."""
+
+
 _TOWARD = _N(additions=1, comparisons=2)
 _NEAREST = len(paper.TURNS) * _N(additions=1, comparisons=2) + _N(additions=1, comparisons=1) + _TOWARD
 _LARGEST = _N(comparisons=len(paper.TURNS) - 1)
 
 
-def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str], Operations]:
-    """The source files of a policy, by name, and the operations of a decision in the worst case.
+def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str], Cost]:
+    """The source files of a policy, by name, and what a decision takes.
 
     Raises:
         UserError: If the policy cannot be written in C.
@@ -80,15 +108,16 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
         raise UserError(
             f"{contract.policy}: a policy of kind '{options.kind}' cannot be written in C; these can: {kinds}"
         )
-    body, values, own = _BODIES[type(options)](contract, experiment)
+    body = _BODIES[type(options)](experiment, options)
     asks = any(signal.name == "safe" for signal in contract.outputs)
     d = contract.distances
     checks = d * _N(comparisons=2) + _N(comparisons=6) + d * _N(comparisons=1)
-    operations = checks + own + _TOWARD + (d * _N(comparisons=1) if asks else _N())
-    values |= {
+    operations = checks + body.operations + _TOWARD + (d * _N(comparisons=1) if asks else _N())
+    cost = Cost(operations, 4 * (d + body.arrays) + FRAME * (1 + body.depth))
+    values = body.values | {
         "contract": contract,
         "version": __version__,
-        "body": f"{body}.c.j2",
+        "body": f"{body.template}.c.j2",
         "asks": asks,
         "uses_nearest": type(options) in (FuzzyOptions, PotentialFieldOptions, VfhOptions),
         "turns": paper.TURNS,
@@ -99,7 +128,7 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
         "widest_bearing": WIDEST_BEARING,
         "most_yaw_rate": MOST_YAW_RATE,
     }
-    return {name: rendered(f"{name}.j2", values) for name in (HEADER, SOURCE, EXAMPLE)}, operations
+    return {name: rendered(f"{name}.j2", values) for name in (HEADER, SOURCE, EXAMPLE)}, cost
 
 
 def rendered(template: str, values: Mapping[str, Any]) -> str:
@@ -125,16 +154,12 @@ def _table(rows: Iterable[ArrayLike]) -> str:
     return "{\n    " + ",\n    ".join(map(_row, rows)) + "\n}"
 
 
-def _state(experiment: Experiment) -> Mapping[str, NDArray[Any]]:
-    return experiment.trainable.state_dict()
-
-
-def _network(encoding: str | None, contract: Contract, experiment: Experiment) -> Body:
-    """The paper's network; its encoding is the agent's own, or this."""
-    w1, b1, w2, b2 = (_state(experiment)[name] for name in ("0.weight", "0.bias", "2.weight", "2.bias"))
+def _network(experiment: Experiment, options: NnqlOptions | GeneticOptions) -> Body:
+    """The paper's network."""
+    w1, b1, w2, b2 = (experiment.trainable.state_dict()[name] for name in ("0.weight", "0.bias", "2.weight", "2.bias"))
     values = {
         **{"w1": w1, "b1": b1, "w2": w2, "b2": b2},
-        "encoding": encoding or getattr(experiment.config.agent, "encoding", ""),
+        "encoding": encoding_of(options),
         "full_scale": paper.SENSOR_RANGE * length_scale(experiment.vehicle.footprint),
     }
     hidden, inputs = w1.shape
@@ -142,45 +167,44 @@ def _network(encoding: str | None, contract: Contract, experiment: Experiment) -
     encoded = inputs * _N(additions=int(proximity), divisions=1, comparisons=1)
     sums = (hidden * inputs + len(w2) * hidden) * _N(additions=1, multiplications=1)
     units = hidden * _N(additions=2, divisions=1, functions=1)
-    return "network", values, encoded + sums + units + _LARGEST
+    return Body("network", values, encoded + sums + units + _LARGEST, arrays=inputs + hidden)
 
 
-def _q_table(contract: Contract, experiment: Experiment) -> Body:
+def _q_table(experiment: Experiment, o: QTableOptions) -> Body:
     """Its table, with zeros where it never was."""
-    o = experiment.config.agent
-    if not isinstance(o, QTableOptions) or o.states > MOST_ROWS or not o.edges or not o.sectors:
-        raise UserError(f"{contract.policy}: a table is written with 2 to {MOST_ROWS} states; this one has others")
-    learned = _state(experiment)
+    if not 1 < o.states <= MOST_ROWS:
+        raise UserError(f"a table of {o.states} states is not exported; it has to have 2 to {MOST_ROWS}")
+    learned = experiment.trainable.state_dict()
     table = np.zeros((o.states, len(paper.TURNS)))
     table[learned["states"]] = learned["values"]
     edges = length_scale(experiment.vehicle.footprint) * np.array(o.edges)
     operations = len(o.edges) * len(o.sectors) * _N(comparisons=1) + _LARGEST
-    return "q_table", {"edges": edges, "sectors": o.sectors, "values": table}, operations
+    return Body("q_table", {"edges": edges, "sectors": o.sectors, "values": table}, operations)
 
 
-def _straight(contract: Contract, experiment: Experiment) -> Body:
-    return "straight", {}, _N()
+def _straight(experiment: Experiment, options: StraightOptions) -> Body:
+    return Body("straight", {}, _N())
 
 
-def _hand_rule(contract: Contract, experiment: Experiment) -> Body:
-    angle = radians(getattr(experiment.config.agent, "turn_degrees", 0))
+def _hand_rule(experiment: Experiment, o: HandRuleOptions) -> Body:
+    angle = radians(o.turn_degrees)
     left, right = nearest_turns(np.array([angle, -angle])).tolist()
     values = {"left": left, "right": right, "front_left": FRONT_LEFT, "front_right": FRONT_RIGHT}
-    return "hand_rule", values, _N(comparisons=3)
+    return Body("hand_rule", values, _N(comparisons=3))
 
 
 _FUZZY_TERMS = (("near", "far"), ("near", "far"), ("left", "neither", "right"), ("left", "ahead", "right"))
 """Terms of each of `fuzzy.VARIABLES`, by number."""
 
 
-def _fuzzy(contract: Contract, experiment: Experiment) -> Body:
+def _fuzzy(experiment: Experiment, o: FuzzyOptions) -> Body:
     points, turns = fuzzy.UNIVERSE_DEGREES, list(fuzzy.TURNS_DEGREES)
     rules = [
         [-1 if term is None else terms.index(term) for term, terms in zip(antecedent, _FUZZY_TERMS, strict=True)]
         for antecedent, _ in fuzzy.RULE_BASE
     ]
     values = {
-        **{"o": experiment.config.agent, "scale": length_scale(experiment.vehicle.footprint)},
+        **{"o": o, "scale": length_scale(experiment.vehicle.footprint)},
         **{"variables": fuzzy.VARIABLES, "terms": 3, "rules": rules, "reading_range": paper.SENSOR_RANGE},
         "rule_texts": [(", ".join(term or "any" for term in its), turn) for its, turn in fuzzy.RULE_BASE],
         "rule_turns": [turns.index(turn) for _, turn in fuzzy.RULE_BASE],
@@ -193,16 +217,15 @@ def _fuzzy(contract: Contract, experiment: Experiment) -> Body:
     sides = 2 * _N(additions=2, divisions=3, comparisons=6) + _N(additions=1, multiplications=1, comparisons=1)
     fires = sum(term >= 0 for rule in rules for term in rule) * _N(comparisons=1) + len(rules) * _N(comparisons=1)
     truths = len(points) * len(turns) * _N(comparisons=2)
-    areas = (len(points) - 1) * _N(additions=6, multiplications=4, divisions=1)
+    areas = (len(points) - 1) * _N(additions=7, multiplications=4, divisions=1)
     operations = readings + sides + fires + truths + areas + _N(divisions=2, comparisons=1) + _NEAREST
-    return "fuzzy", values, operations
+    arrays = len(fuzzy.VARIABLES) * 3 + len(turns)
+    return Body("fuzzy", values, operations, arrays, depth=3)
 
 
-def _potential_field(contract: Contract, experiment: Experiment) -> Body:
-    o, vehicle = experiment.config.agent, experiment.vehicle
+def _potential_field(experiment: Experiment, o: PotentialFieldOptions) -> Body:
+    vehicle = experiment.vehicle
     scale, sensor = length_scale(vehicle.footprint), vehicle.sensor
-    if not isinstance(o, PotentialFieldOptions):
-        raise TypeError
     rays = np.flatnonzero(np.abs(wrap_angles(sensor.angles)) < radians(o.view_degrees) + 1e-9)
     box = scaled(vehicle.footprint, 1 / scale)
     values = {
@@ -212,13 +235,11 @@ def _potential_field(contract: Contract, experiment: Experiment) -> Body:
         **{"right": box.y - box.half_width, "left": box.y + box.half_width},
     }
     each = _N(additions=8, multiplications=9, divisions=5, comparisons=7, functions=1)
-    return "potential_field", values, len(rays) * each + _N(functions=3) + _NEAREST
+    return Body("potential_field", values, len(rays) * each + _N(functions=3) + _NEAREST, depth=3)
 
 
-def _vfh(contract: Contract, experiment: Experiment) -> Body:
-    o, vehicle, drive = experiment.config.agent, experiment.vehicle, experiment.config.drive
-    if not isinstance(o, VfhOptions):
-        raise TypeError
+def _vfh(experiment: Experiment, o: VfhOptions) -> Body:
+    vehicle, drive = experiment.vehicle, experiment.config.drive
     scale, sensor, limits = length_scale(vehicle.footprint), vehicle.sensor, vehicle.limits
     ahead, left = sensor.position[0] / scale, sensor.position[1] / scale
     corners = vehicle.footprint.corners() - sensor.position[:2]
@@ -244,12 +265,13 @@ def _vfh(contract: Contract, experiment: Experiment) -> Body:
     dense = BINS * (_N(additions=1, multiplications=2, divisions=1, comparisons=5) + wrap)
     turned = _N(additions=18, multiplications=20, divisions=11, comparisons=16, functions=1) + wrap
     operations = filled + limited + masked + chosen + dense + _N(additions=1) + wrap + _NEAREST + turned
-    return "vfh", values, operations
+    arrays = BINS + BINS // 4 + 5  # density, bytes, candidates
+    return Body("vfh", values, operations, arrays, depth=4)
 
 
-_BODIES: dict[type, Callable[[Contract, Experiment], Body]] = {
-    NnqlOptions: partial(_network, None),
-    GeneticOptions: partial(_network, "proximity"),
+_BODIES: dict[Any, Callable[[Experiment, Any], Body]] = {
+    NnqlOptions: _network,
+    GeneticOptions: _network,
     QTableOptions: _q_table,
     StraightOptions: _straight,
     HandRuleOptions: _hand_rule,

@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Custom, TurnChooser
-from nnql_bullet.agents.learning.options import DoubleDqnOptions
+from nnql_bullet.agents.learning.frames import frame_width
+from nnql_bullet.agents.learning.genetic import GeneticOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
 from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, STOP, Observation, as_numbers
 from nnql_bullet.errors import UserError
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.runs import LoadedPolicy
+from nnql_bullet.vehicle.scale import length_scale
 
 STOPPED = STOP
 """The action on bad input: straight on, while the vehicle brakes to a stand."""
@@ -77,6 +81,11 @@ class Contract:
         return self.inputs[0].count
 
     @property
+    def statuses(self) -> tuple[str, ...]:
+        """What a decision says of its input, by number."""
+        return (*STATUSES, "BAD_MAP") if self.kind == DoubleDqnOptions.kind else STATUSES
+
+    @property
     def has_values(self) -> bool:
         """Whether it tells what it expects of each action."""
         return self.outputs[-1].name == "values"
@@ -106,7 +115,7 @@ class Contract:
         for title, signals in (("Inputs", self.inputs), ("Outputs", self.outputs), ("Memory", self.memory)):
             rows = [_row(place, signal) for place, signal in enumerate(signals)]
             parts += [f"## {title}, in this order", "\n".join([head, *rows])] if rows else []
-        statuses = ", ".join(f"{number} {name}" for number, name in enumerate(STATUSES))
+        statuses = ", ".join(f"{number} {name}" for number, name in enumerate(self.statuses))
         parts += [
             "## Bad input",
             f"Status of a decision: {statuses}. What is not a finite number or out of its range gives such a status, "
@@ -117,7 +126,7 @@ class Contract:
         return "\n\n".join(parts) + "\n"
 
     def rows(self, observations: Observation) -> NDArray[np.float32]:
-        """The inputs of n vehicles as a machine with single precision has them (n, numbers)."""
+        """The inputs of n vehicles, up to the yaw rate, as a machine with single precision has them (n, numbers)."""
         o = observations
         distances = o.ray_distances if self.by_rays else o.readings
         return np.concatenate([distances.astype(np.float32), as_numbers(o)[:, -3:]], axis=-1)
@@ -183,6 +192,19 @@ def contract_of(policy: LoadedPolicy) -> Contract:
             Signal("chosen", "direction chosen last, in the frame that the drive began in", "rad"),
             Signal("blocked", "whether each direction is blocked", count=BINS, low=0, high=1, whole=True),
         )
+    mapped: tuple[Signal, ...] = ()
+    if isinstance(options, DoubleDqnOptions):
+        outputs.append(Signal("values", "Q-values of the six actions; the action is the largest", count=ACTIONS))
+        scale = f"in metres of the shipped vehicle, which are {length_scale(vehicle.footprint):g} of this one's"
+        places = len(grid_map.REACHES) * grid_map.BEARINGS if options.grid_map else 0
+        away = "; of `agents.learning.frames.FrameMaker.sense`"
+        mapped = (
+            *((Signal("around", f"ways to places around, {scale}{away}", "m", places, silent=stop),) if places else ()),
+            Signal("way", f"length of the way to the target through the map, {scale}{away}", "m", low=0, silent=stop),
+            Signal("last_action", "the last action, -1 in the first decision", low=-1, high=ACTIONS - 1),
+        )
+        bytes_seen = options.frames * frame_width(options.rays, options.grid_map)
+        memory = (Signal("frames", "what was seen last, as bytes", count=bytes_seen, low=0, high=255, whole=True),)
     return Contract(
         policy=policy.name,
         kind=options.kind,
@@ -209,6 +231,7 @@ def contract_of(policy: LoadedPolicy) -> Contract:
                 silent=stop,
             ),
             Signal("yaw_rate", "left is positive", "rad/s", low=-MOST_YAW_RATE, high=MOST_YAW_RATE, silent=stop),
+            *mapped,
         ),
         outputs=tuple(outputs),
         memory=memory,
@@ -218,3 +241,8 @@ def contract_of(policy: LoadedPolicy) -> Contract:
 def _actions() -> str:
     turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
     return f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most, {STOPPED} stop"
+
+
+def encoding_of(options: NnqlOptions | GeneticOptions) -> str:
+    """How the paper's network is given the readings: see `NnqlOptions.encoding`."""
+    return options.encoding if isinstance(options, NnqlOptions) else "proximity"

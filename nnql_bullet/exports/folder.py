@@ -61,15 +61,16 @@ def write_export(policy: LoadedPolicy, form: Form, folder: Path) -> Export:
         UserError: If the policy cannot be exported so, or the folder has files in it.
     """
     contract = contract_of(policy)
+    artefact = _FORMS[form](policy, contract)
     with locked(folder):
         if any(its.name != LOCK for its in folder.iterdir()):
             raise UserError(f"{folder}: has files in it; give another folder")
-        return _write(policy, contract, form, folder)
+        return _write(policy, contract, form, artefact, folder)
 
 
-def _write(policy: LoadedPolicy, contract: Contract, form: Form, folder: Path) -> Export:
+def _write(policy: LoadedPolicy, contract: Contract, form: Form, artefact: "_Artefact", folder: Path) -> Export:
     experiment = policy.experiment
-    write, about, title, usage, cost = _FORMS[form](policy, contract)
+    write, about, title, usage, cost = artefact
     drives = recorded_drives(experiment)
     vectors = vectors_of(contract, experiment, drives)
     files = about | _ABOUT
@@ -89,11 +90,11 @@ def _write(policy: LoadedPolicy, contract: Contract, form: Form, folder: Path) -
     return Export(folder, form, contract, files, cost, len(vectors.inputs))
 
 
-_Form = tuple[Callable[[Path], None], dict[str, str], str, str, str]
+_Artefact = tuple[Callable[[Path], None], dict[str, str], str, str, str]
 """Writes the artefact into a folder; what its files are; title, usage, and cost of a decision."""
 
 
-def _as_c(policy: LoadedPolicy, contract: Contract) -> _Form:
+def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     files, cost = c_files(contract, policy.experiment)
 
     def write(folder: Path) -> None:
@@ -109,7 +110,7 @@ def _as_c(policy: LoadedPolicy, contract: Contract) -> _Form:
     return write, about, "C99", usage, cost.text()
 
 
-def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Form:
+def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     model = onnx_model(contract, policy.experiment)
     example = rendered(f"{ONNX_EXAMPLE}.j2", {"contract": contract, "model": MODEL})
 
@@ -126,4 +127,4 @@ def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Form:
     return write, about, "ONNX", usage, ""
 
 
-_FORMS: dict[Form, Callable[[LoadedPolicy, Contract], _Form]] = {"c": _as_c, "onnx": _as_onnx}
+_FORMS: dict[Form, Callable[[LoadedPolicy, Contract], _Artefact]] = {"c": _as_c, "onnx": _as_onnx}

@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents.learning.frames import DETOUR, FAR, frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import NnqlOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
-from nnql_bullet.env import LARGEST_TURN, MOST_YAW_RATE, TOWARD_TARGET
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, MOST_YAW_RATE, TOWARD_TARGET
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract
+from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
+from nnql_bullet.mapping import grid_map
+from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale
 
 MODEL, EXAMPLE = "policy.onnx", "example.py"
@@ -46,9 +49,14 @@ class Graph:
         self._nodes.append(self._onnx.helper.make_node(operator, inputs, [name], **attributes))
         return name
 
+    def type(self, kind: str) -> int:
+        """The number of a type, such as INT64."""
+        number: int = getattr(self._onnx.TensorProto, kind)
+        return number
+
     def to(self, kind: str, value: str) -> str:
-        """A value of another type, such as INT64."""
-        return self.add("Cast", value, to=getattr(self._onnx.TensorProto, kind))
+        """A value of another type."""
+        return self.add("Cast", value, to=self.type(kind))
 
     def all_true(self, rows: str) -> str:
         """Whether all of each row (n, m) is true (n,)."""
@@ -60,12 +68,12 @@ class Graph:
         above = self.add("GreaterOrEqual", value, self.constant(low))
         return self.add("And", above, self.add("LessOrEqual", value, self.constant(high)))
 
-    def model(self, inputs: Mapping[str, int], outputs: Mapping[str, tuple[str, int]], about: str) -> bytes:
+    def model(self, inputs: Mapping[str, tuple[str, int]], outputs: Mapping[str, tuple[str, int]], about: str) -> bytes:
         """The checked model.
 
         Args:
-            inputs: Numbers of each for a vehicle, in single precision.
-            outputs: Type, such as INT64, and numbers of each.
+            inputs: Type, such as INT64, and numbers of each for a vehicle.
+            outputs: Likewise.
             about: What it is.
         """
         helper, types = self._onnx.helper, self._onnx.TensorProto
@@ -76,7 +84,7 @@ class Graph:
         graph = helper.make_graph(
             self._nodes,
             "policy",
-            [info(name, "FLOAT", count) for name, count in inputs.items()],
+            [info(name, kind, count) for name, (kind, count) in inputs.items()],
             [info(name, kind, count) for name, (kind, count) in outputs.items()],
             self._constants,
             about,
@@ -95,50 +103,117 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
         UserError: If the policy has no graph, or onnx is not installed.
     """
     options = experiment.config.agent
-    if not isinstance(options, NnqlOptions | GeneticOptions | QTableOptions):
-        raise UserError(
-            f"{contract.policy}: a policy of kind '{options.kind}' has no network of readings; export it as C"
-        )
+    if not isinstance(options, NnqlOptions | GeneticOptions | QTableOptions | DoubleDqnOptions):
+        raise UserError(f"{contract.policy}: a policy of kind '{options.kind}' has no graph; export it as C")
     g = Graph()
     seen = g.within("distances", 0.0, _LARGEST)
     distances = g.add("Where", seen, "distances", g.constant(0.0))
     distances = g.add("Min", distances, g.constant(contract.sensor_range))
-    fine = (
+    fine = [
         g.all_true(seen),
         g.within("target_distance", 0.0, _LARGEST),
         g.within("target_bearing", -WIDEST_BEARING, WIDEST_BEARING),
         g.within("yaw_rate", -MOST_YAW_RATE, MOST_YAW_RATE),
-    )
+    ]
+    if isinstance(options, DoubleDqnOptions):
+        way = g.within("way", 0.0, _LARGEST)
+        around = (g.all_true(g.within("around", -_LARGEST, _LARGEST)),) if options.grid_map else ()
+        fine.append(g.add("And", way, *around) if around else way)
     status = g.constant(STATUSES.index("OK"), np.int64)
     for number, is_fine in reversed(tuple(enumerate(fine, 1))):
         status = g.add("Where", is_fine, status, g.constant(number, np.int64))
     status = g.add("Identity", status, name="status")
     good = g.add("Equal", status, g.constant(0, np.int64))
-    is_safe = g.all_true(g.add("GreaterOrEqual", distances, g.constant(experiment.task.thresholds)))
-    learned = experiment.trainable.state_dict()
-    scale = length_scale(experiment.vehicle.footprint)
-    if isinstance(options, QTableOptions):
-        values = _looked_up(g, distances, options, scale, learned)
+    one = g.constant([1], np.int64)
+    good_rows = g.add("Unsqueeze", good, one)
+    if isinstance(options, DoubleDqnOptions):
+        values = _dueling(g, distances, good_rows, options, experiment)
+        chosen = g.add("ArgMax", values, axis=1, keepdims=0)
     else:
-        values = _computed(g, distances, getattr(options, "encoding", "proximity"), scale, learned)
-    best = g.add("ArgMax", values, axis=1, keepdims=0)
-    chosen = g.add("Where", is_safe, g.constant(TOWARD_TARGET, np.int64), best)
+        learned, scale = experiment.trainable.state_dict(), length_scale(experiment.vehicle.footprint)
+        if isinstance(options, QTableOptions):
+            values = _looked_up(g, distances, options, scale, learned)
+        else:
+            values = _computed(g, distances, encoding_of(options), scale, learned)
+        is_safe = g.all_true(g.add("GreaterOrEqual", distances, g.constant(experiment.task.thresholds)))
+        best = g.add("ArgMax", values, axis=1, keepdims=0)
+        chosen = g.add("Where", is_safe, g.constant(TOWARD_TARGET, np.int64), best)
+        g.add("Cast", g.add("And", good, is_safe), name="safe", to=g.type("INT64"))
     action = g.add("Where", good, chosen, g.constant(STOPPED, np.int64), name="action")
-    bearing = g.add(
-        "Where", g.within("target_bearing", -WIDEST_BEARING, WIDEST_BEARING), "target_bearing", g.constant(0.0)
-    )
+    bearing = g.add("Where", fine[2], "target_bearing", g.constant(0.0))
     toward = g.add("Clip", bearing, g.constant(-LARGEST_TURN), g.constant(LARGEST_TURN))
     turn = g.add("Gather", g.constant([*paper.TURNS, 0.0, 0.0]), action)
     toward_target = g.add("Equal", action, g.constant(TOWARD_TARGET, np.int64))
     g.add("Where", toward_target, toward, turn, name="heading_change")
-    g.add("Cast", good, name="speed_share", to=1)
-    g.add("And", good, is_safe, name="is_safe")
-    g.add("Cast", "is_safe", name="safe", to=7)
-    rows = g.add("Unsqueeze", good, g.constant([1], np.int64))
-    g.add("Where", rows, values, g.constant(0.0), name="values")
-    outputs = {s.name: ("INT64" if s.whole else "FLOAT", s.count) for s in contract.outputs}
-    inputs = {signal.name: signal.count for signal in contract.inputs}
-    return g.model(inputs, outputs | {"status": ("INT64", 1)}, f"{contract.policy} ({contract.kind}): see contract.md")
+    g.add("Cast", good, name="speed_share", to=g.type("FLOAT"))
+    g.add("Where", good_rows, values, g.constant(0.0), name="values")
+    kept = {signal.name: ("UINT8", signal.count) for signal in contract.memory}
+    outputs = {signal.name: ("INT64" if signal.whole else "FLOAT", signal.count) for signal in contract.outputs}
+    outputs |= {"status": ("INT64", 1)} | {f"next_{name}": its for name, its in kept.items()}
+    inputs = {signal.name: ("FLOAT", signal.count) for signal in contract.inputs}
+    return g.model(inputs | kept, outputs, f"{contract.policy} ({contract.kind}): see contract.md")
+
+
+def _dueling(g: Graph, distances: str, good: str, options: DoubleDqnOptions, experiment: Experiment) -> str:
+    """Q-values (n, 6) of double DQN; the frames are an input and, a frame later, an output. See `frames.FrameMaker`.
+
+    What is rounded to bytes is computed in double precision, as the agent does.
+    """
+    vehicle, scale = experiment.vehicle, length_scale(experiment.vehicle.footprint)
+    one = g.constant([1], np.int64)
+
+    def number(values: ArrayLike) -> str:
+        return g.constant(values, np.float64)
+
+    def column(name: str) -> str:
+        return g.add("Unsqueeze", g.to("DOUBLE", name), one)
+
+    def line(value: str, factor: ArrayLike, offset: ArrayLike) -> str:
+        return g.add("Add", g.add("Mul", value, number(factor)), number(offset))
+
+    taken = g.add("Gather", distances, g.constant(nearest_rays(vehicle.sensor.rays), np.int64), axis=1)
+    rays = g.add("Div", g.to("DOUBLE", taken), number(scale))
+    met = g.add("Less", rays, number(vehicle.sensor.range / scale))
+    rays = g.add("Where", met, rays, number(paper.SENSOR_RANGE))
+    shares = g.add("Reshape", rays, g.constant([-1, options.rays, RAYS // options.rays], np.int64))
+    nearness = line(g.add("ReduceMin", shares, axes=[2], keepdims=0), -2 / paper.SENSOR_RANGE, 1.0)
+    away, bearing = g.add("Div", column("target_distance"), number(scale)), column("target_bearing")
+    parts = [nearness]
+    if options.grid_map:
+        reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)
+        parts.append(g.add("Div", g.to("DOUBLE", "around"), number(reaches)))
+    parts += [
+        g.add("Cos", bearing),
+        line(away, -2 / FAR, 1.0),
+        line(g.add("Sub", column("way"), away), 2 / DETOUR, -1.0),
+        g.add("Sin", bearing),
+        g.add("Div", column("yaw_rate"), number(vehicle.limits.yaw_rate)),
+        line(g.to("DOUBLE", g.add("Equal", column("last_action"), number(np.arange(ACTIONS)))), 2.0, -1.0),
+    ]
+    numbers = g.add("Clip", g.add("Concat", *parts, axis=1), number(-1.0), number(1.0))
+    frame = g.to("UINT8", g.add("Round", g.add("Mul", line(numbers, 1.0, 1.0), number(127.5))))
+    width = frame_width(options.rays, options.grid_map)
+    kept = g.add(
+        "Slice", "frames", g.constant([0], np.int64), g.constant([(options.frames - 1) * width], np.int64), one
+    )
+    alike = g.add("Concat", *[frame] * options.frames, axis=1)
+    begins = g.add("Less", column("last_action"), number(0.0))
+    stacked = g.add("Where", begins, alike, g.add("Concat", frame, kept, axis=1))
+    g.add("Where", good, stacked, "frames", name="next_frames")
+    learned = experiment.trainable.state_dict()
+    hidden = g.add("Sub", g.add("Div", g.to("FLOAT", stacked), g.constant(127.5)), g.constant(1.0))
+    for layer in range(0, 3 * len(options.hidden), 3):
+        w, b, gain, shift = (
+            g.constant(learned[f"hidden.{k}.{part}"]) for k in (layer, layer + 1) for part in ("weight", "bias")
+        )
+        hidden = g.add("LayerNormalization", g.add("Gemm", hidden, w, b, transB=1), gain, shift, axis=-1, epsilon=1e-5)
+        hidden = g.add("Relu", hidden)
+    value, advantage = (
+        g.add("Gemm", hidden, *(g.constant(learned[f"{head}.{part}"]) for part in ("weight", "bias")), transB=1)
+        for head in ("value", "advantage")
+    )
+    mean = g.add("ReduceMean", advantage, axes=[1], keepdims=1)
+    return g.add("Add", value, g.add("Sub", advantage, mean))
 
 
 def _computed(g: Graph, distances: str, encoding: str, scale: float, learned: Mapping[str, NDArray[Any]]) -> str:

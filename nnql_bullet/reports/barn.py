@@ -66,8 +66,8 @@ def protocol(barn: Barn) -> str:
     return (
         f"{len(barn.tier.worlds)} worlds of the BARN challenge ({PAPER}), {barn.title}. "
         f"From the challenge's start, a drive has {TIME:g} s to come within 1 m of the target with the middle of its "
-        "drive axle; a collision ends it, and so does standing about one place (`stuck`). It begins at its speed, not "
-        f"at rest. OT is the time {lengths} at {SPEED:g} m/s.{missing if own else ''}"
+        "drive axle; a collision ends it, and so does standing about one place (`stuck`). It begins at "
+        f"rest. OT is the time {lengths} at {SPEED:g} m/s.{missing if own else ''}"
     )
 
 

@@ -87,6 +87,7 @@ def faults(target: Target, name: str, inputs: int, seed: int, scratch: Path) -> 
     """Changes one file of a class at a time; yields the number of each input that fails, and what was wrong."""
     folder = scratch / name.replace("/", "_")
     shutil.copytree(target.folder, folder, dirs_exist_ok=True)
+    target.read(folder)  # what it compiles and imports is no time of an input
     for number in range(inputs):
         random = Random(f"{name} {seed} {number}")
         file = random.choice(list(target.files))

@@ -104,6 +104,16 @@ class DoubleDqn:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
         return self._values(self.network, self._frames.look(state.memory, observations))[:, : len(paper.TURNS)]
 
+    def values_of(self, state: DoubleDqnState) -> Array:
+        """Q(s, a) of the six actions (n, 6), by which the last actions were chosen.
+
+        Raises:
+            ValueError: If there were none.
+        """
+        if state.last is None:
+            raise ValueError("values_of needs the state that act returned")
+        return self._values(self.network, state.last[0])
+
     def act_exploring(
         self, observations: Observation, state: DoubleDqnState, episodes: NDArray[np.int64], uniforms: Array
     ) -> tuple[Actions, DoubleDqnState]:

@@ -71,6 +71,20 @@ class Look:
         return frames.reshape(len(frames), -1)
 
 
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """What n vehicles see through their maps, before it is in a frame. Lengths are those of the shipped vehicle."""
+
+    memory: Memory
+    """With the present pose and scan entered; the frames are those of before."""
+    around: Array
+    """What `grid_map` says of the way to places around the vehicle (n, places) [m]; no places without a map."""
+    way: Array
+    """Length of the way to the target through the map (n,) [m]."""
+    progress: Array
+    """See `Look` (n,) [m]."""
+
+
 def frame_width(rays: int, with_map: bool) -> int:
     """Number of bytes in a frame of a `FrameMaker`."""
     return rays + (len(grid_map.REACHES) * grid_map.BEARINGS if with_map else 0) + _STATE + ACTIONS
@@ -136,6 +150,16 @@ class FrameMaker:
 
     def look(self, memory: Memory, observations: Observation) -> Look:
         """Enters the observations of n vehicles into a copy of their memory."""
+        o, new, sensed = observations, memory.age == 0, self.sense(memory, observations)
+        rays, away = o.ray_distances[:, self._taken] / self._scale, o.target_distance / self._scale
+        actions = np.where(new, -1, memory.actions)
+        frame = self._frame(o, rays, away, sensed.around, sensed.way - away, actions)
+        earlier = np.where(new[:, None, None], frame[:, None], memory.frames)
+        frames = np.concatenate([frame[:, None], earlier[:, : self.frames - 1]], axis=1)
+        return Look(replace(sensed.memory, frames=frames), sensed.progress)
+
+    def sense(self, memory: Memory, observations: Observation) -> Sensed:
+        """Enters the observations of n vehicles into a copy of their maps, and asks these for ways."""
         o, new = observations, memory.age == 0
         rays, away = o.ray_distances[:, self._taken] / self._scale, o.target_distance / self._scale
         mark = o.landmark_distance / self._scale
@@ -153,11 +177,8 @@ class FrameMaker:
         else:
             around, ways = np.zeros((len(new), 0)), away
             progress = np.hypot(*before.T) - away
-        frame = self._frame(o, rays, away, around, ways - away, np.where(new, -1, memory.actions))
-        earlier = np.where(new[:, None, None], frame[:, None], memory.frames)
-        frames = np.concatenate([frame[:, None], earlier[:, : self.frames - 1]], axis=1)
-        seen = replace(memory, poses=poses, corners=corners, cells=cells, frames=frames)
-        return Look(seen, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
+        seen = replace(memory, poses=poses, corners=corners, cells=cells)
+        return Sensed(seen, around, ways, np.clip(progress, -MOST_PROGRESS, MOST_PROGRESS))
 
     def after(self, look: Look, observations: Observation, actions: NDArray[np.int64]) -> Memory:
         """The memory of vehicles after they were given `actions` (n,), manoeuvres of `env`."""
