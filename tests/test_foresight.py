@@ -69,7 +69,7 @@ def test_a_pose_costs_with_every_visit_until_another_is_better(vehicle):
     scores = []
     standing = replace(navigation.observation, speed=np.zeros(MANOEUVRES), yaw_rate=np.zeros(MANOEUVRES))
     for visits in (1, 2, 3):
-        trails = np.full_like(look.memory.trails, np.nan)
+        trails = np.full_like(look.memory.trails, np.inf)
         trails[:, :visits] = look.memory.poses[:, None]
         there = replace(look, memory=replace(look.memory, trails=trails))
         scores.append(foresight.searched(there, standing, SearchOptions(depth=1, room_weight=0.0))[0][0])

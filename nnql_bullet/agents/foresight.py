@@ -89,7 +89,7 @@ class Memory:
     poses: Array
     """Poses at the last decision, in the frame of `grid_map` (n, 3)."""
     trails: Array
-    """Poses at the last decisions likewise, the newest first (n, TRAIL, 3); NaN for none."""
+    """Poses at the last decisions likewise, the newest first (n, TRAIL, 3); infinite for none."""
     steps: Array
     """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
     corners: NDArray[np.int64]
@@ -99,7 +99,7 @@ class Memory:
     offsets: body_map.Offsets
     """Places of points in their cells (n, SIDE, SIDE, 2)."""
     rays: Array
-    """The last scans (n, rays) [m]; NaN for rays that are not seen."""
+    """The last scans (n, rays) [m]."""
     planned: NDArray[np.int64]
     """Manoeuvres that were to come next; -1 for none (n,)."""
     frames: Bytes
@@ -175,12 +175,12 @@ class Foresight:
         return Memory(
             age=np.zeros(size, np.int64),
             poses=np.zeros((size, 3)),
-            trails=np.full((size, TRAIL, 3), np.nan),
+            trails=np.full((size, TRAIL, 3), np.inf),
             steps=np.zeros((size, 2)),
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, SIDE, SIDE), np.int8),
             offsets=np.zeros((size, SIDE, SIDE, 2), np.uint8),
-            rays=np.full((size, self._sensor.rays), np.nan),
+            rays=np.zeros((size, self._sensor.rays)),
             planned=np.full(size, -1),
             frames=np.zeros((size, WIDTH), np.uint8),
         )
@@ -192,7 +192,7 @@ class Foresight:
         later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
         before = np.where(new[:, None], poses, memory.poses)
-        trails = np.where(new[:, None, None], np.nan, np.roll(memory.trails, 1, axis=1))
+        trails = np.where(new[:, None, None], np.inf, np.roll(memory.trails, 1, axis=1))
         trails[:, 0] = poses
         corners, cells, offsets = memory.corners.copy(), memory.cells.copy(), memory.offsets.copy()
         cells[new] = body_map.UNSEEN
@@ -201,8 +201,9 @@ class Foresight:
             cells, offsets, corners, poses, rays, mover.sensor, mover.angles, mover.sensor_range, mover.cell
         )
         scans = np.where(self._sensor.seen, o.ray_distances, np.nan)
+        scans_before = np.where(self._sensor.seen & ~new[:, None], memory.rays, np.nan)
         moving = velocities(
-            *(scans, np.where(new[:, None], np.nan, memory.rays), poses, before),
+            *(scans, scans_before, poses, before),
             *(mover.sensor, self._sensor.angles, mover.sensor_range, mover.period),
             *(FASTEST * self._drive.speed, self._scale),
         )[:, self._seen]
@@ -221,7 +222,7 @@ class Foresight:
             corners=corners,
             cells=cells,
             offsets=offsets,
-            rays=scans,
+            rays=o.ray_distances,
             frames=frame,
         )
         most = MOST_PROGRESS * self._scale

@@ -78,7 +78,7 @@ def searched(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
-        trails: Poses at the last decisions and now, likewise (n, t, 3); NaN for none.
+        trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
         targets: Places of the targets (n, 2) [m].
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
