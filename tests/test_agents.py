@@ -227,6 +227,7 @@ SUCCESS = {
     "fuzzy": (0.85, 1.0),
     "vfh": (0.9, 1.0),
     "look_ahead": (0.9, 1.0),
+    "guided_search": (0.95, 1.0),
 }
 """Least and largest share of goals in the first 60 validation worlds at 10 % cover."""
 

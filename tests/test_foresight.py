@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nnql_bullet.agents.foresight import Foresight, SearchOptions
-from nnql_bullet.env import MANOEUVRES, Navigation
+from nnql_bullet.env import MANOEUVRES, STOP, Navigation
 from nnql_bullet.mapping.foresight import LASTS, MOST_ROOM, ROOM
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
@@ -59,3 +59,21 @@ def test_a_deeper_search_does_not_choose_what_leads_to_a_contact(vehicle):
         best = int(scores[0].argmax())
         assert look.foreseen[0, best, LASTS] == 1.0
         assert (then[0] >= 0) == (depth > 1)
+
+
+def test_a_pose_costs_with_every_visit_until_another_is_better(vehicle):
+    """To stay is worth less by the same for each time; what leads away keeps its worth."""
+    x, y = World.load("paper").start
+    navigation, foresight, look = set_out(vehicle, [(x + 9.0, y + 9.0, 0.5, 0.5)])
+    stay, leave = STOP, 0
+    scores = []
+    standing = replace(navigation.observation, speed=np.zeros(MANOEUVRES), yaw_rate=np.zeros(MANOEUVRES))
+    for visits in (1, 2, 3):
+        trails = np.full_like(look.memory.trails, np.inf)
+        trails[:, :visits] = look.memory.poses[:, None]
+        there = replace(look, memory=replace(look.memory, trails=trails))
+        scores.append(foresight.searched(there, standing, SearchOptions(depth=1, room_weight=0.0))[0][0])
+    worth = np.array(scores)
+    assert np.diff(worth[:, stay]) == pytest.approx([worth[1, stay] - worth[0, stay]] * 2)
+    assert worth[1, stay] < worth[0, stay] - 0.1
+    assert worth[:, leave] == pytest.approx([worth[0, leave]] * 3)

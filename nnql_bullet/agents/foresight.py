@@ -26,6 +26,7 @@ from nnql_bullet.mapping.body_map import FARTHER, SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
 from nnql_bullet.mapping.search import searched
+from nnql_bullet.mapping.velocities import velocities
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.types import Bytes, NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -39,6 +40,10 @@ SCANS = 3
 """Scans that it sees at once, by which it may tell what moves."""
 FAR = 50.0
 """Upper bound on the target's distance, over the length scale [m]."""
+TRAIL = 32
+"""Decisions for which a vehicle remembers its poses."""
+FASTEST = 0.6
+"""Largest speed of an obstacle, over the drive's."""
 MOST_PROGRESS = 2.0
 """Upper bound on the progress of one decision, over the length scale [m]. More is new knowledge of the map."""
 MIRRORED_MANOEUVRES = (np.arange(0, MANOEUVRES, ACTIONS)[:, None] + MIRRORED_ACTIONS).ravel()
@@ -51,7 +56,9 @@ WIDTH = CONTEXT + MANOEUVRES * PHI
 _ODD = 2
 """How many of the last numbers of the context change their sign in a mirror."""
 _INSTANTS = 5
-_FOLLOW = np.array([0, 1, 2, 3, 4, SLOW, SLOW + 2, SLOW + 4, STOP + 2, STOP + 4, REVERSE, REVERSE + 2, REVERSE + 4])
+_FOLLOW = np.array(
+    [0, 1, 2, 3, 4, SLOW, SLOW + 2, SLOW + 4, STOP, STOP + 2, STOP + 4, REVERSE, REVERSE + 2, REVERSE + 4]
+)
 """Manoeuvres that a search tries after the first."""
 
 
@@ -81,6 +88,8 @@ class Memory:
     """Decisions in the episode so far (n,)."""
     poses: Array
     """Poses at the last decision, in the frame of `grid_map` (n, 3)."""
+    trails: Array
+    """Poses at the last decisions likewise, the newest first (n, TRAIL, 3); infinite for none."""
     steps: Array
     """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
     corners: NDArray[np.int64]
@@ -89,6 +98,8 @@ class Memory:
     """Cells of the maps (n, SIDE, SIDE)."""
     offsets: body_map.Offsets
     """Places of points in their cells (n, SIDE, SIDE, 2)."""
+    rays: Array
+    """The last scans (n, rays) [m]."""
     planned: NDArray[np.int64]
     """Manoeuvres that were to come next; -1 for none (n,)."""
     frames: Bytes
@@ -109,6 +120,8 @@ class Look:
     foreseen: Array
     """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS)."""
 
+    moving: Array
+    """Velocities of the points of the scans in the vehicle frame (n, seen rays, 2) [m/s]."""
     targets: Array
     """Places of the targets, in the frame of the maps (n, 2) [m]."""
     turns: Array
@@ -131,6 +144,7 @@ class Foresight:
         self._scale, self._limits, self._drive = length_scale(vehicle.footprint), vehicle.limits, drive
         self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         sensor = vehicle.sensor
+        self._sensor = sensor
         self._seen, self._taken = np.flatnonzero(sensor.seen), nearest_rays(sensor.rays)
         self._goals = drive.speed * speed_scale(np.arange(MANOEUVRES), drive)
         self._mover = Mover(
@@ -161,10 +175,12 @@ class Foresight:
         return Memory(
             age=np.zeros(size, np.int64),
             poses=np.zeros((size, 3)),
+            trails=np.full((size, TRAIL, 3), np.inf),
             steps=np.zeros((size, 2)),
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, SIDE, SIDE), np.int8),
             offsets=np.zeros((size, SIDE, SIDE, 2), np.uint8),
+            rays=np.zeros((size, self._sensor.rays)),
             planned=np.full(size, -1),
             frames=np.zeros((size, WIDTH), np.uint8),
         )
@@ -175,17 +191,26 @@ class Foresight:
         first = first_poses(o.landmark_distance, o.landmark_bearing)
         later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
-        before = np.where(new[:, None], poses, memory.poses)[:, :2]
+        before = np.where(new[:, None], poses, memory.poses)
+        trails = np.where(new[:, None, None], np.inf, np.roll(memory.trails, 1, axis=1))
+        trails[:, 0] = poses
         corners, cells, offsets = memory.corners.copy(), memory.cells.copy(), memory.offsets.copy()
         cells[new] = body_map.UNSEEN
         rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
         body_map.add_scans(
             cells, offsets, corners, poses, rays, mover.sensor, mover.angles, mover.sensor_range, mover.cell
         )
+        scans = np.where(self._sensor.seen, o.ray_distances, np.nan)
+        scans_before = np.where(self._sensor.seen & ~new[:, None], memory.rays, np.nan)
+        moving = velocities(
+            *(scans, scans_before, poses, before),
+            *(mover.sensor, self._sensor.angles, mover.sensor_range, mover.period),
+            *(FASTEST * self._drive.speed, self._scale),
+        )[:, self._seen]
         targets = places_of(poses, o.target_distance, o.target_bearing)
         turns = heading_change(np.arange(MANOEUVRES), o.target_bearing[:, None])
         foreseen, around, ways, progress = foresee(
-            *(cells, offsets, corners, poses, before, targets, rays),
+            *(cells, offsets, corners, poses, before[:, :2], targets, rays, moving),
             *(o.speed, o.yaw_rate, turns, self._goals, mover),
         )
         frame = self._frame(o, memory, new, foreseen, around, ways, turns)
@@ -193,13 +218,15 @@ class Foresight:
             memory,
             planned=np.where(new, -1, memory.planned),
             poses=poses,
+            trails=trails,
             corners=corners,
             cells=cells,
             offsets=offsets,
+            rays=o.ray_distances,
             frames=frame,
         )
         most = MOST_PROGRESS * self._scale
-        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, targets, turns)
+        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, moving, targets, turns)
 
     def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
         """Scores the manoeuvres by a search over several in a row (n, 24) [m]; says what follows the best (n,).
@@ -213,8 +240,10 @@ class Foresight:
             m.offsets,
             m.corners,
             m.poses,
+            m.trails,
             look.targets,
             rays,
+            look.moving,
             observations.speed,
             observations.yaw_rate,
             look.turns,

@@ -46,6 +46,8 @@ _DRIVEN, _STOPPING = 5, 10
 """Number of poses while a manoeuvre is driven, and most while the vehicle then brakes."""
 _NEAR = 3.6
 """Distance up to which points may be met, over the length scale [m]."""
+_WAKE = 2.0
+"""Distance from a moving point up to which points of the map are the same obstacle [cells]."""
 
 
 State = tuple[float, float, float, float, float]
@@ -86,6 +88,7 @@ def foresee(
     before: Array,
     targets: Array,
     rays: Array,
+    moving: Array,
     speeds: Array,
     yaw_rates: Array,
     turns: Array,
@@ -102,6 +105,7 @@ def foresee(
         before: Their places at the decision before (n, 2) [m].
         targets: Places of the targets (n, 2) [m].
         rays: Distances of the last scan (n, r) [m].
+        moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
         yaw_rates: (n,) [rad/s]
         turns: Heading changes of the m manoeuvres (n, m) [rad].
@@ -116,7 +120,7 @@ def foresee(
     n = len(cells)
     seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
     ways, progress = np.empty(n), np.empty(n)
-    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 2)), mover.cell
+    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 4)), mover.cell
     for i in range(n):
         corner, pose = corners[i], poses[i]
         factors = cost_factors(cells[i], offsets[i])
@@ -125,7 +129,7 @@ def foresee(
         most = here + FARTHER
         ways[i] = here * cell
         progress[i] = (cost_at(left, corner, before[i, 0], before[i, 1], cell, most) - here) * cell
-        count = points_near(cells[i], offsets[i], corner, pose, rays[i], mover, points)
+        count = points_near(cells[i], offsets[i], corner, pose, rays[i], moving[i], mover, points)
         for j in range(turns.shape[1]):
             _drive(
                 cells[i],
@@ -162,25 +166,43 @@ def points_near(
     corner: NDArray[np.int64],
     pose: Array,
     rays: Array,
+    moving: Array,
     mover: Mover,
     points: Array,
 ) -> int:
-    """Lists the points of a map and of the last scan near a vehicle, in its frame, into `points`; returns how many."""
+    """Lists the points of a map and of the last scan near a vehicle, in its frame, into `points`; returns how many.
+
+    Each with its velocity (k, 4) [m, m/s]. What the map holds near a moving point is that, or where it was, and left
+    out.
+    """
     most, cell, count = _NEAR * mover.scale, mover.cell, 0
+    for j in range(len(rays)):
+        if rays[j] < min(most, mover.sensor_range):
+            points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
+            points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
+            points[count, 2:] = moving[j]
+            count += 1
+    movers = points[:count][(points[:count, 2] != 0.0) | (points[:count, 3] != 0.0)]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     x, y = pose[0] / cell - corner[0], pose[1] / cell - corner[1]
     for a in range(max(int(x - most / cell), 0), min(int(x + most / cell) + 1, SIDE)):
         for b in range(max(int(y - most / cell), 0), min(int(y + most / cell) + 1, SIDE)):
             if cells[a, b] > 0:
                 dx, dy = (a + offsets[a, b, 0] / 256 - x) * cell, (b + offsets[a, b, 1] / 256 - y) * cell
-                points[count, 0], points[count, 1] = c * dx + s * dy, c * dy - s * dx
-                count += 1
-    for j in range(len(rays)):
-        if rays[j] < min(most, mover.sensor_range):
-            points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
-            points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
-            count += 1
+                at_x, at_y = c * dx + s * dy, c * dy - s * dx
+                if not _beside(at_x, at_y, movers, _WAKE * cell):
+                    points[count] = at_x, at_y, 0.0, 0.0
+                    count += 1
     return count
+
+
+@njit(nogil=True)
+def _beside(x: float, y: float, points: Array, most: float) -> bool:
+    """Whether a place is less than a distance from one of the points (k, 4) [m]."""
+    found = False
+    for k in range(len(points)):
+        found = found or (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < most * most
+    return found
 
 
 @njit(nogil=True)
@@ -202,10 +224,10 @@ def _drive(
     """Drives one manoeuvre in thought, then to a stand, and writes what is foreseen into `seen` (COLUMNS,)."""
     most_room = MOST_ROOM * mover.scale
     here_now = (0.0, 0.0, 0.0, speed, yaw_rate)
-    driven, seen[ROOM], lasts = course(here_now, turn, goal, mover.period, _DRIVEN, points, mover, most_room)
+    driven, seen[ROOM], lasts = course(here_now, 0.0, turn, goal, mover.period, _DRIVEN, points, mover, most_room)
     stop = abs(driven[3]) / mover.acceleration
     count = min(int(np.ceil(stop / mover.period * _DRIVEN)), _STOPPING)
-    stopped, seen[STOP_ROOM], more = course(driven, 0.0, 0.0, stop, count, points, mover, most_room)
+    stopped, seen[STOP_ROOM], more = course(driven, mover.period, 0.0, 0.0, stop, count, points, mover, most_room)
     seen[LASTS] = (lasts + (more if lasts == _DRIVEN else 0)) / (_DRIVEN + count)
     unseen = _unseen_corners(cells, corner, pose, driven[0], driven[1], driven[2], mover)
     unseen += _unseen_corners(cells, corner, pose, stopped[0], stopped[1], stopped[2], mover)
@@ -222,17 +244,26 @@ def _drive(
 
 @njit(nogil=True)
 def course(
-    start: State, turn: float, goal: float, duration: float, count: int, points: Array, mover: Mover, most: float
+    start: State,
+    time: float,
+    turn: float,
+    goal: float,
+    duration: float,
+    count: int,
+    points: Array,
+    mover: Mover,
+    most: float,
 ) -> tuple[State, float, int]:
     """Drives in thought: returns the state in the end, the smallest clearance, and the poses before the first contact.
 
     Args:
         start: Where it begins.
+        time: When, from now on [s].
         turn: Heading change that is asked for [rad].
         goal: Speed that is asked for [m/s].
         duration: [s]
         count: Number of poses at which the clearance is computed.
-        points: That may be met, in the frame of the state (k, 2) [m].
+        points: That may be met, in the frame of the state, where they are now and their velocity (k, 4) [m, m/s].
         mover: The vehicle.
         most: Clearance that is enough [m].
     """
@@ -247,22 +278,23 @@ def course(
         length, middle = (speed + speeds[k]) / 2 * (duration / count), (heading + begin + headings[k]) / 2
         x, y = x + length * np.cos(middle), y + length * np.sin(middle)
         heading, speed, rate = begin + headings[k], speeds[k], rates[k]
-        room = min(room, _room(x, y, heading, points, mover.footprint, room))
+        room = min(room, _room(x, y, heading, time + times[k], points, mover.footprint, room))
         if room <= 0.0 and lasts == count:
             lasts = k
     return (x, y, heading, speed, rate), room, lasts
 
 
 @njit(nogil=True)
-def _room(x: float, y: float, heading: float, points: Array, footprint: Array, most: float) -> float:
-    """The clearance of a vehicle at a pose from points (k, 2), all in one frame [m]; `most` if it is larger."""
+def _room(x: float, y: float, heading: float, time: float, points: Array, footprint: Array, most: float) -> float:
+    """The clearance of a vehicle at a pose and time from points (k, 4), all in one frame [m]; at most `most`."""
     c, s = np.cos(heading), np.sin(heading)
     middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
     nearest, within = most * most, (most + reach_of(footprint)) ** 2
     for r in range(len(points)):
-        dx, dy = points[r, 0] - middle_x, points[r, 1] - middle_y
+        at_x, at_y = points[r, 0] + time * points[r, 2], points[r, 1] + time * points[r, 3]
+        dx, dy = at_x - middle_x, at_y - middle_y
         if dx * dx + dy * dy < within:
-            dx, dy = points[r, 0] - x, points[r, 1] - y
+            dx, dy = at_x - x, at_y - y
             nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
     return float(np.sqrt(nearest))
 

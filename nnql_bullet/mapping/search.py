@@ -24,12 +24,19 @@ from nnql_bullet.mapping.foresight import Mover, State, course, points_near
 
 WORST = -30.0
 """Least score, of a manoeuvre that meets something [m]."""
-_POSES, _STOPPING = 3, 4
-"""Poses at which clearances are computed while a manoeuvre is driven, and while the vehicle then brakes."""
+_FIRST, _POSES, _STOPPING = 6, 3, 4
+"""Poses at which clearances are computed while the first manoeuvre is driven, and while a later one is, and while the
+vehicle then brakes."""
 _MOST_OF_ONE = 3
 """Most states of one first manoeuvre among those that are driven on, so that several stay."""
 _AHEAD = 0.5
 """What the way from a place ahead counts beside that from the end of a course."""
+_EARLIER = 0.1
+"""What the way left after every manoeuvre counts beside that in the end: progress at once is better than later."""
+_AGAIN = 0.5
+"""What it costs to come back to a pose, each time, over the length scale [m]; without it plans repeat each other."""
+_SAME = 0.15, 0.25
+"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 _BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
 _KEPT = 0.7
@@ -46,8 +53,10 @@ def searched(
     offsets: Offsets,
     corners: NDArray[np.int64],
     poses: Array,
+    trails: Array,
     targets: Array,
     rays: Array,
+    moving: Array,
     speeds: Array,
     yaw_rates: Array,
     turns: Array,
@@ -69,8 +78,10 @@ def searched(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
+        trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
         targets: Places of the targets (n, 2) [m].
         rays: Distances of the last scan (n, r) [m].
+        moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
         yaw_rates: (n,) [rad/s]
         turns: Heading changes of the manoeuvres (n, m) [rad].
@@ -87,7 +98,7 @@ def searched(
     """
     n, m = turns.shape
     then = np.full(n, -1)
-    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 2))
+    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 4))
     most = max(m, width * len(follow))
     states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
     roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
@@ -96,8 +107,9 @@ def searched(
         factors = cost_factors(cells[i], offsets[i])
         left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
         here = cost_at(left, corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
-        near = points[: points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], mover, points)]
-        _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 1, near, mover, room)
+        count = points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], moving[i], mover, points)
+        near = points[:count]
+        _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 1, near, mover, room)
         least = min(margin, _KEPT * now)
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
@@ -105,6 +117,7 @@ def searched(
         scores[i], nexts[:] = WORST, -1
         for level in range(depth):
             old, new = level % 2, (level + 1) % 2
+            time, poses_each = level * mover.period, _FIRST if level == 0 else _POSES
             made = 0
             if level > 0:  # those that are driven on are worth what follows; the others were worse, and stay so
                 scores[i] -= _DROPPED * mover.scale
@@ -114,7 +127,9 @@ def searched(
                 start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
-                    end, cost, lasts = _tried(start, turns[i, action], goals[action], near, room, weight, least, mover)
+                    end, cost, lasts = _tried(
+                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, least, mover
+                    )
                     if lasts < 1.0:
                         if level == 0:
                             scores[i, k] = WORST + 10.0 * lasts
@@ -122,8 +137,9 @@ def searched(
                     value = _way(end, left, factors, corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
+                    cost += _AGAIN * mover.scale * _visits(end, trails[i], poses[i], mover.scale)
                     states[new, made] = end
-                    costs[new, made] = costs[old, j] + cost
+                    costs[new, made] = costs[old, j] + cost + _EARLIER * value
                     roots[new, made] = k if level == 0 else roots[old, j]
                     seconds[new, made] = action if level == 1 else seconds[old, j] if level > 1 else -1
                     values[made] = -value - costs[new, made]
@@ -151,10 +167,24 @@ def searched(
 
 
 @njit(nogil=True)
+def _visits(end: State, trail: Array, pose: Array, scale: float) -> int:
+    """How often a vehicle was at a state's pose (k, 3)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    count = 0
+    for k in range(len(trail)):
+        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
+        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
+    return count
+
+
+@njit(nogil=True)
 def _tried(
     start: State,
+    time: float,
     turn: float,
     goal: float,
+    poses: int,
     points: Array,
     room: float,
     weight: float,
@@ -162,14 +192,14 @@ def _tried(
     mover: Mover,
 ) -> tuple[State, float, float]:
     """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
-    end, driven, lasts = course(start, turn, goal, mover.period, _POSES, points, mover, room)
+    end, driven, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
     if driven < least:
-        return end, 0.0, lasts / (_POSES + _STOPPING)
+        return end, 0.0, lasts / (poses + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
     count = _STOPPING if stop > 0.0 else 0
-    _, then, more = course(end, 0.0, 0.0, stop, count, points, mover, room)
+    _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, count, points, mover, room)
     if then < least:
-        return end, 0.0, (_POSES + more) / (_POSES + _STOPPING + 1)
+        return end, 0.0, (poses + more) / (poses + _STOPPING + 1)
     return end, weight * (room - min(driven, then)), 1.0
 
 
