@@ -177,7 +177,7 @@ class TestRewards:
     def test_sparse_is_the_end_alone(self, make: Make) -> None:
         env = make(reward="sparse", world="empty")
         env.reset(options={"start": (80.5, 90.0), "target": (90.0, 90.0)})
-        rewards = [env.step(TOWARD)[1] for _ in range(8)]
+        rewards = [env.step(TOWARD)[1] for _ in range(9)]
         assert (rewards[-1], set(rewards[:-1])) == (1.0, {0.0})
 
     def test_goals_alone_decide_the_reward(self, make: Make) -> None:

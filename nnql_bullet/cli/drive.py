@@ -43,7 +43,7 @@ def drive(
 
     A learned policy takes the action that it values most. Every seed below a million is a world that no training draws.
     A rule has nothing to learn: straight (at the target), random (turns where something is near), hand_rule,
-    potential_field, fuzzy, vfh (VFH+) or look_ahead.
+    potential_field, fuzzy, vfh (VFH+), look_ahead, or guided_search (plans several manoeuvres on a map of what it saw).
 
     For example:
 

@@ -21,7 +21,7 @@ from nnql_bullet.seeding import Stream, rng
 
 ROUNDING = 1e-6
 """Largest share by which distances and yaw rates are moved, and largest angle by which bearings are [rad]."""
-TRIES = 256
+TRIES, MOST_TRIES = 256, 16384
 """Times that what was seen is moved."""
 
 
@@ -118,20 +118,35 @@ def _outputs(
 def _is_tie(
     experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, seen: Observation, state: PolicyState, action: int
 ) -> bool:
-    """Whether the policy takes the action too, of what it sees (1, ...) moved a little."""
+    """Whether the policy takes the action too, of what it sees (1, ...) moved a little.
+
+    Where a few tries do not find that, more are made: sums of many readings, as those of `vfh`, rarely move far.
+    """
+    return any(_takes(experiment, exported, seen, state, action, tries) for tries in (TRIES, MOST_TRIES))
+
+
+def _takes(
+    experiment: Experiment,
+    exported: LibraryPolicy | OnnxPolicy,
+    seen: Observation,
+    state: PolicyState,
+    action: int,
+    tries: int,
+) -> bool:
+    """The same with so many tries."""
     contract, generator = exported.contract, rng(0, Stream.POLICY)
     distances = seen.ray_distances if contract.by_rays else seen.readings
     numbers = np.concatenate([distances[0], [seen.target_distance[0], seen.target_bearing[0], seen.yaw_rate[0]]])
-    moves = ROUNDING * generator.uniform(-1, 1, (TRIES, len(numbers)))
+    moves = ROUNDING * generator.uniform(-1, 1, (tries, len(numbers)))
     moved = np.where(numbers < contract.sensor_range, numbers * (1 + moves), numbers)
     moved[:, -2] = numbers[-2] + moves[:, -2]
     if isinstance(state, VfhState):
-        turned = ROUNDING * generator.uniform(-1, 1, (2, TRIES))
-        blocked = np.repeat(state.blocked, TRIES, axis=0)
+        turned = ROUNDING * generator.uniform(-1, 1, (2, tries))
+        blocked = np.repeat(state.blocked, tries, axis=0)
         state = replace(state, headings=state.headings + turned[0], chosen=state.chosen + turned[1], blocked=blocked)
     if isinstance(exported, OnnxMapPolicy):
         memory = {field.name: getattr(state.memory, field.name) for field in fields(state.memory)}
-        memory = {name: np.repeat(values, TRIES, axis=0) for name, values in memory.items()}
+        memory = {name: np.repeat(values, tries, axis=0) for name, values in memory.items()}
         state = replace(state, memory=replace(state.memory, **memory))
     actions, _ = experiment.policy.act(observed(contract, experiment.task, moved), state)
     return bool((actions == action).any())
