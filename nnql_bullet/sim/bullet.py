@@ -99,10 +99,12 @@ def suited(physics: Physics, vehicle: VehicleSpec) -> Physics:
 
     The solver goes from contact to contact and stops when none misses its speed by more than the root of the residual.
     The misses of all add up in the vehicle's speed, and are to be small against it; more contacts need more rounds. So
-    do light wheels under a heavy body, of whose speed a round puts right only the share that a wheel's inertia has.
+    do light wheels under a heavy body, of whose speed a round puts right only the share that a wheel's inertia has. A
+    payload changes none of that, so that drives with one and without compare.
     """
     supports, pace = len(vehicle.contacts) / USUAL_SUPPORTS, min(own_speed(vehicle) / paper.SPEED, 1.0)
-    carried, wheel = vehicle.mass * vehicle.rear_share / 2, vehicle.wheel_spin_inertia / vehicle.wheel_radius**2
+    own = vehicle.mass - (vehicle.payload.mass if vehicle.payload else 0.0)
+    carried, wheel = own * vehicle.rear_share / 2, vehicle.wheel_spin_inertia / vehicle.wheel_radius**2
     burden = min(carried / USUAL_BURDEN / wheel, MOST_BURDENED) if wheel else MOST_BURDENED
     return replace(
         physics,
