@@ -259,7 +259,8 @@ def test_same_action_in_many_states_of_all_kinds_of_worlds(kind: str, cases: dic
         for drive in recorded_drives(case.policy.experiment, seeds=range(seed, seed + 8)):
             total += compare(case.policy.experiment, library(case), drive)
         seed += 8
-    assert total.unexplained == 0 and total.ties <= total.states / 500 and total.value_error < 1e-5
+    most = total.states / 500 if kind == "vfh" else 10  # sums of many readings at a threshold, with a memory of them
+    assert total.unexplained == 0 and total.ties <= most and total.value_error < 1e-5
 
 
 class TestContract:
