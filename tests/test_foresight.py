@@ -28,7 +28,8 @@ def set_out(vehicle, boxes):
     navigation = Navigation(KinematicSimulator(vehicle, drive, MANOEUVRES, 1), TaskOptions())
     navigation.reset(dict.fromkeys(range(MANOEUVRES), world))
     foresight = Foresight(vehicle, drive)
-    look = foresight.look(foresight.nothing(MANOEUVRES), navigation.observation)
+    o = navigation.observation
+    look = foresight.ahead(foresight.look(foresight.nothing(MANOEUVRES), o), o)
     return navigation, foresight, look
 
 

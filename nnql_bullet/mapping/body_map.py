@@ -26,7 +26,9 @@ SIDE = 192
 UNSEEN, FREE, OCCUPIED = 0, -1, 2
 """Values of cells. A ray that passes the point of an occupied cell lowers its value by 1; at 0 it is free."""
 PASSED = CELLS_ACROSS / 9
-"""A ray that passes a point at less than that has shown that nothing is there [cells]; thin poles keep their points."""
+"""A ray that passes a point at less than that has shown that nothing is there [cells]."""
+PASSED_THIN = PASSED / 4
+"""The same of a point without points beside it: it may be a thin pole, which few rays meet [cells]."""
 BEFORE_END = 1.0
 """Length before its end over which a ray shows nothing [cells]."""
 REACH = 3.0
@@ -108,8 +110,19 @@ def _pass(cells: Cells, offsets: Offsets, x: float, y: float, direction: float, 
             cells[a, b] = FREE
         elif value > 0:
             dx, dy = a + offsets[a, b, 0] / 256 - x, b + offsets[a, b, 1] / 256 - y
-            if abs(c * dy - s * dx) < PASSED and c * dx + s * dy < length:
+            passed = PASSED_THIN if _is_alone(cells, a, b) else PASSED
+            if abs(c * dy - s * dx) < passed and c * dx + s * dy < length:
                 cells[a, b] = value - 1 if value > 1 else FREE
+
+
+@njit(nogil=True)
+def _is_alone(cells: Cells, a: int, b: int) -> bool:
+    """Whether no cell beside an occupied one is occupied."""
+    count = 0
+    for beside_a in range(max(a - 1, 0), min(a + 2, SIDE)):
+        for beside_b in range(max(b - 1, 0), min(b + 2, SIDE)):
+            count += cells[beside_a, beside_b] > 0
+    return count == 1
 
 
 @njit(nogil=True)
@@ -237,6 +250,18 @@ def costs_to_go(factors: Lengths, corner: NDArray[np.int64], place: Array, targe
                     first[bucket] = count
                     count += 1
     return left
+
+
+@njit(nogil=True)
+def ways_to(
+    cells: Cells, offsets: Offsets, corners: NDArray[np.int64], poses: Array, targets: Array, cell: float
+) -> tuple[Lengths, Lengths]:
+    """Computes `cost_factors` and `costs_to_go` of n maps (n, SIDE, SIDE), for vehicles at poses (n, 3) [m, rad]."""
+    factors, left = np.empty(cells.shape, np.float32), np.empty(cells.shape, np.float32)
+    for i in range(len(cells)):
+        factors[i] = cost_factors(cells[i], offsets[i])
+        left[i] = costs_to_go(factors[i], corners[i], poses[i, :2], targets[i], cell)
+    return factors, left
 
 
 @njit(nogil=True)

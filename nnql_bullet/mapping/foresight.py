@@ -22,8 +22,6 @@ from nnql_bullet.mapping.body_map import (
     Lengths,
     Offsets,
     cost_at,
-    cost_factors,
-    costs_to_go,
     open_until,
 )
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile
@@ -46,6 +44,8 @@ _DRIVEN, _STOPPING = 5, 10
 """Number of poses while a manoeuvre is driven, and most while the vehicle then brakes."""
 _NEAR = 3.6
 """Distance up to which points may be met, over the length scale [m]."""
+_MOVING_NEAR = 8.0
+"""The same of points that move [m]."""
 _WAKE = 2.0
 """Distance from a moving point up to which points of the map are the same obstacle [cells]."""
 
@@ -85,8 +85,8 @@ def foresee(
     offsets: Offsets,
     corners: NDArray[np.int64],
     poses: Array,
-    before: Array,
-    targets: Array,
+    factors: Lengths,
+    left: Lengths,
     rays: Array,
     moving: Array,
     speeds: Array,
@@ -94,7 +94,7 @@ def foresee(
     turns: Array,
     goals: Array,
     mover: Mover,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Looks ahead for n vehicles.
 
     Args:
@@ -102,8 +102,8 @@ def foresee(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
-        before: Their places at the decision before (n, 2) [m].
-        targets: Places of the targets (n, 2) [m].
+        factors: See `body_map.ways_to` (n, SIDE, SIDE).
+        left: Likewise (n, SIDE, SIDE).
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
@@ -114,29 +114,26 @@ def foresee(
 
     Returns:
         What is foreseen of the manoeuvres (n, m, COLUMNS); for `BEARINGS`, how much longer the way from `REACHES` is,
-        and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; the cost of the way left (n,) [m];
-        and by how much the last decision shortened it (n,) [m].
+        and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; and the cost of the way left (n,)
+        [m].
     """
     n = len(cells)
     seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
-    ways, progress = np.empty(n), np.empty(n)
+    ways = np.empty(n)
     points, cell = np.empty((SIDE * SIDE + rays.shape[1], 4)), mover.cell
     for i in range(n):
         corner, pose = corners[i], poses[i]
-        factors = cost_factors(cells[i], offsets[i])
-        left = costs_to_go(factors, corner, pose[:2], targets[i], cell)
-        here = cost_at(left, corner, pose[0], pose[1], cell, np.inf)
+        here = cost_at(left[i], corner, pose[0], pose[1], cell, np.inf)
         most = here + FARTHER
         ways[i] = here * cell
-        progress[i] = (cost_at(left, corner, before[i, 0], before[i, 1], cell, most) - here) * cell
         count = points_near(cells[i], offsets[i], corner, pose, rays[i], moving[i], mover, points)
         for j in range(turns.shape[1]):
             _drive(
                 cells[i],
                 corner,
                 pose,
-                factors,
-                left,
+                factors[i],
+                left[i],
                 here,
                 points[:count],
                 speeds[i],
@@ -151,12 +148,12 @@ def foresee(
             for k in range(2):
                 steps = int(REACHES[k] * mover.scale / cell)
                 around[i, k, j] = FARTHER * cell
-                if open_until(factors, corner, pose[0] / cell, pose[1] / cell, c, s, steps) == steps:
+                if open_until(factors[i], corner, pose[0] / cell, pose[1] / cell, c, s, steps) == steps:
                     way = steps * cell
-                    there = cost_at(left, corner, pose[0] + c * way, pose[1] + s * way, cell, most)
+                    there = cost_at(left[i], corner, pose[0] + c * way, pose[1] + s * way, cell, most)
                     around[i, k, j] = (there - here) * cell
             around[i, 2, j] = _known_free(cells[i], corner, pose, c, s, mover)
-    return seen, around, ways, progress
+    return seen, around, ways
 
 
 @njit(nogil=True)
@@ -177,7 +174,8 @@ def points_near(
     """
     most, cell, count = _NEAR * mover.scale, mover.cell, 0
     for j in range(len(rays)):
-        if rays[j] < min(most, mover.sensor_range):
+        moves = moving[j, 0] != 0.0 or moving[j, 1] != 0.0
+        if rays[j] < min(_MOVING_NEAR * mover.scale if moves else most, mover.sensor_range):
             points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
             points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
             points[count, 2:] = moving[j]

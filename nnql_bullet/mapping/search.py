@@ -16,8 +16,6 @@ from nnql_bullet.mapping.body_map import (
     Lengths,
     Offsets,
     cost_at,
-    cost_factors,
-    costs_to_go,
     open_until,
 )
 from nnql_bullet.mapping.foresight import Mover, State, course, points_near
@@ -43,6 +41,9 @@ _KEPT = 0.7
 """Share of the present clearance that a vehicle keeps where it has less than its margin."""
 _DROPPED = 0.3
 """What a first manoeuvre loses with every level at which nothing that follows it is driven on [m]."""
+_ALONE = 0.12, 0.45, 2.5
+"""A point stands alone if no other is farther than the first from it and nearer than the second, over the length scale
+[m]. It counts up to the third from the vehicle: farther away, sides that are seen at a slant look like that."""
 _DONE = 4.0
 """Way left at which the target is as good as reached [cells]."""
 
@@ -54,7 +55,8 @@ def searched(
     corners: NDArray[np.int64],
     poses: Array,
     trails: Array,
-    targets: Array,
+    factors: Lengths,
+    left: Lengths,
     rays: Array,
     moving: Array,
     speeds: Array,
@@ -67,6 +69,8 @@ def searched(
     width: int,
     room: float,
     weight: float,
+    haste: float,
+    caution: float,
     margin: float,
     constancy: float,
     mover: Mover,
@@ -79,7 +83,8 @@ def searched(
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
         trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
-        targets: Places of the targets (n, 2) [m].
+        factors: See `body_map.ways_to` (n, SIDE, SIDE).
+        left: Likewise (n, SIDE, SIDE).
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
@@ -92,6 +97,8 @@ def searched(
         width: Number of states that are driven on.
         room: Clearance below which a manoeuvre costs [m].
         weight: What each metre of clearance costs that lacks.
+        haste: What a manoeuvre costs by its squared speed where there is no clearance at all [s2/m].
+        caution: The same near something thin, whatever the clearance: there may be more that the rays miss [s2/m].
         margin: Clearance below which a manoeuvre counts as meeting something [m].
         constancy: What it is worth to keep to the plan [m].
         mover: The vehicle.
@@ -104,11 +111,10 @@ def searched(
     roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
     taken, nexts = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(n):
-        factors = cost_factors(cells[i], offsets[i])
-        left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
-        here = cost_at(left, corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
+        here = cost_at(left[i], corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
         count = points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], moving[i], mover, points)
         near = points[:count]
+        doubt = caution if _thin(near, mover.scale) else 0.0
         _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 1, near, mover, room)
         least = min(margin, _KEPT * now)
         count = 1
@@ -128,13 +134,13 @@ def searched(
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
                     end, cost, lasts = _tried(
-                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, least, mover
+                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, haste, doubt, least, mover
                     )
                     if lasts < 1.0:
                         if level == 0:
                             scores[i, k] = WORST + 10.0 * lasts
                         continue
-                    value = _way(end, left, factors, corners[i], poses[i], here, mover)
+                    value = _way(end, left[i], factors[i], corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
                     cost += _AGAIN * mover.scale * _visits(end, trails[i], poses[i], mover.scale)
@@ -167,6 +173,23 @@ def searched(
 
 
 @njit(nogil=True)
+def _thin(points: Array, scale: float) -> bool:
+    """Whether one of the points (k, 4) near a vehicle stands alone, as what is thinner than the rays are apart."""
+    least, most, sight = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2, (_ALONE[2] * scale) ** 2
+    for j in range(len(points)):
+        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight:
+            alone = True
+            for k in range(len(points)):
+                squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
+                if least < squared < most:
+                    alone = False
+                    break
+            if alone:
+                return True
+    return False
+
+
+@njit(nogil=True)
 def _visits(end: State, trail: Array, pose: Array, scale: float) -> int:
     """How often a vehicle was at a state's pose (k, 3)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -188,19 +211,29 @@ def _tried(
     points: Array,
     room: float,
     weight: float,
+    haste: float,
+    doubt: float,
     least: float,
     mover: Mover,
 ) -> tuple[State, float, float]:
-    """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
-    end, driven, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
-    if driven < least:
-        return end, 0.0, lasts / (poses + _STOPPING)
+    """Drives a manoeuvre, then to a stand: its end, what it costs, and how good it is as a last resort (0 to 1).
+
+    That is 1 for one that is none. Of the others those without a contact are the better, then those that meet something
+    later.
+    """
+    end, clear, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
+    if lasts < poses:
+        return end, 0.0, 0.5 * lasts / (poses + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
-    count = _STOPPING if stop > 0.0 else 0
-    _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, count, points, mover, room)
-    if then < least:
-        return end, 0.0, (poses + more) / (poses + _STOPPING + 1)
-    return end, weight * (room - min(driven, then)), 1.0
+    if stop > 0.0:
+        _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, _STOPPING, points, mover, room)
+        if more < _STOPPING:
+            return end, 0.0, 0.5 * (poses + more) / (poses + _STOPPING)
+        clear = min(clear, then)
+    if clear < least:
+        return end, 0.0, 0.5 + 0.49 * clear / least
+    lacks = 1.0 - clear / room
+    return end, weight * room * lacks + max(haste * lacks, doubt) * end[3] ** 2, 1.0
 
 
 @njit(nogil=True)

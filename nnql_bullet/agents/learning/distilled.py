@@ -92,7 +92,7 @@ class Distilled:
 
     def act(self, observations: Observation, state: DistilledState) -> tuple[Actions, DistilledState]:
         """Chooses the manoeuvre with the largest value."""
-        look = self._foresight.look(state.memory, observations)
+        look = self._look(observations, state)
         return self._after(look, observations, np.asarray(self._values(look).argmax(axis=-1)))
 
     def override(self, state: DistilledState, actions: Actions) -> DistilledState:
@@ -101,13 +101,13 @@ class Distilled:
 
     def action_values(self, observations: Observation, state: DistilledState) -> Array:
         """Values of the five turns ahead (n, 5) [m], up to a constant."""
-        return self._values(self._foresight.look(state.memory, observations))[:, : len(paper.TURNS)]
+        return self._values(self._look(observations, state))[:, : len(paper.TURNS)]
 
     def act_exploring(
         self, observations: Observation, state: DistilledState, episodes: NDArray[np.int64], uniforms: Array
     ) -> tuple[Actions, DistilledState]:
         """Asks the search; lets it drive, or chance, with the scheduled probabilities, and else the network."""
-        o, look = self.options, self._foresight.look(state.memory, observations)
+        o, look = self.options, self._look(observations, state)
         scores, _ = self._foresight.searched(look, observations, o.search)
         led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
         actions = np.where(led, scores.argmax(axis=-1), self._values(look).argmax(axis=-1))
@@ -194,6 +194,9 @@ class Distilled:
     def _new_optimizer(self) -> torch.optim.Optimizer:
         with without_cache_folder():
             return torch.optim.Adam(self.network.parameters(), fused=True)
+
+    def _look(self, observations: Observation, state: DistilledState) -> Look:
+        return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
 
     def _values(self, look: Look) -> Array:
         with torch.no_grad():
