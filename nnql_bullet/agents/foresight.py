@@ -25,7 +25,7 @@ from nnql_bullet.mapping import body_map, foresight
 from nnql_bullet.mapping.body_map import FARTHER, SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
-from nnql_bullet.mapping.search import searched
+from nnql_bullet.mapping.search import KEPT, searched
 from nnql_bullet.mapping.velocities import PAST, velocities
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.types import Bytes, NonNegative, Reach
@@ -48,7 +48,7 @@ MIRRORED_MANOEUVRES = (np.arange(0, MANOEUVRES, ACTIONS)[:, None] + MIRRORED_ACT
 """The mirror image of each manoeuvre (24,)."""
 PHI = COLUMNS + 1
 """Numbers about each manoeuvre: what is foreseen of it, and its turn."""
-CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 8
+CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 9
 """Numbers about the vehicle and its surroundings."""
 WIDTH = CONTEXT + MANOEUVRES * PHI
 _ODD = 2
@@ -164,7 +164,7 @@ class Foresight:
         parts = [
             *(k * SECTORS + mirrored_rays(SECTORS) for k in range(SCANS)),
             *(SCANS * SECTORS + k * BEARINGS + mirrored_directions(BEARINGS) for k in range(3)),
-            np.arange(CONTEXT - 8, CONTEXT),
+            np.arange(CONTEXT - 9, CONTEXT),
             CONTEXT + (MIRRORED_MANOEUVRES[:, None] * PHI + np.arange(PHI)).ravel(),
         ]
         self._mirrored = np.concatenate(parts)
@@ -227,11 +227,11 @@ class Foresight:
         """Returns a look with what a network sees: what is foreseen of every manoeuvre, and the surroundings."""
         o, m = observations, look.memory
         rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
-        foreseen, around, ways = foresee(
-            *(m.cells, m.offsets, m.corners, m.poses, look.factors, look.left, rays, look.moving),
+        foreseen, around, ways, thin = foresee(
+            *(m.cells, m.offsets, m.corners, m.poses, m.trails, look.factors, look.left, rays, look.moving),
             *(o.speed, o.yaw_rate, look.turns, self._goals, self._mover),
         )
-        frames = self._frame(o, m, m.age == 0, foreseen, around, ways, look.turns)
+        frames = self._frame(o, m, m.age == 0, foreseen, around, ways, thin, look.turns)
         return replace(look, memory=replace(m, frames=frames), foreseen=foreseen)
 
     def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
@@ -269,6 +269,23 @@ class Foresight:
         )
         return scores / scale, then
 
+    def chosen(self, look: Look, values: Array, margin: float) -> NDArray[np.int64]:
+        """The best manoeuvres by values (n, 24), of those that meet nothing; if all do, the one that does so last (n,).
+
+        Args:
+            look: What is foreseen.
+            values: Their values.
+            margin: Clearance below which a manoeuvre is a last resort, over the length scale [m].
+        """
+        if look.foreseen is None:
+            raise ValueError("nothing is foreseen: ask `ahead` first")
+        clear = look.foreseen[..., foresight.ROOM : foresight.STOP_ROOM + 1].min(axis=-1)
+        least = np.minimum(margin * self._scale, KEPT * clear.max(axis=-1))
+        lasts = look.foreseen[..., foresight.LASTS]
+        meets = (lasts < 1.0) | (clear < least[:, None])
+        worst = np.ptp(values) + 1.0
+        return np.asarray(np.where(meets, values - worst * (2.0 + 100.0 * (1.0 - lasts)), values).argmax(axis=-1))
+
     def after(
         self,
         look: Look,
@@ -299,6 +316,7 @@ class Foresight:
         foreseen: Array,
         around: Array,
         ways: Array,
+        thin: NDArray[np.bool_],
         turns: Array,
     ) -> Bytes:
         """What a network sees (n, WIDTH)."""
@@ -317,6 +335,7 @@ class Foresight:
             2 * (ways - away) / (20.0 * scale) - 1,
             1 - 2 * away / (5.0 * scale),
             self._drive.speed / scale / 2 - 1,
+            2.0 * thin - 1.0,
             np.cos(o.target_bearing),
             np.sin(o.target_bearing),
             o.yaw_rate / limits.yaw_rate,
@@ -327,6 +346,7 @@ class Foresight:
         phi[..., foresight.LASTS] = 2 * phi[..., foresight.LASTS] - 1
         phi[..., foresight.WAY : foresight.WAY_AHEAD + 1] /= most
         phi[..., foresight.UNKNOWN] = 2 * phi[..., foresight.UNKNOWN] - 1
+        phi[..., foresight.VISITS] = 2 * phi[..., foresight.VISITS] / foresight.MOST_VISITS - 1
         phi[..., COLUMNS] /= np.pi / 3
         rest = [
             probes.reshape(n, -1),

@@ -26,12 +26,14 @@ from nnql_bullet.mapping.body_map import (
 )
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile
 
-ROOM, STOP_ROOM, LASTS, WAY, WAY_AHEAD, UNKNOWN = range(6)
+ROOM, STOP_ROOM, LASTS, WAY, WAY_AHEAD, UNKNOWN, VISITS = range(7)
 """Columns of what is foreseen of a manoeuvre: smallest clearance while it is driven, and then to a stand [m], up to
 `MOST_ROOM`; share of all that until the first contact, 1 if there is none; how much longer the way from its end is than
 from here, and from a place as far ahead of its end as the vehicle reaches [m]; share of places under the vehicle that
-were never seen."""
-COLUMNS = 6
+were never seen; and how often the vehicle was at its end lately, up to `MOST_VISITS`."""
+COLUMNS = 7
+MOST_VISITS = 4
+"""Number of visits that is not told from more."""
 MOST_ROOM = 0.6
 """Clearance that is enough, over the length scale [m]."""
 BEARINGS = 24
@@ -48,6 +50,11 @@ _MOVING_NEAR = 8.0
 """The same of points that move [m]."""
 _WAKE = 2.0
 """Distance from a moving point up to which points of the map are the same obstacle [cells]."""
+_ALONE = 0.12, 0.45, 2.5
+"""A point stands alone if no other is farther than the first from it and nearer than the second, over the length scale
+[m]. It counts up to the third from the vehicle: farther away, sides that are seen at a slant look like that."""
+_SAME = 0.15, 0.25
+"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 
 
 State = tuple[float, float, float, float, float]
@@ -85,6 +92,7 @@ def foresee(
     offsets: Offsets,
     corners: NDArray[np.int64],
     poses: Array,
+    trails: Array,
     factors: Lengths,
     left: Lengths,
     rays: Array,
@@ -94,7 +102,7 @@ def foresee(
     turns: Array,
     goals: Array,
     mover: Mover,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Looks ahead for n vehicles.
 
     Args:
@@ -102,6 +110,7 @@ def foresee(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
+        trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
         factors: See `body_map.ways_to` (n, SIDE, SIDE).
         left: Likewise (n, SIDE, SIDE).
         rays: Distances of the last scan (n, r) [m].
@@ -114,12 +123,12 @@ def foresee(
 
     Returns:
         What is foreseen of the manoeuvres (n, m, COLUMNS); for `BEARINGS`, how much longer the way from `REACHES` is,
-        and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; and the cost of the way left (n,)
-        [m].
+        and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; the cost of the way left (n,) [m];
+        and whether something thin stands near (n,).
     """
     n = len(cells)
     seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
-    ways = np.empty(n)
+    ways, thin = np.empty(n), np.empty(n, np.bool_)
     points, cell = np.empty((SIDE * SIDE + rays.shape[1], 4)), mover.cell
     for i in range(n):
         corner, pose = corners[i], poses[i]
@@ -127,11 +136,13 @@ def foresee(
         most = here + FARTHER
         ways[i] = here * cell
         count = points_near(cells[i], offsets[i], corner, pose, rays[i], moving[i], mover, points)
+        thin[i] = is_thin(points[:count], mover.scale)
         for j in range(turns.shape[1]):
             _drive(
                 cells[i],
                 corner,
                 pose,
+                trails[i],
                 factors[i],
                 left[i],
                 here,
@@ -153,7 +164,7 @@ def foresee(
                     there = cost_at(left[i], corner, pose[0] + c * way, pose[1] + s * way, cell, most)
                     around[i, k, j] = (there - here) * cell
             around[i, 2, j] = _known_free(cells[i], corner, pose, c, s, mover)
-    return seen, around, ways
+    return seen, around, ways, thin
 
 
 @njit(nogil=True)
@@ -195,6 +206,35 @@ def points_near(
 
 
 @njit(nogil=True)
+def is_thin(points: Array, scale: float) -> bool:
+    """Whether one of the points (k, 4) near a vehicle stands alone, as what is thinner than the rays are apart."""
+    least, most, sight = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2, (_ALONE[2] * scale) ** 2
+    for j in range(len(points)):
+        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight:
+            alone = True
+            for k in range(len(points)):
+                squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
+                if least < squared < most:
+                    alone = False
+                    break
+            if alone:
+                return True
+    return False
+
+
+@njit(nogil=True)
+def visits(end: State, trail: Array, pose: Array, scale: float) -> int:
+    """How often a vehicle was at a state's pose (k, 3)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    count = 0
+    for k in range(len(trail)):
+        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
+        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
+    return count
+
+
+@njit(nogil=True)
 def _beside(x: float, y: float, points: Array, most: float) -> bool:
     """Whether a place is less than a distance from one of the points (k, 4) [m]."""
     found = False
@@ -208,6 +248,7 @@ def _drive(
     cells: Cells,
     corner: NDArray[np.int64],
     pose: Array,
+    trail: Array,
     factors: Lengths,
     left: Lengths,
     here: float,
@@ -238,6 +279,7 @@ def _drive(
     way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
     seen[WAY_AHEAD] = (cost_at(left, corner, x + c * way, y + s * way, cell, most) - here) * cell
     seen[UNKNOWN] = unseen / 8
+    seen[VISITS] = min(visits(driven, trail, pose, mover.scale), MOST_VISITS)
 
 
 @njit(nogil=True)

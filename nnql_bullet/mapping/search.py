@@ -18,7 +18,7 @@ from nnql_bullet.mapping.body_map import (
     cost_at,
     open_until,
 )
-from nnql_bullet.mapping.foresight import Mover, State, course, points_near
+from nnql_bullet.mapping.foresight import Mover, State, course, is_thin, points_near, visits
 
 WORST = -30.0
 """Least score, of a manoeuvre that meets something [m]."""
@@ -33,17 +33,12 @@ _EARLIER = 0.1
 """What the way left after every manoeuvre counts beside that in the end: progress at once is better than later."""
 _AGAIN = 0.5
 """What it costs to come back to a pose, each time, over the length scale [m]; without it plans repeat each other."""
-_SAME = 0.15, 0.25
-"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 _BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
-_KEPT = 0.7
+KEPT = 0.7
 """Share of the present clearance that a vehicle keeps where it has less than its margin."""
 _DROPPED = 0.3
 """What a first manoeuvre loses with every level at which nothing that follows it is driven on [m]."""
-_ALONE = 0.12, 0.45, 2.5
-"""A point stands alone if no other is farther than the first from it and nearer than the second, over the length scale
-[m]. It counts up to the third from the vehicle: farther away, sides that are seen at a slant look like that."""
 _DONE = 4.0
 """Way left at which the target is as good as reached [cells]."""
 
@@ -114,9 +109,9 @@ def searched(
         here = cost_at(left[i], corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
         count = points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], moving[i], mover, points)
         near = points[:count]
-        doubt = caution if _thin(near, mover.scale) else 0.0
+        doubt = caution if is_thin(near, mover.scale) else 0.0
         _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 1, near, mover, room)
-        least = min(margin, _KEPT * now)
+        least = min(margin, KEPT * now)
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
         costs[0, 0] = 0.0
@@ -143,7 +138,7 @@ def searched(
                     value = _way(end, left[i], factors[i], corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
-                    cost += _AGAIN * mover.scale * _visits(end, trails[i], poses[i], mover.scale)
+                    cost += _AGAIN * mover.scale * visits(end, trails[i], poses[i], mover.scale)
                     states[new, made] = end
                     costs[new, made] = costs[old, j] + cost + _EARLIER * value
                     roots[new, made] = k if level == 0 else roots[old, j]
@@ -170,35 +165,6 @@ def searched(
             scores[i, planned[i]] += constancy
         then[i] = nexts[np.argmax(scores[i])]
     return scores, then
-
-
-@njit(nogil=True)
-def _thin(points: Array, scale: float) -> bool:
-    """Whether one of the points (k, 4) near a vehicle stands alone, as what is thinner than the rays are apart."""
-    least, most, sight = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2, (_ALONE[2] * scale) ** 2
-    for j in range(len(points)):
-        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight:
-            alone = True
-            for k in range(len(points)):
-                squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
-                if least < squared < most:
-                    alone = False
-                    break
-            if alone:
-                return True
-    return False
-
-
-@njit(nogil=True)
-def _visits(end: State, trail: Array, pose: Array, scale: float) -> int:
-    """How often a vehicle was at a state's pose (k, 3)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
-    count = 0
-    for k in range(len(trail)):
-        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
-        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
-    return count
 
 
 @njit(nogil=True)

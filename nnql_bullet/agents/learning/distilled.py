@@ -91,9 +91,9 @@ class Distilled:
         return replace(state, memory=replace(state.memory, age=age))
 
     def act(self, observations: Observation, state: DistilledState) -> tuple[Actions, DistilledState]:
-        """Chooses the manoeuvre with the largest value."""
+        """Chooses the manoeuvre with the largest value of those that are foreseen to meet nothing."""
         look = self._look(observations, state)
-        return self._after(look, observations, np.asarray(self._values(look).argmax(axis=-1)))
+        return self._after(look, observations, self._chosen(look))
 
     def override(self, state: DistilledState, actions: Actions) -> DistilledState:
         """Returns the state after these manoeuvres in place of those last chosen."""
@@ -110,7 +110,7 @@ class Distilled:
         o, look = self.options, self._look(observations, state)
         scores, _ = self._foresight.searched(look, observations, o.search)
         led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
-        actions = np.where(led, scores.argmax(axis=-1), self._values(look).argmax(axis=-1))
+        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look))
         drawn = np.minimum(uniforms / max(o.random_share, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
         actions, after = self._after(look, observations, np.where(uniforms < o.random_share, drawn, actions))
         return actions, replace(after, scores=scores)
@@ -197,6 +197,9 @@ class Distilled:
 
     def _look(self, observations: Observation, state: DistilledState) -> Look:
         return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
+
+    def _chosen(self, look: Look) -> Actions:
+        return self._foresight.chosen(look, self._values(look), self.options.search.margin)
 
     def _values(self, look: Look) -> Array:
         with torch.no_grad():
