@@ -24,7 +24,13 @@ CELLS_ACROSS = 3
 SIDE = 192
 """Number of cells along a side of the map, with the vehicle in its middle; a trap fits into the map."""
 UNSEEN, FREE, OCCUPIED = 0, -1, 2
-"""Values of cells. A ray that passes the point of an occupied cell lowers its value by 1; at 0 it is free."""
+"""Values of cells. A ray that passes the point of an occupied cell lowers its value by 1; at 0 it is free. A free cell
+is less than `FREE` by the number of decisions that the vehicle took there."""
+LEAST = -120
+"""Least value of a cell."""
+TRIED = 2.0
+"""What each of these decisions adds to the cost factor of a way: where a vehicle tries in vain, another way becomes the
+better one (as in learning real-time A*: Korf, "Real-time heuristic search", 1990)."""
 PASSED = CELLS_ACROSS / 9
 """A ray that passes a point at less than that has shown that nothing is there [cells]."""
 PASSED_THIN = PASSED / 4
@@ -82,6 +88,7 @@ def add_scans(
         corner_x, corner_y = floor(x) - SIDE // 2, floor(y) - SIDE // 2
         _shift(cells[i], offsets[i], corner_x - corners[i, 0], corner_y - corners[i, 1])
         corners[i, 0], corners[i, 1] = corner_x, corner_y
+        _mark(cells[i], x - corner_x, y - corner_y)
         c, s = np.cos(yaw), np.sin(yaw)
         x += (c * sensor[0] - s * sensor[1]) / cell - corner_x
         y += (s * sensor[0] + c * sensor[1]) / cell - corner_y
@@ -95,6 +102,15 @@ def add_scans(
                 if 0 <= a < SIDE and 0 <= b < SIDE:
                     cells[i, a, b] = OCCUPIED
                     offsets[i, a, b, 0], offsets[i, a, b, 1] = int(256 * (hit_x - a)), int(256 * (hit_y - b))
+
+
+@njit(nogil=True)
+def _mark(cells: Cells, x: float, y: float) -> None:
+    """Notes that the vehicle was at a place [cells], in the cells about it."""
+    for a in range(int(x) - 1, int(x) + 2):
+        for b in range(int(y) - 1, int(y) + 2):
+            if cells[a, b] <= UNSEEN:
+                cells[a, b] = max(min(cells[a, b], FREE) - 1, LEAST)
 
 
 @njit(nogil=True)
@@ -186,6 +202,8 @@ def cost_factors(cells: Cells, offsets: Offsets) -> Lengths:
                 factors[a, b] = TIGHT
             elif room[a, b] < REACH:
                 factors[a, b] = 1.0 + BESIDE * (1.0 - room[a, b] / REACH)
+            if cells[a, b] < FREE:
+                factors[a, b] += TRIED * (FREE - cells[a, b])
     return factors
 
 
