@@ -50,9 +50,14 @@ _MOVING_NEAR = 8.0
 """The same of points that move [m]."""
 _WAKE = 2.0
 """Distance from a moving point up to which points of the map are the same obstacle [cells]."""
-_ALONE = 0.12, 0.45, 2.5
+_ALONE = 0.02, 0.45
 """A point stands alone if no other is farther than the first from it and nearer than the second, over the length scale
-[m]. It counts up to the third from the vehicle: farther away, sides that are seen at a slant look like that."""
+[m]: what it is of may be wider than it looks."""
+_UNSEEN_EXTENT = 0.08
+"""By so much, likewise [m]."""
+_THICK, _THIN_SIGHT = 0.12, 3.4
+"""It is of something thin if none is farther than this and nearer than the second, likewise [m]; up to that distance
+from the vehicle, for farther away, sides that are seen at a slant look like that."""
 _SAME = 0.15, 0.25
 """How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 
@@ -129,7 +134,7 @@ def foresee(
     n = len(cells)
     seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
     ways, thin = np.empty(n), np.empty(n, np.bool_)
-    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 4)), mover.cell
+    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 5)), mover.cell
     for i in range(n):
         corner, pose = corners[i], poses[i]
         here = cost_at(left[i], corner, pose[0], pose[1], cell, np.inf)
@@ -180,8 +185,8 @@ def points_near(
 ) -> int:
     """Lists the points of a map and of the last scan near a vehicle, in its frame, into `points`; returns how many.
 
-    Each with its velocity (k, 4) [m, m/s]. What the map holds near a moving point is that, or where it was, and left
-    out.
+    Each with its velocity, and how far it may reach (k, 5) [m, m/s]. What the map holds near a moving point is that, or
+    where it was, and left out.
     """
     most, cell, count = _NEAR * mover.scale, mover.cell, 0
     for j in range(len(rays)):
@@ -189,7 +194,7 @@ def points_near(
         if rays[j] < min(_MOVING_NEAR * mover.scale if moves else most, mover.sensor_range):
             points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
             points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
-            points[count, 2:] = moving[j]
+            points[count, 2:4] = moving[j]
             count += 1
     movers = points[:count][(points[:count, 2] != 0.0) | (points[:count, 3] != 0.0)]
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -200,25 +205,37 @@ def points_near(
                 dx, dy = (a + offsets[a, b, 0] / 256 - x) * cell, (b + offsets[a, b, 1] / 256 - y) * cell
                 at_x, at_y = c * dx + s * dy, c * dy - s * dx
                 if not _beside(at_x, at_y, movers, _WAKE * cell):
-                    points[count] = at_x, at_y, 0.0, 0.0
+                    points[count] = at_x, at_y, 0.0, 0.0, 0.0
                     count += 1
+    _widen(points[:count], mover.scale)
     return count
 
 
 @njit(nogil=True)
-def is_thin(points: Array, scale: float) -> bool:
-    """Whether one of the points (k, 4) near a vehicle stands alone, as what is thinner than the rays are apart."""
-    least, most, sight = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2, (_ALONE[2] * scale) ** 2
+def _widen(points: Array, scale: float) -> None:
+    """Writes how far what is seen at each point may reach beyond it, unseen between two rays, into the last column."""
+    least, most = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2
     for j in range(len(points)):
-        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight:
-            alone = True
-            for k in range(len(points)):
-                squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
-                if least < squared < most:
-                    alone = False
-                    break
-            if alone:
-                return True
+        points[j, 4] = _UNSEEN_EXTENT * scale if _is_alone(points, j, least, most) else 0.0
+
+
+@njit(nogil=True)
+def _is_alone(points: Array, j: int, least: float, most: float) -> bool:
+    """Whether no other point is farther from one than the first distance, and nearer than the second, squared [m2]."""
+    for k in range(len(points)):
+        squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
+        if least < squared < most:
+            return False
+    return True
+
+
+@njit(nogil=True)
+def is_thin(points: Array, scale: float) -> bool:
+    """Whether one of the points (k, 5) near a vehicle is of something thinner than the rays are apart."""
+    least, most, sight = (_THICK * scale) ** 2, (_ALONE[1] * scale) ** 2, (_THIN_SIGHT * scale) ** 2
+    for j in range(len(points)):
+        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight and _is_alone(points, j, least, most):
+            return True
     return False
 
 
@@ -236,7 +253,7 @@ def visits(end: State, trail: Array, pose: Array, scale: float) -> int:
 
 @njit(nogil=True)
 def _beside(x: float, y: float, points: Array, most: float) -> bool:
-    """Whether a place is less than a distance from one of the points (k, 4) [m]."""
+    """Whether a place is less than a distance from one of the points (k, 5) [m]."""
     found = False
     for k in range(len(points)):
         found = found or (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < most * most
@@ -303,7 +320,8 @@ def course(
         goal: Speed that is asked for [m/s].
         duration: [s]
         count: Number of poses at which the clearance is computed.
-        points: That may be met, in the frame of the state, where they are now and their velocity (k, 4) [m, m/s].
+        points: That may be met, in the frame of the state, where they are now and their velocity, and how
+            far they reach (k, 5) [m, m/s].
         mover: The vehicle.
         most: Clearance that is enough [m].
     """
@@ -326,16 +344,19 @@ def course(
 
 @njit(nogil=True)
 def _room(x: float, y: float, heading: float, time: float, points: Array, footprint: Array, most: float) -> float:
-    """The clearance of a vehicle at a pose and time from points (k, 4), all in one frame [m]; at most `most`."""
+    """The clearance of a vehicle at a pose and time from points (k, 5), all in one frame [m]; at most `most`."""
     c, s = np.cos(heading), np.sin(heading)
     middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
-    nearest, within = most * most, (most + reach_of(footprint)) ** 2
+    nearest, within = most * most, (most + reach_of(footprint) + _UNSEEN_EXTENT) ** 2
     for r in range(len(points)):
         at_x, at_y = points[r, 0] + time * points[r, 2], points[r, 1] + time * points[r, 3]
         dx, dy = at_x - middle_x, at_y - middle_y
         if dx * dx + dy * dy < within:
             dx, dy = at_x - x, at_y - y
-            nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
+            squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
+            if points[r, 4] > 0.0:
+                squared = max(np.sqrt(squared) - points[r, 4], 0.0) ** 2
+            nearest = min(nearest, squared)
     return float(np.sqrt(nearest))
 
 

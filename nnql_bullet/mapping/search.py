@@ -100,7 +100,7 @@ def searched(
     """
     n, m = turns.shape
     then = np.full(n, -1)
-    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 4))
+    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 5))
     most = max(m, width * len(follow))
     states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
     roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
