@@ -77,10 +77,10 @@ class SearchOptions:
     room_weight: NonNegative = 1.0
     """Length of way that each metre of clearance is worth that lacks, at every manoeuvre."""
     haste: NonNegative = 1.5
-    """Length of way that the drive's speed costs where there is no clearance at all, at every manoeuvre [m]; half the
-    speed costs a quarter."""
+    """What the drive's speed costs where there is no clearance at all, at every manoeuvre, as a share of the way that
+    it covers; half the speed costs a quarter."""
     caution: NonNegative = 1.3
-    """The same near something thin, whatever the clearance [m]: there may be more that the rays miss."""
+    """The same near something thin, whatever the clearance: there may be more that the rays miss."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +239,7 @@ class Foresight:
 
         What is planned to follow the last manoeuvre has an advantage, without which plans take turns.
         """
-        m, scale = look.memory, self._scale
+        m, scale, pace = look.memory, self._scale, self._drive.speed * self._drive.decision_period
         rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
         scores, then = searched(
             m.cells,
@@ -260,9 +260,10 @@ class Foresight:
             o.depth,
             o.width,
             o.room * scale,
+            o.room * max(scale, pace),
             o.room_weight,
-            o.haste * scale / self._drive.speed**2,
-            o.caution * scale / self._drive.speed**2,
+            o.haste * pace / self._drive.speed**2,
+            o.caution * pace / self._drive.speed**2,
             o.margin * scale,
             o.constancy * scale,
             self._mover,

@@ -63,6 +63,7 @@ def searched(
     depth: int,
     width: int,
     room: float,
+    wide: float,
     weight: float,
     haste: float,
     caution: float,
@@ -91,6 +92,7 @@ def searched(
         depth: Number of manoeuvres in a row.
         width: Number of states that are driven on.
         room: Clearance below which a manoeuvre costs [m].
+        wide: Clearance, not less, from which on the drive's speed costs nothing [m].
         weight: What each metre of clearance costs that lacks.
         haste: What a manoeuvre costs by its squared speed where there is no clearance at all [s2/m].
         caution: The same near something thin, whatever the clearance: there may be more that the rays miss [s2/m].
@@ -129,7 +131,7 @@ def searched(
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
                     end, cost, lasts = _tried(
-                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, haste, doubt, least, mover
+                        start, time, turns[i, action], goals[action], poses_each, near, room, wide, weight, haste, doubt, least, mover
                     )
                     if lasts < 1.0:
                         if level == 0:
@@ -176,6 +178,7 @@ def _tried(
     poses: int,
     points: Array,
     room: float,
+    wide: float,
     weight: float,
     haste: float,
     doubt: float,
@@ -187,19 +190,19 @@ def _tried(
     That is 1 for one that is none. Of the others those without a contact are the better, then those that meet something
     later.
     """
-    end, clear, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
+    end, clear, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, wide)
     if lasts < poses:
         return end, 0.0, 0.5 * lasts / (poses + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
     if stop > 0.0:
-        _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, _STOPPING, points, mover, room)
+        _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, _STOPPING, points, mover, wide)
         if more < _STOPPING:
             return end, 0.0, 0.5 * (poses + more) / (poses + _STOPPING)
         clear = min(clear, then)
     if clear < least:
         return end, 0.0, 0.5 + 0.49 * clear / least
-    lacks = 1.0 - clear / room
-    return end, weight * room * lacks + max(haste * lacks, doubt) * end[3] ** 2, 1.0
+    cost = weight * max(room - clear, 0.0)
+    return end, cost + max(haste * (1.0 - clear / wide), doubt) * end[3] ** 2, 1.0
 
 
 @njit(nogil=True)
