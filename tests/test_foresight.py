@@ -82,7 +82,7 @@ def test_a_pose_costs_with_every_visit_until_another_is_better(vehicle):
 
 def test_a_network_takes_what_meets_nothing_and_at_the_worst_what_meets_it_last(vehicle):
     x, y = World.load("paper").start
-    navigation, foresight, look = set_out(vehicle, [(x + 2.5, y + 2.5, 0.5, 8.0), (x, y + 4.5, 8.0, 0.5)])
+    _, foresight, look = set_out(vehicle, [(x + 2.5, y + 2.5, 0.5, 8.0), (x, y + 4.5, 8.0, 0.5)])
     free = look.foreseen[0, :, LASTS] == 1.0
     assert free.any() and not free.all()
     worst_first = np.broadcast_to(np.where(free, 0.0, 5.0), (MANOEUVRES, MANOEUVRES))

@@ -336,7 +336,7 @@ class Foresight:
             2 * (ways - away) / (20.0 * scale) - 1,
             1 - 2 * away / (5.0 * scale),
             self._drive.speed / scale / 2 - 1,
-            2.0 * thin - 1.0,
+            np.where(thin, 1.0, -1.0),
             np.cos(o.target_bearing),
             np.sin(o.target_bearing),
             o.yaw_rate / limits.yaw_rate,

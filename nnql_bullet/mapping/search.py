@@ -130,8 +130,9 @@ def searched(
                 start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
+                    turn, goal = turns[i, action], goals[action]
                     end, cost, lasts = _tried(
-                        start, time, turns[i, action], goals[action], poses_each, near, room, wide, weight, haste, doubt, least, mover
+                        start, time, turn, goal, poses_each, near, room, wide, weight, haste, doubt, least, mover
                     )
                     if lasts < 1.0:
                         if level == 0:

@@ -228,7 +228,7 @@ def _mismatch(
                 cost += _distance(then[k, j, 0] + x * time, then[k, j, 1] + y * time, there, cap)
                 count += 1
         count += len(members)
-    return cost / max(count, 1) + RELUCTANCE * period * np.hypot(x, y)
+    return float(cost / max(count, 1) + RELUCTANCE * period * np.hypot(x, y))
 
 
 @njit(nogil=True)
