@@ -11,7 +11,8 @@ import tyro
 
 from nnql_bullet.api import worlds as api
 from nnql_bullet.cli.console import complain, say, tell
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.shared import Place
 from nnql_bullet.errors import UserError
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.worlds.exporters import CELL
