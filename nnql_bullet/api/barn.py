@@ -26,7 +26,7 @@ from nnql_bullet.reports.failures import varied
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.run_config import frozen_keys
 from nnql_bullet.runs import PolicyLike, load_policy
-from nnql_bullet.setting import Setting, SimulationArguments
+from nnql_bullet.setting import Setting, SimulationArguments, asked_tables
 from nnql_bullet.sources import SOURCES, keep_files
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.importers.barn import START, TARGET, number_of, path_file, reference_length, world_files
@@ -136,7 +136,8 @@ def barn(
         raise UserError(f"{STEPS}: the challenge gives each drive {TIME:g} s; leave it out")
     files = _spread(world_files(Path(folder)), n_worlds, folder)
     lengths = {str(file): reference_length(path) for file in files if (path := path_file(file)) is not None}
-    asked["robot"] = asked.get("robot") or ROBOT
+    if "robot" not in asked_tables(asked):
+        asked["robot"] = ROBOT
     setting = replace(Setting.of(asked), allow_impassable=True)
     opened = open_policies(policies, setting.shield, setting.robot)
     limit = {STEPS: _most_steps(opened, setting)}

@@ -7,8 +7,7 @@ import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.shared import ExecutorFlags, PlaceFlags
-from nnql_bullet.cli.worlds import tell_warnings
+from nnql_bullet.cli.shared import ExecutorFlags, PlaceFlags, tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.reports import evaluation as report

@@ -7,8 +7,7 @@ import tyro
 
 from nnql_bullet.api import gap as api
 from nnql_bullet.cli.console import progress, say, seed_range
-from nnql_bullet.cli.shared import ExecutorFlags, PlaceFlags
-from nnql_bullet.cli.worlds import tell_warnings
+from nnql_bullet.cli.shared import ExecutorFlags, PlaceFlags, tell_warnings
 from nnql_bullet.evaluation.splits import SplitName
 from nnql_bullet.run_config import SimulatorName
 

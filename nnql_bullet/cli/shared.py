@@ -1,16 +1,20 @@
-"""Flags that several verbs share, and the arguments of the library's functions that they are."""
+"""What several verbs share: flags, the arguments of the library's functions that they are, and words about maps."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
+from nnql_bullet.cli.console import tell
 from nnql_bullet.cli.flags import NUMBERS, SHORT_FLAGS, WAYPOINTS, KeyFlags
 from nnql_bullet.executors import ExecutorArguments, ExecutorKind
 from nnql_bullet.run_config import SimulatorName, conditions_of
 from nnql_bullet.setting import DrivingArguments, PlaceArguments, SimulationArguments
 from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.worlds.imported import import_file
+from nnql_bullet.worlds.importers import is_foreign
 
 DriveKeys = Annotated[
     Mapping[str, Any],
@@ -39,8 +43,7 @@ class DrivingFlags:
     """How policies drive."""
 
     shield: bool = False
-    """Drive in a shield, in `evaluate` and `barn` without one too: it takes the best action that leaves room to stop, else
-    brakes and turns on the spot."""
+    """Drive in a shield (`evaluate`, `barn`: too): take the best action that leaves room to stop; else brake."""
     check: bool = True
     """Leave out the check of a robot of your own when it is first driven in contact physics."""
     keys: DriveKeys = field(default_factory=dict)
@@ -84,11 +87,10 @@ class PlaceFlags(SimulationFlags):
     waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None
     """Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON."""
     plan: bool = False
-    """Plan the way through the whole world, and lead policies along it; moving obstacles are not in the plan. For goals
-    beyond sight: a policy knows bearing and distance alone. Its lengths: --plan.look-ahead [m], --plan.room [m],
-    --plan.caution."""
+    """Lead policies along a plan of the way through the whole world, but for moving obstacles; for goals beyond sight.
+    Its lengths: --plan.look-ahead [m], --plan.room [m], --plan.caution."""
     allow_impassable: bool = False
-    """Drive even if the vehicle is too wide for every path to the target."""
+    """Drive even if every path is too narrow."""
 
     @property
     def asked(self) -> PlaceArguments:
@@ -123,3 +125,11 @@ class ExecutorFlags:
     def asked(self) -> ExecutorArguments:
         """What they ask for."""
         return {"workers": self.workers, "executor": self.executor, "address": self.address}
+
+
+def tell_warnings(names: Iterable[object], start: Place, target: Place) -> None:
+    """Says on standard error what was chosen in maps of other programs, and what is left out of them."""
+    for name in names:
+        if isinstance(name, str | Path) and is_foreign(Path(name)):
+            for warning in import_file(Path(name), start=start, target=target).warnings:
+                tell(f"{name}: {warning}")

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
@@ -257,8 +258,10 @@ def draw_endings(
 
 def coloured_line(points: Array, piece_colours: NDArray[np.str_], width: float) -> LineCollection:
     """Returns a line through points (n, 2) whose n - 1 pieces have their own colours."""
-    pieces = [points[i : i + 2] for i in range(len(points) - 1)]
-    return LineCollection(pieces, colors=piece_colours.tolist(), linewidths=width, capstyle="round", zorder=4)
+    turns = [0, *(np.flatnonzero(piece_colours[1:] != piece_colours[:-1]) + 1), len(piece_colours)]
+    runs = [points[a : b + 1] for a, b in pairwise(turns) if a < b]  # a piece at a time takes long to draw
+    shown = piece_colours[turns[: len(runs)]].tolist()
+    return LineCollection(runs, colors=shown, linewidths=width, capstyle="round", joinstyle="round", zorder=4)
 
 
 def _outlines(recording: Recording, every: float) -> list[OrientedBox]:
