@@ -28,7 +28,8 @@ class Unpacked(griffe.Extension):
                 for its in list(function.parameters):
                     if function.docstring and str(its.annotation).startswith("Unpack["):
                         del function.parameters[its.name]
-                        for key in _keys(pkg.modules_collection[its.annotation.slice.canonical_path]):
+                        group = pkg.modules_collection[its.annotation.slice.canonical_path]
+                        for key in group.attributes.values():  # its own and those of its bases
                             kind, annotation = griffe.ParameterKind.keyword_only, key.annotation
                             added = griffe.Parameter(key.name, annotation=annotation, kind=kind, default="...")
                             function.parameters.add(added)
@@ -41,12 +42,3 @@ def _modules(module: griffe.Module) -> Iterator[griffe.Module]:
     for its in module.modules.values():
         if not its.is_alias:
             yield from _modules(its)
-
-
-def _keys(group: griffe.Class) -> Iterator[griffe.Attribute]:
-    """The keys of a group and of its bases."""
-    for base in group.bases:
-        path = base.canonical_path
-        if path.startswith("nnql_bullet."):
-            yield from _keys(group.modules_collection[path])
-    yield from group.attributes.values()
