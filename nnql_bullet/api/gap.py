@@ -106,7 +106,7 @@ def gap(
     """
     setting = Setting.of(asked)
     if setting.simulator == "kinematic":
-        raise UserError("simulator: the second one is an engine of contact physics; give the kinematic model as against")
+        raise UserError("simulator: the second one is one of contact physics; give the kinematic model as against")
     if against == setting.simulator:
         raise UserError(f"against: '{against}' is the simulator itself; give another one")
     draws, world = choose_draws(split, n_worlds, seeds), str(world) if isinstance(world, Path) else world

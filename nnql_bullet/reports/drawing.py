@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -95,9 +96,10 @@ def picture(
     its: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
     its |= {"text.parse_math": False, **settings}  # a dollar in a name is a dollar
     with _one_at_a_time, rc_context(its):
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+        canvas: Any = FigureCanvasAgg(figure)  # `savefig` would draw it twice
         yield figure
-        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))
+        write_atomically(path, lambda temporary: canvas.print_png(temporary, metadata={"Software": None}))
 
 
 def finish_axes(
