@@ -13,15 +13,12 @@ from nnql_bullet.env import Reward
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
-from nnql_bullet.run_config import key_texts
-from nnql_bullet.runs import PolicyLike, drives_folder, load_policy, tell_differences
+from nnql_bullet.runs import PolicyLike, load_policy, tell_differences
 from nnql_bullet.setting import PlaceArguments, Setting
 from nnql_bullet.work import OnProgress
 from nnql_bullet.worlds.source import World
 
 _log = logging.getLogger(__name__)
-RECORDING = "trajectory.npz"
-"""File that a drive is kept in."""
 
 
 @checked
@@ -80,21 +77,3 @@ def drive(
         summary=asdict(summary),
         plans=[{"time": time, "corners": corners.tolist()} for time, corners in navigation.plans(0)],
     )
-
-
-def keep(recording: Recording, folder: Path) -> dict[str, Path]:
-    """Writes a recording and its picture into a folder, which is made if it is not there; returns the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = {"recording": folder / RECORDING, "picture": (folder / RECORDING).with_suffix(".png")}
-    recording.save(files["recording"])
-    recording.plot(files["picture"])
-    return files
-
-
-def drive_folder(policy: Path, world: str, seed: int, setting: Setting) -> Path:
-    """The folder in which a drive is kept: with its run, named for the world and for what was asked for."""
-    simulator = [setting.simulator] if setting.simulator != "bullet" else []
-    parts = [world, str(seed), *simulator, *(["shield"] if setting.shield else []), *(["plan"] if setting.plan else [])]
-    asked = (setting.conditions.texts if setting.conditions else {}) | key_texts(dict(setting.keys))
-    parts += [f"{name.replace('_', '-')}-{text}" for name, text in asked.items()]
-    return drives_folder(policy) / "-".join(parts)

@@ -8,8 +8,8 @@ import tyro
 
 from nnql_bullet import driving
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.kept import drive_folder, keep
 from nnql_bullet.cli.shared import PlaceFlags, tell_warnings
-from nnql_bullet.driving import drive_folder, keep
 from nnql_bullet.setting import Setting
 
 BEST = Path("double_dqn")

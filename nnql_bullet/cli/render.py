@@ -111,7 +111,8 @@ def render(
 
 def _driven(policy: Path, world: str | None, seed: int, ends: Mapping[str, Any], keys: Mapping[str, Any]) -> Path:
     """Drives a policy as the verb `drive` does; returns the file of the recording."""
-    from nnql_bullet.driving import drive, drive_folder, keep  # all that drives; to draw, none of it is needed
+    from nnql_bullet.cli.kept import drive_folder, keep  # all that drives; to draw, none of it is needed
+    from nnql_bullet.driving import drive
     from nnql_bullet.setting import Setting
 
     asked = PlaceFlags(**ends, keys=keys).asked
