@@ -134,7 +134,8 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
 
     with tyro_errors.on_parse_error(refuse):
         try:
-            return tyro.cli(_noting(verb, for_help), prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+            noting = _noting(verb, for_help, arguments)
+            return tyro.cli(noting, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
         except SystemExit:
             if examples:
                 say(f"For example:\n{textwrap.indent(textwrap.dedent(examples.strip(chr(10))), '  ')}")
@@ -148,8 +149,11 @@ def _wrapped(text: str) -> str:
     return "".join(f"{textwrap.fill(its, width, break_on_hyphens=False)}\n\n" for its in paragraphs)[:-1]
 
 
-def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[[], int]]:
-    """The verb with its help, which only takes note of its arguments."""
+def _noting(verb: Callable[..., int], for_help: bool, arguments: Sequence[str]) -> Callable[..., Callable[[], int]]:
+    """The verb with its help, which only takes note of its arguments.
+
+    Of the keys of a configuration, tyro learns those that it shows and those that are given: all of them take it long.
+    """
 
     def note(*args: object, **kwargs: object) -> Callable[[], int]:
         grouped = {name: value for its in kwargs.values() if _is(its, "Group") for name, value in vars(its).items()}
@@ -160,8 +164,9 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
     taken, records = _parameters(verb), _records(verb)
     told = (*records.values(), verb) if for_help else ()
     abouts = {name: about for its in told for name, about in abouts_of(its).items()}
+    words = {word.partition("=")[0].replace("_", "-") for word in arguments}
     flags = frozenset(map(flag, taken))
-    parameters = [_parameter(*its, abouts.get(name, ""), for_help, flags) for name, its in taken.items()]
+    parameters = [_parameter(*its, abouts.get(name, ""), for_help, flags, words) for name, its in taken.items()]
     if len(parameters) >= GROUPED_FROM:
         for title, names in GROUPS.items():
             group = [its for its in parameters if its.name in names]
@@ -192,12 +197,14 @@ def _records(verb: Callable[..., int]) -> dict[str, Any]:
     return {name: its for name, its in get_type_hints(verb).items() if is_dataclass(its)}
 
 
-def _parameter(its: Parameter, hint: Any, about: str, for_help: bool, taken: frozenset[str]) -> Parameter:
+def _parameter(
+    its: Parameter, hint: Any, about: str, for_help: bool, taken: frozenset[str], given: Collection[str]
+) -> Parameter:
     """A parameter of a verb as tyro takes it."""
     mark = _mark(hint)
     if mark:
-        constructor = _flags_class(tuple(mark.keys(for_help)), taken, mark.defaults, for_help)
-        return _nested(its.name, mark.title, constructor)
+        found = [key for key in mark.keys(for_help) if for_help or {*_flags_of_key(key.name, taken)} & {*given}]
+        return _nested(its.name, mark.title, _flags_class(tuple(found), taken, mark.defaults, for_help))
     choices = _choices(hint)
     told = tyro.conf.arg(help=about, help_behavior_hint=functools.partial(_hint, choices))
     named = (tyro.conf.arg(metavar="NAME"),) if choices else ()

@@ -192,8 +192,8 @@ def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
     axes.add_collection(coloured_line(points, np.where(non_safe[1:], NON_SAFE, SAFE), 2.0 * detail))
-    for pose in _outlines(recording, OUTLINE_EVERY / detail):
-        axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
+    outlines = [its.corners() for its in _outlines(recording, OUTLINE_EVERY / detail)]
+    axes.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=INK, linewidth=0.6 * detail, zorder=3))
     last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
     axes.add_patch(Polygon(last.corners(), fc=VEHICLE, ec=INK, lw=0.8 * detail, zorder=6))
     if cross and recording.about["ending"] == "collision":
