@@ -86,11 +86,20 @@ class Evaluation:
         Copies of a drive do not count. Of drives through equal worlds the first of each seed does; and only the first
         of all if they are equal to the last bit, unless the policy draws random numbers.
         """
-        drives: dict[str, list[EpisodeSummary]] = {}
-        for world, summary in zip(tier.worlds, self.drives[policy.name, tier.name], strict=True):
-            drives.setdefault(world.digest, []).append(replace(summary, world_seed=0))
-        alike = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
-        fixed = alike if policy.name not in self.random else set()
+        summaries = self.drives[policy.name, tier.name]
+        places: dict[str, list[int]] = {}
+        for place, world in enumerate(tier.worlds):
+            places.setdefault(world.digest, []).append(place)
+
+        def are_copies(its: Sequence[int]) -> bool:
+            drives = [replace(summaries[place], world_seed=0) for place in its]
+            return all(drive == drives[0] for drive in drives)
+
+        fixed = {
+            digest
+            for digest, its in places.items()
+            if len(its) > 1 and policy.name not in self.random and are_copies(its)
+        }
         first: dict[tuple[str, int], int] = {}
         for place, world in enumerate(tier.worlds):
             first.setdefault((world.digest, -1 if world.digest in fixed else world.seed), place)
@@ -255,10 +264,9 @@ def _tables(drives: Sequence[Sequence[_Drive]], quantity: _Quantity) -> list[Arr
     """Sums a quantity of each seed in each world: of each tier a table (seeds, worlds)."""
     tables = []
     for its in drives:
-        table = np.zeros((1 + max(drive.seed for drive in its), 1 + max(drive.world for drive in its)))
-        for drive in its:
-            table[drive.seed, drive.world] += quantity(drive)
-        tables.append(table)
+        worlds = 1 + max([drive.world for drive in its])
+        sums = np.bincount([drive.seed * worlds + drive.world for drive in its], [quantity(drive) for drive in its])
+        tables.append(sums.reshape(-1, worlds))
     return tables
 
 
@@ -352,6 +360,7 @@ class Comparison:
 def comparisons(evaluation: Evaluation) -> list[Comparison]:
     """Tests every method against every other, in every tier and in all of them together."""
     e, found = evaluation, []
+    counted = {(policy.name, tier.name): set(e.counted(policy, tier)) for policy in e.policies for tier in e.tiers}
     for world, tiers in e.groups:
         means = {method: _mean_success(e, method, tiers) for method in e.methods}
         for first, second in combinations(e.methods, 2):
@@ -359,7 +368,7 @@ def comparisons(evaluation: Evaluation) -> list[Comparison]:
                 tuple(e.drives[policy.name, tier.name][place].ending == "goal" for policy in pair)
                 for tier in tiers
                 for pair in _paired(e.of_method(first), e.of_method(second))
-                for place in sorted({place for policy in pair for place in e.counted(policy, tier)})
+                for place in sorted(counted[pair[0].name, tier.name] | counted[pair[1].name, tier.name])
             ]
             only_first, only_second = pairs.count((True, False)), pairs.count((False, True))
             (a, draws_a), (b, draws_b) = means[first], means[second]
