@@ -67,7 +67,7 @@ class AblationTask:
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
+        return part_name(__name__, "ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
 
 
 @dataclass(frozen=True, slots=True)

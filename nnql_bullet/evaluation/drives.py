@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from nnql_bullet import __version__, assets
+from nnql_bullet import assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
 from nnql_bullet.config import merged, nested
@@ -20,6 +20,7 @@ from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, Draws, check_frozen, load_frozen
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file, real
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
@@ -339,7 +340,7 @@ class DriveTask(_BlockTask):
             *(["plan"] if setting.plan else []),
             *(its for its in policy.holding(setting.keys) if its[0] != "robot"),
         )
-        return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
+        return part_name(__name__, "drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -384,7 +385,7 @@ class SurveyTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("survey", self.policy.vehicle_width, *self.tier.part(self.first))
+        return part_name(__name__, "survey", self.policy.vehicle_width, *self.tier.part(self.first))
 
 
 def survey(task: SurveyTask) -> list[Difficulty]:
@@ -436,7 +437,7 @@ def film(task: FilmTask) -> Recording:
     run_episode(experiment.navigation, world, experiment.policy, watcher=recorder)
     config = experiment.config
     return recorder.recording(
-        policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__
+        policy=task.policy.name, simulator=config.simulator, physics=config.physics, made_by=made_by()
     )
 
 

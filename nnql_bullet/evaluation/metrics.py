@@ -266,7 +266,7 @@ def _tables(drives: Sequence[Sequence[_Drive]], quantity: _Quantity) -> list[Arr
     for its in drives:
         worlds = 1 + max([drive.world for drive in its])
         sums = np.bincount([drive.seed * worlds + drive.world for drive in its], [quantity(drive) for drive in its])
-        tables.append(sums.reshape(-1, worlds))
+        tables.append(np.asarray(sums, np.float64).reshape(-1, worlds))
     return tables
 
 

@@ -16,6 +16,7 @@ from nnql_bullet.config import dotted, merged
 from nnql_bullet.evaluation.ablation import Budget, Entry
 from nnql_bullet.evaluation.statistics import Estimate, least_seeds
 from nnql_bullet.evaluation.studies import Factor, Study
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Picture, Report, Section, table
 from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, picture
 from nnql_bullet.reports.tables import csv_text, finite
@@ -128,6 +129,7 @@ def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> d
     """Returns the ablation as plain values, for JSON."""
     return {
         "version": __version__,
+        "made_by": made_by(),
         **asdict(budget),
         "preset": study.preset,
         "tiers": dict(study.tiers),

@@ -16,6 +16,7 @@ from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Quarter, Row, by_bottleneck
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.document import Commands, Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
@@ -297,6 +298,7 @@ def evaluation_values(
     e = evaluation
     return {
         "version": __version__,
+        "made_by": made_by(),
         "command": e.command,
         "split": e.draws.split,
         "seeds": [e.draws.seeds.start, e.draws.seeds.stop],
