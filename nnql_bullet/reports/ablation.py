@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from nnql_bullet import __version__
-from nnql_bullet.colours import BOX, BOX_EDGE, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
+from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
 from nnql_bullet.config import dotted, merged
 from nnql_bullet.evaluation.ablation import Budget, Entry
 from nnql_bullet.evaluation.statistics import Estimate, least_seeds
@@ -21,7 +21,7 @@ from nnql_bullet.reports.document import Picture, Report, Section, table
 from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, picture
 from nnql_bullet.reports.tables import csv_text, finite
 
-COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT, "exploratory": BOX_EDGE}
+COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT, "exploratory": TIMEOUT}
 
 
 def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) -> str:
@@ -210,5 +210,6 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
         handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
         legend_below(figure, 5, handles)
         asked = f"; {study.asked}" if study.asked else ""
-        title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it{asked}"
+        interval = ", 95 % interval" if budget.seeds >= least_seeds() else ""
+        title = f"trainings of each: {budget.seeds}; inter-quartile mean{interval}; * the paper states it{asked}"
         figure.suptitle(title, fontsize=10, color=INK)

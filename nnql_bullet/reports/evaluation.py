@@ -327,6 +327,13 @@ def evaluation_values(
             for tier in e.tiers
         ],
         "refused": [asdict(its) for its in e.refused],
+        "drives": {
+            policy.name: {
+                tier.name: "".join(summary.ending[0] for summary in e.drives[policy.name, tier.name])
+                for tier in e.tiers
+            }
+            for policy in e.policies
+        },
         "rows": [finite(asdict(row)) | {"intervals": finite(row.intervals)} for row in rows],
         "by_bottleneck": [asdict(quarter) for quarter in by_bottleneck(e)],
         "comparisons": [finite(asdict(comparison)) for comparison in comparisons],

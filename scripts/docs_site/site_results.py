@@ -9,17 +9,26 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 
-PAGES = {
+REPORTS = {
     "covers": ("Contact physics, by cover", "Every method in PyBullet, in worlds of 5 to 20 % cover.", "covers"),
     "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes, two seeds of each method.", "hard"),
     "kinematic": ("Kinematic model, all worlds", "More worlds of every kind, without slip.", "kinematic"),
     "shield": ("Bare and in a shield", "How success and interventions change in a shield.", "shield"),
+    "shield-kinematic": ("Every method in a shield", "Bare and in a shield, kinematic model.", "shield-kinematic"),
+    "poles": ("Thin poles", "Poles of a few centimetres, 360 rays, bare and in a shield.", "poles"),
     "conditions": ("Conditions nobody trained with", "Friction, payload, noise and dead sectors.", "conditions"),
+    "barn": ("Worlds of the BARN challenge", "Shipped policies and rules by its protocol.", "barn"),
+    "maps": ("Maps", "Shipped policies and rules through maps of others.", "maps"),
     "ablation": ("Ablation of paper", "The factors that the paper leaves open.", "ablations"),
     "ablation-tuned": ("Ablation of tuned", "What each departure of `tuned` is worth.", "ablations"),
     "ablation-double_dqn": ("Ablation of double_dqn", "What the map and the frames are worth.", "ablations"),
 }
 """By folder of results/: title, one sentence, and the part of scripts/results.py that makes it."""
+PAGES = {folder: its for folder, its in REPORTS.items() if (RESULTS / folder).is_dir()}
+"""Those that have been made."""
+
+
+COVERS = {"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover", "cover_20": "20 % cover"}
 
 
 @cache
@@ -132,7 +141,7 @@ def conditions_table() -> str:
     """The table of results/conditions."""
     text = (RESULTS / "conditions" / "conditions.md").read_text(encoding="utf-8")
     table = "\n".join(line for line in text.splitlines() if line.startswith("|"))
-    for name, title in (("paper", "5 % cover"), ("cover_10", "10 % cover"), ("cover_15", "15 % cover")):
+    for name, title in COVERS.items():
         table = table.replace(f"| {name} |", f"| {title} |", 1)
     return table
 
