@@ -210,6 +210,6 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
         handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
         legend_below(figure, 5, handles)
         asked = f"; {study.asked}" if study.asked else ""
-        interval = ", 95 % interval" if budget.seeds >= least_seeds() else ""
-        title = f"trainings of each: {budget.seeds}; inter-quartile mean{interval}; * the paper states it{asked}"
+        ends = ", 95 % interval" if budget.seeds >= least_seeds() else ""
+        title = f"trainings of each: {budget.seeds}; inter-quartile mean{ends}; * the paper states it{asked}"
         figure.suptitle(title, fontsize=10, color=INK)
