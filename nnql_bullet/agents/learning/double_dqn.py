@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from nnql_bullet.agents.learning import weights
-from nnql_bullet.agents.learning.frame_driver import FrameDriver, FrameState
+from nnql_bullet.agents.learning.frame_driver import Choice, FrameDriver, FrameState
 from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import DoubleDqnOptions
@@ -81,7 +81,7 @@ class DoubleDqn(FrameDriver):
         chance = self.options.exploration(episodes)
         drawn = (uniforms / np.maximum(chance, 1e-9) * ACTIONS).astype(np.int64)
         actions = np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
-        return actions, self._after(look, observations, actions)
+        return actions, self._after(Choice(look, observations, actions))
 
     def learn(self, transitions: Transition, state: FrameState, episodes: NDArray[np.int64]) -> Array:
         """Stores the steps in the replay buffer, and learns from a sample of it.
@@ -93,7 +93,7 @@ class DoubleDqn(FrameDriver):
         o, t, learning = self.options, transitions, self._learn_with(len(transitions.a_tm1))
         if state.last is None:
             raise ValueError("learn needs the state that act_exploring returned")
-        look, _ = state.last
+        look = state.last.look
         ends = np.where(t.discount_t == 0, TERMINATED, np.where(t.ending == NO_ENDING, CONTINUES, TRUNCATED))
         learning.replay.add(
             look.memory.frames[:, 0],

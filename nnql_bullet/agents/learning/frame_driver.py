@@ -17,13 +17,25 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 
 @dataclass(frozen=True, slots=True)
+class Choice:
+    """A decision for n vehicles."""
+
+    look: Look
+    observations: Observation
+    actions: Actions
+    """(n,)"""
+    values: Array | None = None
+    """Q-values that they were chosen by (n, 6); None if by others."""
+
+
+@dataclass(frozen=True, slots=True)
 class FrameState:
     """Memory of n vehicles."""
 
     memory: Memory
     """Memory at the next decision."""
-    last: tuple[Look, Observation] | None = None
-    """What the last actions were chosen by; None before the first."""
+    last: Choice | None = None
+    """The last decision; None before the first."""
 
 
 class FrameDriver(ABC):
@@ -50,12 +62,15 @@ class FrameDriver(ABC):
     def act(self, observations: Observation, state: FrameState) -> tuple[Actions, FrameState]:
         """Chooses the action with the largest Q-value."""
         look = self._frames.look(state.memory, observations)
-        actions = np.asarray(self.values(look).argmax(axis=-1))
-        return actions, self._after(look, observations, actions)
+        values = self.values(look)
+        actions = np.asarray(values.argmax(axis=-1))
+        return actions, self._after(Choice(look, observations, actions, values))
 
     def override(self, state: FrameState, actions: Actions) -> FrameState:
         """Returns the state after these actions in place of those last chosen."""
-        return self._after(*state.last, actions) if state.last else state
+        if state.last is None or np.array_equal(actions, state.last.actions):
+            return state
+        return self._after(replace(state.last, actions=np.array(actions)))
 
     def action_values(self, observations: Observation, state: FrameState) -> Array:
         """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
@@ -69,8 +84,8 @@ class FrameDriver(ABC):
         """
         if state.last is None:
             raise ValueError("values_of needs the state that act returned")
-        return self.values(state.last[0])
+        return self.values(state.last.look) if state.last.values is None else state.last.values
 
-    def _after(self, look: Look, observations: Observation, actions: Actions) -> FrameState:
-        """Returns the state after these actions."""
-        return FrameState(self._frames.after(look, observations, actions), (look, observations))
+    def _after(self, choice: Choice) -> FrameState:
+        """Returns the state after a decision."""
+        return FrameState(self._frames.after(choice.look, choice.observations, choice.actions), choice)
