@@ -1,25 +1,16 @@
 """The runtime: it drives as the simulators' loop does, by scans of any lidar, and stops on what it cannot drive by."""
 
-import subprocess
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from math import inf, nan, pi, radians
-from pathlib import Path
+from dataclasses import dataclass, field
+from math import inf, pi
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import nnql_bullet as nb
-from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
-from nnql_bullet.deploy.scans import Unusable, rays_of
-from nnql_bullet.env import ACTIONS, STOP, commands_of
+from nnql_bullet.deploy import Command, Controller, Odometry, Scan
+from nnql_bullet.env import commands_of
 from nnql_bullet.geometry import Array
-from nnql_bullet.recording import Recording
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
 from nnql_bullet.sim.kinematic import KinematicSimulator
