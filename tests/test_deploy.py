@@ -1,15 +1,20 @@
 """The runtime: it drives as the simulators' loop does, by scans of any lidar, and stops on what it cannot drive by."""
 
-from dataclasses import dataclass, field
-from math import inf, pi
+import subprocess
+import sys
+from dataclasses import dataclass, field, replace
+from math import inf, nan, pi, radians
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import nnql_bullet as nb
-from nnql_bullet.deploy import Command, Controller, Odometry, Scan
-from nnql_bullet.env import commands_of
+from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
+from nnql_bullet.deploy.scans import Unusable, rays_of
+from nnql_bullet.env import STOP, commands_of
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
@@ -89,7 +94,7 @@ def same_drive(policy: str, world: str, seed: int, shield: bool) -> Replay:
 class TestDrives:
     @pytest.mark.parametrize(
         ("policy", "world", "seed", "shield"),
-        [("paper", "cover_10", 1, False), ("vfh", "aisles", 2, False), ("double_dqn", "cover_20", 1, False)],
+        [("paper", "cover_10", 1, False), ("vfh", "aisles", 2, False), ("double_dqn", "cover_10", 1, True)],
     )
     def test_it_drives_as_the_simulators_loop_does(self, policy: str, world: str, seed: int, shield: bool) -> None:
         same_drive(policy, world, seed, shield)
@@ -100,3 +105,228 @@ class TestDrives:
     def test_in_many_worlds(self, policy: str, world: str, shield: bool) -> None:
         for seed in (3, 4):
             same_drive(policy, world, seed, shield)
+
+
+SENSOR = Sensor(position=(0.35, 0.0, 0.4))
+
+
+def lidar(distances: Any, first: float = -pi, increment: float | None = None, **values: Any) -> Scan:
+    """A scan all round by so many beams, unless told otherwise."""
+    beams = np.asarray(distances, np.float64)
+    step = 2 * pi / len(beams) if increment is None else increment
+    named = {"range_min": 0.1, "range_max": 30.0, "stamp": 0.0, **values}
+    return Scan(distances, first, first + (len(beams) - 1) * step, step, **named)
+
+
+class TestScans:
+    @settings(max_examples=60, deadline=None)
+    @given(
+        st.integers(36, 1500),
+        st.floats(-4.0, 4.0),
+        st.booleans(),
+        st.integers(0, 2**32 - 1),
+        st.sampled_from([8, 72, 360]),
+    )
+    def test_a_ray_reads_the_nearest_of_the_beams_about_it(
+        self, beams: int, first: float, clockwise: bool, seed: int, rays: int
+    ) -> None:
+        drawn = np.random.default_rng(seed).uniform(0.2, 14.0, beams)
+        step = (-1 if clockwise else 1) * 2 * pi / beams
+        sensor = replace(SENSOR, rays=rays)
+        found = rays_of(lidar(drawn, first, step), sensor)
+        half = max(2 * pi / rays, abs(step)) / 2
+        for angle, its in zip(sensor.angles, found, strict=True):
+            away = [abs((first + step * k - angle + pi) % (2 * pi) - pi) for k in range(beams)]
+            surely = min((d for d, a in zip(drawn, away, strict=True) if a < half - 1e-5), default=inf)
+            perhaps = min(d for d, a in zip(drawn, away, strict=True) if a < half + 1e-5)
+            assert min(perhaps, 10.0) <= its <= min(surely, 10.0)
+
+    def test_what_is_not_measured_is_not_free(self) -> None:
+        beams = np.full(720, inf)
+        beams[[360, 361, 362]] = -inf, nan, 0.05  # ahead: too near, nothing told, too near
+        found = rays_of(lidar(beams), SENSOR)
+        assert found[np.abs(SENSOR.angles).argmin()] == 0.0
+        assert (found == 10.0).sum() == 71
+
+    @pytest.mark.parametrize(
+        ("scan", "reason"),
+        [
+            (lidar(np.full(360, nan)), "72 of 72 rays tell nothing"),
+            (lidar(np.r_[np.full(345, 5.0), np.full(15, nan)]), "tell nothing: all beams are NaN at"),
+            (lidar([5.0] * 99 + [-1.0]), "beam 99 of the scan reads -1 m"),
+            (Scan([], 0.0, 6.0, 0.1, 0.1, 30.0, 0.0), "0 beams"),
+            (replace(lidar(np.full(360, 5.0)), ranges=np.full(200, 5.0)), "200 beams where its angles make 360"),
+            (replace(lidar(np.full(360, 5.0)), ranges=np.full(500, 5.0)), "500 beams where its angles make 360"),
+            (lidar(np.full(271, 5.0), -0.75 * pi, radians(1.0)), "no beam at"),
+            (lidar(np.full(360, 5.0), range_max=8.0), "reaches 8 m"),
+            (lidar(np.full(360, 5.0), range_max=nan), "angles and limits"),
+            (replace(lidar(np.full(360, 5.0)), angle_increment=0.0), "angles and limits"),
+            (replace(lidar(np.full(360, 5.0)), ranges=["a"] * 360), "something else than numbers"),
+            (replace(lidar(np.full(360, 5.0)), ranges=None), "0 dimensions"),
+        ],
+    )
+    def test_what_cannot_be_driven_by_is_refused(self, scan: Scan, reason: str) -> None:
+        with pytest.raises(Unusable, match=reason):
+            rays_of(scan, SENSOR)
+
+    def test_a_lidar_that_does_not_see_all_round_needs_a_sensor_with_that_blind_arc(self) -> None:
+        sensor = replace(SENSOR, blind_arc_degrees=(134.0, -134.0))
+        found = rays_of(lidar(np.full(271, 5.0), -0.75 * pi, radians(1.0)), sensor)
+        assert (found[sensor.seen] == 5.0).all()
+        assert (found[~sensor.seen] == 10.0).all()
+
+    def test_a_lidar_may_look_another_way(self) -> None:
+        beams = np.full(360, inf)
+        beams[180] = 3.0  # its own 0
+        assert rays_of(lidar(beams), SENSOR, yaw=pi / 2).argmin() == np.abs(SENSOR.angles - pi / 2).argmin()
+
+
+FREE = np.full(360, inf)
+
+
+class Told:
+    """A controller, called 40 times a second with a scan at each, that has driven for a while."""
+
+    def __init__(self) -> None:
+        self.controller = Controller("straight")
+        self.now, self.x = 100.0, 0.0
+        self.commands = [self.tell() for _ in range(30)]
+        assert not any(its.reason for its in self.commands)
+
+    def tell(self, **wrong: Any) -> Command:
+        """Calls it once more, with something wrong if so told."""
+        self.now = wrong.pop("now", self.now + 0.025)
+        scan = lidar(FREE, stamp=self.now)
+        odometry = Odometry(self.x, 0.0, 0.0, self.now, 1.0, 0.0)
+        given = {"scan": scan, "odometry": odometry, "target": TARGET} | wrong
+        command = self.controller.step(given["scan"], given["odometry"], given["target"], self.now)
+        self.x += 0.025 * command.speed
+        assert all(map(np.isfinite, (command.left, command.right, command.speed, command.yaw_rate)))
+        return command
+
+
+NOW = 100.75 + 0.025
+GOOD = {"scan": lidar(FREE, stamp=NOW), "odometry": Odometry(0.7, 0.0, 0.0, NOW, 1.0, 0.0)}
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"scan": None}, "no scan has come"),
+    ({"scan": lidar(np.full(360, nan), stamp=NOW)}, "tell nothing"),
+    ({"scan": lidar(FREE, stamp=NOW - 1.0)}, "scan: 1.00 s old"),
+    ({"scan": lidar(FREE, stamp=NOW - 0.2)}, "older than the one before it"),
+    ({"scan": lidar(FREE, stamp=NOW + 5.0)}, "in the future"),
+    ({"scan": lidar(FREE, stamp=NOW, frame="camera")}, "scan: in the frame 'camera', not in 'laser'"),
+    ({"scan": lidar(FREE, stamp=nan)}, "stamp is nan"),
+    ({"odometry": None}, "no odometry has come"),
+    ({"odometry": Odometry(0.0, 0.0, 0.0, NOW - 0.5)}, "odometry: 0.50 s old"),
+    ({"odometry": Odometry(0.0, 0.0, 0.0, NOW, frame="map")}, "odometry: in the frame 'map', not in 'odom'"),
+    ({"odometry": Odometry(nan, 0.0, 0.0, NOW)}, "'x' is nan"),
+    ({"odometry": Odometry(0.0, 0.0, inf, NOW)}, "'yaw' is inf"),
+    ({"odometry": Odometry(0.0, 0.0, 0.0, NOW, speed=nan)}, "'speed' is nan"),
+    ({"target": None}, "no target is given"),
+    ({"target": (nan, 1.0)}, "the target is at nan"),
+    ({"target": 3.0}, "no pair"),
+    ({"target": (1.0, 0.0)}, "at the target"),
+    ({"now": NOW + 3.0}, "not called for 3.0"),
+    ({"now": 4.0}, "gone back by"),
+    ({"now": nan}, "clock: it shows nan"),
+]
+
+
+class TestWatch:
+    @pytest.mark.parametrize(("wrong", "reason"), WRONG, ids=[reason for _, reason in WRONG])
+    def test_it_brakes_with_a_reason_and_drives_on_when_all_is_well(
+        self, wrong: dict[str, Any], reason: str, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        told = Told()
+        limit, speed = told.controller.vehicle.limits.acceleration, told.commands[-1].speed
+        assert speed == pytest.approx(told.controller.drive.speed)
+        command = told.tell(**wrong)
+        assert reason in command.reason == told.controller.reason
+        assert command.action == STOP
+        assert f"stops: {command.reason}" in caplog.text
+        after = [command]
+        told.now = told.now if np.isfinite(told.now) else 100.8
+        for _ in range(80):
+            after.append(told.tell(scan=None))
+        speeds = np.array([speed, *(its.speed for its in after)])
+        assert (np.diff(speeds) <= 1e-9).all()
+        assert (-np.diff(speeds)[1:] <= limit * 0.025 + 1e-9).all()
+        assert (after[-1].left, after[-1].right) == (0.0, 0.0)
+        assert told.tell().reason == ""
+
+    def test_a_scan_that_does_not_come_again_stops_it_at_the_next_decision_or_when_it_is_too_old(self) -> None:
+        told = Told()
+        old = lidar(FREE, stamp=told.now)
+        reasons = [told.tell(scan=old).reason for _ in range(12)]
+        assert reasons[0] == ""
+        assert "old; at most 0.25 s" in reasons[-1]
+
+    def test_wheels_stay_below_their_limit_whatever_the_yaw_is(self) -> None:
+        told = Told()
+        most = told.controller.drive.speed + told.controller.vehicle.limits.yaw_rate * told.controller.vehicle.track / 2
+        command = told.tell(odometry=Odometry(0.7, 0.0, 2.0, told.now + 0.025, 1.0, 0.0))
+        assert max(abs(command.left), abs(command.right)) * told.controller.vehicle.wheel_radius <= most + 1e-9
+
+    @settings(max_examples=150, deadline=None)
+    @given(st.data())
+    def test_nothing_that_it_is_told_breaks_it(self, data: st.DataObject) -> None:
+        controller = Controller("straight")
+        some = st.one_of(st.floats(), st.none(), st.text(max_size=3), st.integers(-5, 2**70))
+        times = st.one_of(st.just(1.0), some)
+        ranges = st.one_of(some, st.lists(some, max_size=9), st.just(FREE))
+        for _ in range(3):
+            scan = data.draw(st.builds(Scan, ranges, *[some] * 5, times, st.sampled_from(["laser", "x"])))
+            odometry = data.draw(st.builds(Odometry, some, some, some, times, some, some))
+            target = data.draw(st.one_of(st.none(), st.tuples(some, some)))
+            now: Any = data.draw(times)
+            command = controller.step(scan, odometry, target, now)
+            assert command.reason or (np.isfinite(command.left) and np.isfinite(command.right))
+            assert abs(command.speed) <= controller.drive.speed + 1e-9
+
+
+WITHOUT = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Nothing(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in "torch numba llvmlite scipy pybullet mujoco gymnasium onnxruntime".split():
+            raise ImportError(name)
+
+sys.meta_path.insert(0, Nothing())
+"""
+DRIVE = """
+import numpy as np
+from nnql_bullet.deploy import Controller, Odometry, Scan
+
+for policy in ("paper", "double_dqn"):
+    controller = Controller(policy, shield=True)
+    for k in range(5):
+        ranges = np.random.default_rng(k).uniform(2.0, 12.0, 360)
+        scan = Scan(ranges, 0.0, 2 * np.pi * 359 / 360, 2 * np.pi / 360, 0.1, 30.0, 0.1 * k)
+        command = controller.step(scan, Odometry(0.1 * k, 0.0, 0.0, 0.1 * k, 1.0, 0.0), (20.0, 3.0), 0.1 * k)
+        controller._course = controller._course._replace(begin=-1.0)  # decide at each
+        print(command)
+"""
+
+
+def test_it_drives_without_torch_numba_scipy_and_simulators_as_with_them() -> None:
+    told = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        for code in (WITHOUT + DRIVE, DRIVE)
+    ]
+    assert told[0].count("decided=True") == 10
+    assert told[0] == told[1]
+
+
+@pytest.mark.parametrize(
+    ("policy", "refused"), [("nobody", "no such run or policy file"), ("paper", "needs a map of the whole world")]
+)
+def test_what_it_cannot_drive_is_refused(policy: str, refused: str) -> None:
+    given = policy if policy == "nobody" else nb.load_policy(policy, {"plan": {}})
+    with pytest.raises(nb.UserError, match=refused):
+        Controller(given)
+
+
+def test_options_are_checked() -> None:
+    with pytest.raises(nb.UserError, match="most_age"):
+        WatchOptions(most_age=-1.0)
