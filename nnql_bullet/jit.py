@@ -7,18 +7,18 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, Protocol, TypeVar
 
 from nnql_bullet.machine import private_folder, warned_once
 
-numba: Any = None
-"""Numba; None if it is not installed."""
-event: Any = SimpleNamespace(Listener=object)
-with warned_once(), suppress(ImportError):
-    import numba
-    from numba.core import event
+try:
+    with warned_once():
+        import numba
+        from numba.core import event
+except ImportError:
+    numba, event = None, SimpleNamespace(Listener=object)
 
 F = TypeVar("F", bound=Callable[..., Any])
 

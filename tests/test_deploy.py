@@ -119,7 +119,7 @@ def lidar(distances: Any, first: float = -pi, increment: float | None = None, **
 
 
 class TestScans:
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=40, deadline=None)
     @given(
         st.integers(36, 1500),
         st.floats(-4.0, 4.0),
@@ -135,11 +135,11 @@ class TestScans:
         sensor = replace(SENSOR, rays=rays)
         found = rays_of(lidar(drawn, first, step), sensor)
         half = max(2 * pi / rays, abs(step)) / 2
-        for angle, its in zip(sensor.angles, found, strict=True):
-            away = [abs((first + step * k - angle + pi) % (2 * pi) - pi) for k in range(beams)]
-            surely = min((d for d, a in zip(drawn, away, strict=True) if a < half - 1e-5), default=inf)
-            perhaps = min(d for d, a in zip(drawn, away, strict=True) if a < half + 1e-5)
-            assert min(perhaps, 10.0) <= its <= min(surely, 10.0)
+        away = first + step * np.arange(beams) - sensor.angles[:, None]
+        away = np.abs(np.arctan2(np.sin(away), np.cos(away)))
+        surely, perhaps = (np.where(away < half + slack, drawn, inf).min(axis=1) for slack in (-1e-5, 1e-5))
+        assert (np.minimum(perhaps, 10.0) <= found).all()
+        assert (found <= np.minimum(surely, 10.0)).all()
 
     def test_what_is_not_measured_is_not_free(self) -> None:
         beams = np.full(720, inf)
@@ -159,7 +159,7 @@ class TestScans:
             (replace(lidar(np.full(360, 5.0)), ranges=np.full(500, 5.0)), "500 beams where its angles make 360"),
             (lidar(np.full(271, 5.0), -0.75 * pi, radians(1.0)), "no beam at"),
             (lidar(np.full(360, 5.0), range_max=8.0), "reaches 8 m"),
-            (lidar(np.full(360, 5.0), range_max=nan), "angles and limits"),
+            (lidar(np.full(360, 5.0), range_max=nan), "reaches nan m"),
             (replace(lidar(np.full(360, 5.0)), angle_increment=0.0), "angles and limits"),
             (replace(lidar(np.full(360, 5.0)), ranges=["a"] * 360), "something else than numbers"),
             (replace(lidar(np.full(360, 5.0)), ranges=None), "0 dimensions"),
@@ -244,7 +244,7 @@ class TestWatch:
         assert command.action == STOP
         assert f"stops: {command.reason}" in caplog.text
         after = [command]
-        told.now = told.now if np.isfinite(told.now) else 100.8
+        told.now = told.now if np.isfinite(told.now) else NOW - 0.025
         for _ in range(80):
             after.append(told.tell(scan=None))
         speeds = np.array([speed, *(its.speed for its in after)])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import Sensor
 
-MOST_BEAMS = 100_000
+MOST_BEAMS = 10_000
 """Beams of the largest scan that is taken."""
 _SLACK = 1e-6
 """Share by which the arc about a ray is wider, so that rounding loses no beam at its end."""
@@ -63,20 +63,20 @@ def rays_of(scan: Scan, sensor: Sensor, yaw: float = 0.0) -> Array:
     Raises:
         Unusable: If the scan is damaged, or does not tell all that the sensor sees.
     """
-    beams = _beams(scan)
-    if not scan.range_max >= sensor.range * (1 - _SLACK):
+    beams, first, increment, range_min, range_max = _numbers(scan)
+    if not range_max >= sensor.range * (1 - _SLACK):
         raise Unusable(
-            f"the scan reaches {scan.range_max:g} m, and the vehicle's sensor {sensor.range:g} m: lower 'sensor.range'"
+            f"the scan reaches {range_max:g} m, and the vehicle's sensor {sensor.range:g} m: lower 'sensor.range'"
         )
-    about = _beams_about(len(beams), float(scan.angle_min) + yaw, float(scan.angle_increment), sensor.rays)
+    about = _beams_about(len(beams), first + yaw, increment, sensor.rays)
     uncovered = sensor.seen & (about[:, 0] < 0)
     if uncovered.any():
         raise Unusable(
             f"the scan has no beam at {degrees(sensor.angles[uncovered.argmax()]):.0f} degrees, where the vehicle's "
             "sensor sees: name what it does not see in 'sensor.blind_arc_degrees'"
         )
-    if not beams.min() >= scan.range_min:  # also where one is NaN
-        beams = _told(beams, scan.range_min)
+    if not beams.min() >= range_min:  # also where one is NaN
+        beams = _told(beams, range_min)
     nearest = np.fmin.reduce(beams[about], axis=1)
     if np.isnan(nearest).any():
         silent = sensor.seen & np.isnan(nearest)
@@ -86,26 +86,26 @@ def rays_of(scan: Scan, sensor: Sensor, yaw: float = 0.0) -> Array:
     return np.where(sensor.seen, np.minimum(nearest, sensor.range), sensor.range)
 
 
-def _beams(scan: Scan) -> Array:
-    """The distances of a scan (beams,) [m].
+def _numbers(scan: Scan) -> tuple[Array, float, float, float, float]:
+    """Distances of a scan (beams,) [m], its first angle, its increment [rad], its least and largest range [m].
 
     Raises:
-        Unusable: If they are no distances, or not as many as the angles say.
+        Unusable: If they are no such numbers, or the distances are not as many as the angles say.
     """
     try:
         beams = np.asarray(scan.ranges, np.float64)
-        numbers = [float(its) for its in (scan.angle_min, scan.angle_max, scan.angle_increment, scan.range_min)]
-        numbers.append(float(scan.range_max) if scan.range_max != float("inf") else 0.0)
+        first, last, increment = float(scan.angle_min), float(scan.angle_max), float(scan.angle_increment)
+        range_min, range_max = float(scan.range_min), float(scan.range_max)
     except (TypeError, ValueError, OverflowError):
         raise Unusable("the scan holds something else than numbers") from None
     if beams.ndim != 1 or not 0 < len(beams) <= MOST_BEAMS:
         raise Unusable(f"the scan has {beams.size} beams in {beams.ndim} dimensions")
-    if not all(map(isfinite, numbers)) or scan.angle_increment == 0 or scan.range_min < 0:
+    if not all(map(isfinite, (first, last, increment, range_min))) or increment == 0 or range_min < 0:
         raise Unusable("the scan has no usable angles and limits")
-    steps = (scan.angle_max - scan.angle_min) / scan.angle_increment
-    if abs(steps + 1 - len(beams)) > 1.5:  # some drivers count one more or one less
+    steps = (last - first) / increment
+    if not abs(steps + 1 - len(beams)) <= 1.5:  # some drivers count one more or one less
         raise Unusable(f"the scan has {len(beams)} beams where its angles make {steps + 1:.0f}")
-    return beams
+    return beams, first, increment, range_min, range_max
 
 
 def _told(beams: Array, range_min: float) -> Array:

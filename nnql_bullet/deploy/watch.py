@@ -156,4 +156,4 @@ def checked_target(target: tuple[float, float] | None, o: Odometry, watch: Watch
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.floating | np.integer) and abs(float(value)) <= LARGEST
+    return isinstance(value, int | float | np.floating | np.integer) and bool(abs(value) <= LARGEST)

@@ -242,11 +242,11 @@ class _Messages:
         seconds, nanoseconds = divmod(round(1e9 * time), 1_000_000_000)
         return self._types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
 
-    def _new(self, package: str, name: str, **values: Any) -> Any:
+    def _new(self, package: str, kind: str, /, **values: Any) -> Any:
         """A message with some values, and zero, empty text or nothing for the others."""
-        kind = f"{package}/msg/{name}"
-        _, fields = self._store.fielddefs[kind]
-        return self._types[kind](**{field: values.get(field, self._blank(its)) for field, its in fields})
+        full = f"{package}/msg/{kind}"
+        _, fields = self._store.fielddefs[full]
+        return self._types[full](**{field: values.get(field, self._blank(its)) for field, its in fields})
 
     def _blank(self, definition: Any) -> Any:
         """An empty value of a field."""
