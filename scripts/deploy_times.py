@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from time import process_time_ns
 
@@ -28,23 +29,30 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--replay", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--plain", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--library", type=Path, help=argparse.SUPPRESS)
     a = parser.parse_args()
     if a.replay:
-        replay(a.policies[0], a.shield, a.replay, a.plain)
+        replay(a.policies[0], a.shield, a.replay, a.plain, a.library)
         return
     import nnql_bullet as nb
+    from nnql_bullet.exports.running import build
 
     threads = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")}
     with tempfile.TemporaryDirectory() as folder:
         for policy in a.policies:
             drive = Path(folder) / "drive.npz"
             nb.drive(policy, world=a.world, seed=a.seed, shield=a.shield, simulator="kinematic").save(drive)
-            for plain in ([], ["--plain"]):
-                asked = [policy, "--replay", str(drive), *(["--shield"] if a.shield else []), *plain]
+            ways = [[], ["--plain"]]
+            with suppress(nb.UserError):  # not every policy is exported to C
+                if not a.shield:
+                    exported = nb.export(policy, to="c", out=Path(folder) / policy)
+                    ways.append(["--plain", "--library", str(build(exported.folder, Path(folder) / f"{policy}.so"))])
+            for way in ways:
+                asked = [policy, "--replay", str(drive), *(["--shield"] if a.shield else []), *way]
                 subprocess.run([sys.executable, __file__, *asked], check=True, env=os.environ | threads)
 
 
-def replay(policy: str, shield: bool, drive: Path, plain: bool) -> None:
+def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | None) -> None:
     """Tells a controller what was seen in a drive, and prints medians and 10 % to 90 % of its steps."""
     if plain:
         sys.modules.update(dict.fromkeys(WITHOUT))  # type: ignore[arg-type]  # None stands for what is not there
@@ -55,7 +63,7 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool) -> None:
 
     recording = load_recording(drive)
     sensor, first = recording.sensor, recording.sensor.angles
-    controller = Controller(policy, shield=shield, watch=WatchOptions(target_radius=0.1))
+    controller = Controller(policy, shield=shield, watch=WatchOptions(target_radius=0.1), library=library)
     deciding, following = list[float](), list[float]()
     for time, (x, y, yaw), distances in zip(
         recording.state_time.tolist(), recording.state_pose.tolist(), recording.ray_distances, strict=True
@@ -67,7 +75,9 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool) -> None:
             began = process_time_ns()
             command = controller.step(scan, Odometry(x, y, yaw, now), recording.world.target, now)
             (deciding if command.decided else following).append((process_time_ns() - began) / 1e3)
-    name = f"{policy}{' + shield' if shield else ''}, {'without' if plain else 'with'} Numba"
+    name = (
+        f"{policy}{' + shield' if shield else ''}, {'without' if plain else 'with'} Numba{', in C' if library else ''}"
+    )
     for what, times in (("decision", deciding), ("command between", following), ("all calls", deciding + following)):
         low, middle, high = np.percentile(times, [10, 50, 90])
         print(f"{name}: {what}: median {middle:.0f} us ({low:.0f} to {high:.0f}), mean {np.mean(times):.0f}")

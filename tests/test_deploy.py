@@ -1,9 +1,11 @@
 """The runtime: it drives as the simulators' loop does, by scans of any lidar, and stops on what it cannot drive by."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, field, replace
 from math import inf, nan, pi, radians
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ import nnql_bullet as nb
 from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
 from nnql_bullet.deploy.scans import Unusable, rays_of
 from nnql_bullet.env import STOP, commands_of
+from nnql_bullet.exports.running import build
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import Sensor
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
@@ -98,6 +101,16 @@ class TestDrives:
     )
     def test_it_drives_as_the_simulators_loop_does(self, policy: str, world: str, seed: int, shield: bool) -> None:
         same_drive(policy, world, seed, shield)
+
+    @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+    def test_what_was_exported_to_c_drives_as_well(self, tmp_path: Path) -> None:
+        nb.export("paper", to="c", out=tmp_path / "c")
+        library = build(tmp_path / "c", tmp_path / "policy.so")
+        recording = nb.drive("paper", world="cover_10", seed=1, simulator="kinematic")
+        mine = Replay(Controller("paper", library=library)).drive("cover_10", 1, len(recording.action))
+        assert (len(mine.actions), mine.ending) == (len(recording.action), recording.summary.ending)
+        with pytest.raises(nb.UserError, match="no shared library"):
+            Controller("paper", library=tmp_path / "c" / "policy.c")
 
     @pytest.mark.slow
     @pytest.mark.parametrize("world", ["cover_10", "cover_20", "traps", "moving"])

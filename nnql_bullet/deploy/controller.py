@@ -9,6 +9,7 @@ as at a start.
 import logging
 from dataclasses import dataclass
 from math import inf
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +29,9 @@ from nnql_bullet.env import STOP, Observation, commands_of, sights
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, wrap_angle
-from nnql_bullet.rollout import decide
+from nnql_bullet.rollout import Policy, decide
 from nnql_bullet.run_config import driving_with
-from nnql_bullet.runs import PolicyLike, is_learned, load_policy, read_learned
+from nnql_bullet.runs import LoadedPolicy, PolicyLike, is_learned, load_policy, read_learned
 from nnql_bullet.task import SAFE, readings_of, state_property
 from nnql_bullet.vehicle.controller import COMMAND_RATE, Plan, command_wheels, plan_period
 from nnql_bullet.vehicle.profiles import wheel_speeds
@@ -94,6 +95,7 @@ class Controller:
         *,
         speed: float | None = None,
         watch: WatchOptions | None = None,
+        library: str | Path | None = None,
     ) -> None:
         """Loads the policy.
 
@@ -103,19 +105,22 @@ class Controller:
             shield: Whether to put the policy into a shield, if it is in none.
             speed: Largest speed [m/s]; by default that of the policy, or the vehicle's own if that is less.
             watch: What is demanded of scans and odometry.
+            library: A shared library of this policy as `export` writes it in C (see `exports.running.build`), which
+                decides in its place.
 
         Raises:
             UserError: If there is no such policy or vehicle, or the policy needs what is not there: a plan through the
                 whole world, or PyTorch.
         """
-        experiment = _experiment(policy, driving_with({"shield": {}} if shield else {}, vehicle, speed))
+        loaded = _loaded(policy, driving_with({"shield": {}} if shield else {}, vehicle, speed))
+        experiment = loaded.experiment
         if experiment.config.plan:
             raise UserError("a policy on a plan needs a map of the whole world; leave out the table 'plan'")
         self.vehicle, self.drive, self.task = experiment.vehicle, experiment.config.drive, experiment.task
         self.watch = watch or WatchOptions()
         self.reason = "no call yet"
         """Why the vehicle stops; empty while it drives."""
-        self._policy = experiment.policy
+        self._policy = experiment.policy if library is None else _compiled(loaded, Path(library))
         self._most = wheel_speeds(self.drive.speed, self.vehicle.limits.yaw_rate, *self._body)[1]
         self._called = -inf
         self._course = _Course(0.0, 0.0, 0.0, 0.0)
@@ -250,14 +255,30 @@ class Controller:
         )
 
 
-def _experiment(policy: PolicyLike, changes: dict[str, Any]) -> Experiment:
-    """The objects of a policy, whose agent is in NumPy if it was learned.
+def _loaded(policy: PolicyLike, changes: dict[str, Any]) -> LoadedPolicy:
+    """A policy whose agent is in NumPy if it was learned.
 
     Raises:
         UserError: If there is no such policy, or a value is wrong.
     """
     if not is_learned(policy):
-        return load_policy(policy, changes).experiment
+        return load_policy(policy, changes)
     experiment, weights = read_learned(policy, changes)  # type: ignore[arg-type]  # a name or path
     config = experiment.config
-    return Experiment(config, in_numpy(config.agent, weights.arrays, experiment.vehicle, config.drive))
+    agent = in_numpy(config.agent, weights.arrays, experiment.vehicle, config.drive)
+    return LoadedPolicy(str(policy), Experiment(config, agent), weights.episodes)
+
+
+def _compiled(policy: LoadedPolicy, library: Path) -> Policy:
+    """The policy in a shared library.
+
+    Raises:
+        UserError: If there is no such library, or such policies are not exported to C.
+    """
+    from nnql_bullet.exports.contract import contract_of
+    from nnql_bullet.exports.running import LibraryPolicy
+
+    try:
+        return LibraryPolicy(library.absolute(), contract_of(policy))
+    except (OSError, AttributeError) as error:
+        raise UserError(f"{library}: no shared library of an exported policy ({error})") from None
