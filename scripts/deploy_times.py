@@ -75,9 +75,8 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | 
             began = process_time_ns()
             command = controller.step(scan, Odometry(x, y, yaw, now), recording.world.target, now)
             (deciding if command.decided else following).append((process_time_ns() - began) / 1e3)
-    name = (
-        f"{policy}{' + shield' if shield else ''}, {'without' if plain else 'with'} Numba{', in C' if library else ''}"
-    )
+    how = "in C, without Numba" if library else "without Numba" if plain else "with Numba"
+    name = f"{policy}{' + shield' if shield else ''}, {how}"
     for what, times in (("decision", deciding), ("command between", following), ("all calls", deciding + following)):
         low, middle, high = np.percentile(times, [10, 50, 90])
         print(f"{name}: {what}: median {middle:.0f} us ({low:.0f} to {high:.0f}), mean {np.mean(times):.0f}")
