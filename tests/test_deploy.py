@@ -3,7 +3,9 @@
 import shutil
 import subprocess
 import sys
+from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import inf, nan, pi, radians
 from pathlib import Path
 from typing import Any
@@ -197,11 +199,17 @@ class TestScans:
 FREE = np.full(360, inf)
 
 
+@cache
+def loaded() -> Controller:
+    """A controller that was never called; a copy of it is one, too."""
+    return Controller("straight")
+
+
 class Told:
     """A controller, called 40 times a second with a scan at each, that has driven for a while."""
 
     def __init__(self) -> None:
-        self.controller = Controller("straight")
+        self.controller = copy(loaded())
         self.now, self.x = 100.0, 0.0
         self.commands = [self.tell() for _ in range(30)]
         assert not any(its.reason for its in self.commands)
@@ -282,7 +290,7 @@ class TestWatch:
     @settings(max_examples=150, deadline=None)
     @given(st.data())
     def test_nothing_that_it_is_told_breaks_it(self, data: st.DataObject) -> None:
-        controller = Controller("straight")
+        controller = copy(loaded())
         some = st.one_of(st.floats(), st.none(), st.text(max_size=3), st.integers(-5, 2**70))
         times = st.one_of(st.just(1.0), some)
         ranges = st.one_of(some, st.lists(some, max_size=9), st.just(FREE))
