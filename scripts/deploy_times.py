@@ -66,7 +66,10 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | 
     controller = Controller(policy, shield=shield, watch=WatchOptions(target_radius=0.1), library=library)
     deciding, following = list[float](), list[float]()
     for time, (x, y, yaw), distances in zip(
-        recording.state_time.tolist(), recording.state_pose.tolist(), recording.ray_distances, strict=True
+        recording.state_time[:-1].tolist(),
+        recording.state_pose[:-1].tolist(),
+        recording.ray_distances[:-1],
+        strict=True,
     ):
         for k in range(5 * COMMANDS):
             now, scanned = time + k / 120, time + k // COMMANDS / 10
