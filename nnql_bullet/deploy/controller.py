@@ -30,8 +30,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, wrap_angle
 from nnql_bullet.rollout import Policy, decide
-from nnql_bullet.run_config import driving_with
 from nnql_bullet.runs import LoadedPolicy, PolicyLike, is_learned, load_policy, read_learned
+from nnql_bullet.setting import asked_tables
 from nnql_bullet.task import SAFE, readings_of, state_property
 from nnql_bullet.vehicle.controller import COMMAND_RATE, Plan, command_wheels, plan_period
 from nnql_bullet.vehicle.profiles import wheel_speeds
@@ -112,7 +112,7 @@ class Controller:
             UserError: If there is no such policy or vehicle, or the policy needs what is not there: a plan through the
                 whole world, or PyTorch.
         """
-        loaded = _loaded(policy, driving_with({"shield": {}} if shield else {}, vehicle, speed))
+        loaded = _loaded(policy, asked_tables({"robot": vehicle, "speed": speed, "shield": shield}))
         experiment = loaded.experiment
         if experiment.config.plan:
             raise UserError("a policy on a plan needs a map of the whole world; leave out the table 'plan'")

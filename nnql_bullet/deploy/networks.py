@@ -83,7 +83,7 @@ def in_numpy(options: Any, arrays: Arrays, vehicle: VehicleSpec, drive: DriveOpt
     """
     if isinstance(options, NnqlOptions | GeneticOptions):
         hidden = options.hidden_units if isinstance(options, NnqlOptions) else paper.HIDDEN_UNITS
-        units = paper.SECTORS, hidden, len(paper.TURNS)
+        units: tuple[int, ...] = (paper.SECTORS, hidden, len(paper.TURNS))
         check(arrays, _linear(zip(("0", "2"), pairwise(units), strict=True)), "a network", units)
         encoding = options.encoding if isinstance(options, NnqlOptions) else "proximity"
         return TurnNetwork(arrays, encoding, length_scale(vehicle.footprint))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import hypot, isfinite, pi
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -156,4 +156,5 @@ def checked_target(target: tuple[float, float] | None, o: Odometry, watch: Watch
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.floating | np.integer) and bool(abs(value) <= LARGEST)
+    numbers: Any = (int, float, np.floating, np.integer)
+    return isinstance(value, numbers) and bool(abs(value) <= LARGEST)
