@@ -314,12 +314,35 @@ def load_policy(policy: PolicyLike, changes: Mapping[str, Any] = MappingProxyTyp
     if not os.path.exists(path) and not _is_shipped(path):
         known = f"policies: {', '.join(assets.policies())}; rules: {', '.join(RULES)}"
         raise UserError(f"{name}: no such run or policy file, no shipped policy and no rule; {known}")
+    experiment, weights = read_learned(policy, changes)
+    experiment.trainable.load_state_dict(weights.arrays)
+    return LoadedPolicy(name, experiment, weights.episodes)
+
+
+def read_learned(policy: str | Path, changes: Mapping[str, Any]) -> tuple[Experiment, Weights]:
+    """Reads what a run has learned, for one who puts the weights where they belong.
+
+    Args:
+        policy: A run folder, a policy file or the name of a shipped policy.
+        changes: See `load_policy`.
+
+    Returns:
+        The objects of the run with an untrained agent, and the weights.
+
+    Raises:
+        UserError: If there is no such policy, it is damaged, or a value is wrong.
+    """
     file = policy_file(policy)
     weights = load_weights(file)
     config = located(parse(RunConfig, migrated(weights.config), str(file)), file.parent)
-    experiment = _experiment(config, changes)
-    experiment.trainable.load_state_dict(weights.arrays)
-    return LoadedPolicy(name, experiment, weights.episodes)
+    return _experiment(config, changes), weights
+
+
+def is_learned(policy: PolicyLike) -> bool:
+    """Whether `read_learned` can read a policy: it is no rule, no object, and there."""
+    if not isinstance(policy, str | Path) or _is_configured(Path(policy)):
+        return False
+    return os.path.exists(policy) or _is_shipped(Path(policy))
 
 
 def _experiment(config: RunConfig, changes: Mapping[str, Any], agent: Policy | None = None) -> Experiment:
