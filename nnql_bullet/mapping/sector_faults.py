@@ -28,7 +28,7 @@ def silent_sectors(distances: Array, sensor_range: float) -> NDArray[np.bool_]:
     silent, rays = np.empty(paper.SECTORS, np.bool_), len(distances)
     for sector in range(paper.SECTORS):
         silent[sector] = True
-        for ray in range(first_ray(sector, rays), first_ray(sector + 1, rays)):
+        for ray in range(first_ray(sector, rays), min(first_ray(sector + 1, rays), rays)):
             silent[sector] = silent[sector] and distances[ray] >= sensor_range
     return silent
 
@@ -96,11 +96,13 @@ def completed(
         The distances (rays,) [m], and the remembered point of each ray in a dead sector (rays, 2) [m].
     """
     rays = len(distances)
-    whole, remembered = distances.copy(), np.full((rays, 2), np.nan)
+    whole, remembered = np.empty(rays), np.full((rays, 2), np.nan)
+    for ray in range(rays):
+        whole[ray] = distances[ray]
     for sector in range(paper.SECTORS):
         if dead[sector]:
             right, left = borders(distances, sector)
-            for ray in range(first_ray(sector, rays), first_ray(sector + 1, rays)):
+            for ray in range(first_ray(sector, rays), min(first_ray(sector + 1, rays), rays)):
                 whole[ray] = min(right, left)
     nearest = np.full(rays, sensor_range)
     for k in range(len(expected)):

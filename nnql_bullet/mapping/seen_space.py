@@ -200,6 +200,8 @@ def comes_near(
             continue
         near, far = _span(sensor[0], sensor[1], c, s, frames, steps, footprint, grown)
         near = max(near, start)
+        if far <= near:
+            continue
         cells = int(np.ceil((far - near) / radius))
         for cell in range(min(cells, most)):
             end = far - cell * radius
