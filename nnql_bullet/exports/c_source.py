@@ -1,8 +1,6 @@
 """Writes translated kernels (`translation`) as C99: static functions of fixed sizes, without allocation or recursion."""
 
-from collections.abc import Callable, Iterator, Sequence
-
-import numpy as np
+from collections.abc import Iterator, Mapping, Sequence
 
 from nnql_bullet.exports.translation import (
     ArrayOf,
@@ -18,6 +16,7 @@ from nnql_bullet.exports.translation import (
     Op,
     Set,
     Statement,
+    Struct,
     Var,
 )
 
@@ -26,55 +25,55 @@ _STORED: dict[Kind, str] = {"real": "double", "int": "int", "bool": "unsigned ch
 _INFIX = {"+", "-", "*", "<", "<=", ">", ">=", "==", "!="}
 _NAMED = {"and": "&&", "or": "||"}
 _HELPED = {"min": "smaller", "max": "larger", "//": "quotient", "%": "remainder_of"}
-_INTEGER = {"//", "%"}
 
-HELPERS = """\
-static double smaller(double a, double b) { return b < a ? b : a; }
-static double larger(double a, double b) { return b > a ? b : a; }
-static int smaller_int(int a, int b) { return b < a ? b : a; }
-static int larger_int(int a, int b) { return b > a ? b : a; }
-/* Of a division that rounds down, as its remainder. */
-static int quotient_int(int a, int b) { return a / b - (a % b != 0 && (a % b < 0) != (b < 0)); }
-static int remainder_of_int(int a, int b) { return a - b * quotient_int(a, b); }
-static double remainder_of(double a, double b)
+_HELPERS = (
+    "static double smaller(double a, double b) { return b < a ? b : a; }",
+    "static double larger(double a, double b) { return b > a ? b : a; }",
+    "static int smaller_int(int a, int b) { return b < a ? b : a; }",
+    "static int larger_int(int a, int b) { return b > a ? b : a; }",
+    "static int abs_int(int a) { return a < 0 ? -a : a; }",
+    "static int quotient_int(int a, int b) { return a / b - (a % b != 0 && (a % b < 0) != (b < 0)); } /* rounds down */",
+    "static int remainder_of_int(int a, int b) { return a - b * quotient_int(a, b); }",
+    """static double remainder_of(double a, double b)
 {
     const double rest = fmod(a, b);
     return rest < 0.0 || rest > 0.0 ? ((rest < 0.0) != (b < 0.0) ? rest + b : rest) : 0.0;
-}
-"""
+}""",
+)
+"""Each is called by those after it alone."""
 
 
-def c_functions(functions: Sequence[Function]) -> str:
-    """The functions, after what they call."""
-    used = "\n\n".join("\n".join(_function(its)) for its in functions)
-    return "\n".join(line for line in HELPERS.splitlines() if _needed(line, used)) + "\n\n" + used + "\n"
+def c_functions(functions: Sequence[Function], structs: Mapping[str, Struct]) -> str:
+    """The functions, after what they call, with the helpers that they need."""
+    text = "\n\n".join("\n".join(_function(its, structs)) for its in functions)
+    needed: list[str] = []
+    for helper in reversed(_HELPERS):
+        name = helper.partition("(")[0].split()[-1]
+        if f"{name}(" in text + "".join(needed):
+            needed.insert(0, helper)
+    return "\n".join([*needed, "", text]) + "\n"
 
 
-def _needed(line: str, text: str) -> bool:
-    return True
-
-
-def c_array(array: ArrayOf) -> str:
+def _table(array: ArrayOf) -> str:
     """A table in the source."""
     assert array.values is not None
     numbers = ", ".join(_literal(its, array.kind) for its in array.values.reshape(-1).tolist())
     return f"static const {_STORED[array.kind]} {array.name}[{array.size}] = {{ {numbers} }};"
 
 
-def c_member(array: ArrayOf) -> str:
-    """A member of a structure."""
-    return f"{_STORED[array.kind]} {array.name}[{array.size}];"
-
-
-def _function(f: Function) -> Iterator[str]:
+def _function(f: Function, structs: Mapping[str, Struct]) -> Iterator[str]:
     written = f.written()
     params = []
+    for name, struct in structs.items():
+        if any(isinstance(its, ArrayOf) and its.struct == name for its in f.params):
+            const = "" if any(of == name for of, _ in written) else "const "
+            params.append(f"{const}{struct.type} *{name}")
     for its in f.params:
-        if isinstance(its, ArrayOf):
-            const = "" if its.name in written else "const "
-            params.append(f"{const}{_STORED[its.kind]} {its.name}[{its.size}]")
-        else:
+        if not isinstance(its, ArrayOf):
             params.append(f"{TYPES[its.kind]} {its.name}")
+        elif not its.struct:
+            const = "" if ("", its.name) in written else "const "
+            params.append(f"{const}{_STORED[its.kind]} {its.name}[{its.size}]")
     one = len(f.results) == 1
     if not one:
         params += [f"{TYPES[its.kind]} *{its.name}" for its in f.results]
@@ -83,18 +82,18 @@ def _function(f: Function) -> Iterator[str]:
         yield f"/* {f.about} */"
     yield f"static {kind} {f.name}({', '.join(params) or 'void'})"
     yield "{"
-    yield from (f"    {c_array(its)}" for its in f.constants)
-    results = {its.name for its in f.results}
-    yield from (f"    {TYPES[k]} {name} = {'0.0' if k == 'real' else '0'};" for name, k in f.variables.items())
-    if one:
-        its = f.results[0]
-        yield f"    {TYPES[its.kind]} {its.name} = {'0.0' if its.kind == 'real' else '0'};"
+    yield from (f"    {_table(its)}" for its in f.constants)
+    variables = f.variables | ({f.results[0].name: f.results[0].kind} if one else {})
+    yield from (f"    {TYPES[k]} {name} = {'0.0' if k == 'real' else '0'};" for name, k in variables.items())
     yield from (f"    {_STORED[its.kind]} {its.name}[{its.size}];" for its in f.arrays)
     read = _read(f)
-    unused = [name for name in f.variables if name not in read]
-    unused += [its.name for its in f.params if its.name not in read]
-    yield from (f"    (void){name};" for name in unused)
-    pointers = set() if one else results
+    names = [*f.variables, *(its.name for its in f.params if not (isinstance(its, ArrayOf) and its.struct))]
+    used = {part for part in names if part in read}
+    for name in structs:
+        if any(isinstance(its, ArrayOf) and its.struct == name for its in f.params) and name not in read:
+            yield f"    (void){name};"
+    yield from (f"    (void){name};" for name in names if name not in used)
+    pointers = set() if one else {its.name for its in f.results}
     yield from _block(f.body, "    ", pointers, f.results[0].name if one else "")
     yield "}"
 
@@ -104,9 +103,9 @@ def _read(f: Function) -> set[str]:
 
     def look(e: Expr | ArrayOf) -> None:
         if isinstance(e, (Var, ArrayOf)):
-            found.add(e.name)
+            found.add((isinstance(e, ArrayOf) and e.struct) or e.name)
         elif isinstance(e, Item):
-            found.add(e.array.name)
+            look(e.array)
             look(e.place)
         elif isinstance(e, Op):
             for arg in e.args:
@@ -154,12 +153,19 @@ def _block(body: Sequence[Statement], indent: str, pointers: set[str], result: s
             case Leave(how):
                 yield f"{indent}{how};"
             case Do(function, args, results):
-                given = [a.name if isinstance(a, ArrayOf) else _expr(a, pointers) for a in args]
+                given = list(dict.fromkeys(its.struct for its in function.params if isinstance(its, ArrayOf) and its.struct))
+                for param, a in zip(function.params, args, strict=True):
+                    if not (isinstance(param, ArrayOf) and param.struct):
+                        given.append(_place(a) if isinstance(a, ArrayOf) else _expr(a, pointers))
                 if len(results) == 1:
                     yield f"{indent}{results[0].name} = {function.name}({', '.join(given)});"
                 else:
                     given += [f"&{its.name}" for its in results]
                     yield f"{indent}{function.name}({', '.join(given)});"
+
+
+def _place(array: ArrayOf) -> str:
+    return f"{array.struct}->{array.name}" if array.struct else array.name
 
 
 def _wrapped(e: Expr, pointers: set[str]) -> str:
@@ -174,7 +180,7 @@ def _expr(e: Expr, pointers: set[str]) -> str:
         case Var(name):
             return f"*{name}" if name in pointers else name
         case Item(array, place):
-            return f"{array.name}[{_expr(place, pointers)}]"
+            return f"{_place(array)}[{_expr(place, pointers)}]"
         case Op("/", (a, b)):
             return f"{_wrapped(a, pointers)} / {_wrapped(b, pointers)}"
         case Op("neg", (a,)):
@@ -202,3 +208,9 @@ def _literal(value: float | int | bool, kind: Kind) -> str:
         return text if value >= 0 and "-" != text[0] else f"({text})"
     number = int(value)
     return str(number) if number >= 0 else f"({number})"
+
+
+def c_struct(struct: Struct) -> str:
+    """The declaration of a structure."""
+    members = [f"    {_STORED[its.kind]} {its.name}[{its.size}];" for its in struct.members]
+    return "\n".join(["typedef struct {", *members, f"}} {struct.type};"]) + "\n"

@@ -50,11 +50,23 @@ class ArrayOf:
     kind: Kind
     values: NDArray[Any] | None = None
     """Of a constant one."""
+    struct: str = ""
+    """The structure that it is a member of, as functions call it."""
 
     @property
     def size(self) -> int:
         """How many numbers it has."""
         return math.prod(self.shape)
+
+
+@dataclass(frozen=True, slots=True)
+class Struct:
+    """A structure of arrays, which functions pass on as a whole."""
+
+    name: str
+    """What functions call it."""
+    type: str
+    members: tuple[ArrayOf, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +167,20 @@ class Function:
             elif isinstance(its, For):
                 todo += its.body
 
-    def written(self) -> set[str]:
-        """Names of the arrays that it changes."""
+    def written(self) -> set[tuple[str, str]]:
+        """The arrays that it changes: their structures and names."""
         found = set()
         for its in self.statements():
             if isinstance(its, Set) and isinstance(its.target, Item):
-                found.add(its.target.array.name)
+                found.add((its.target.array.struct, its.target.array.name))
             elif isinstance(its, Do):
                 changed = its.function.written()
                 pairs = zip(its.function.params, its.args, strict=True)
-                found |= {arg.name for param, arg in pairs if isinstance(arg, ArrayOf) and param.name in changed}
+                found |= {
+                    (arg.struct, arg.name)
+                    for param, arg in pairs
+                    if isinstance(arg, ArrayOf) and isinstance(param, ArrayOf) and (param.struct, param.name) in changed
+                }
         return found
 
     def deepest(self, size: Callable[["Function"], int]) -> int:
@@ -185,6 +201,23 @@ class Group:
 
     values: tuple["Value", ...]
     names: tuple[str, ...] = ()
+    struct: str = ""
+    """Of the members of a structure, what functions call it."""
+
+
+def group_of(struct: Struct) -> Group:
+    """A structure as an argument."""
+    return Group(struct.members, tuple(its.name for its in struct.members), struct.name)
+
+
+def struct_of(name: str, kind: str, arrays: Any) -> Struct:
+    """A structure with a member for each array of a named tuple."""
+    kinds: dict[str, Kind] = {"f": "real", "i": "int", "b": "bool"}
+    members = (
+        ArrayOf(field, its.shape, kinds[its.dtype.kind], struct=name)
+        for field, its in zip(arrays._fields, arrays, strict=True)
+    )
+    return Struct(name, kind, tuple(members))
 
 
 Value = Known | Group | ArrayOf | Literal_ | Var | Item | Op
@@ -255,12 +288,10 @@ def _key(value: Value) -> Any:
             return ("constants", its.shape, its.tobytes())
         case Known(its):
             return ("known", id(its) if isinstance(its, tuple) else its)
-        case Group(values):
-            return tuple(map(_key, values))
-        case ArrayOf(_, shape, kind, None):
+        case Group(values, _, struct):
+            return (struct, *map(_key, values))
+        case ArrayOf(_, shape, kind):
             return (shape, kind)
-        case ArrayOf():
-            raise NotTranslatable("a constant array is known")
         case _:
             return value.kind
 
@@ -286,7 +317,7 @@ class _Kernel:
         self.function = Function(name, about)
         self._env: dict[str, Value] = {}
         self._out = self.function.body
-        self._temporaries = 0
+        self._temporaries, self._array_name = 0, ""
         names = [arg.arg for arg in tree.args.args]
         if len(args) != len(names):
             raise NotTranslatable(f"{name} takes {len(names)} arguments")
@@ -298,6 +329,10 @@ class _Kernel:
 
     def _parameter(self, name: str, value: Value) -> Value:
         match value:
+            case Group(values, names, struct) if struct:
+                members = tuple(ArrayOf(its.name, its.shape, its.kind, struct=name) for its in values)  # type: ignore[union-attr]
+                self.function.params += members
+                return Group(members, names, name)
             case Group(values, names):
                 inner = names or tuple(map(str, range(len(values))))
                 its = (self._parameter(f"{name}_{one}", v) for one, v in zip(inner, values, strict=True))
@@ -338,7 +373,8 @@ class _Kernel:
             case ast.Expr(ast.Call() as call):
                 self._value(call)
             case ast.Assign(targets, value):
-                its = self._value(value)
+                its = self._new(targets[0], value)
+                its = its if len(targets) == 1 else self._kept(its)
                 for target in targets:
                     self._assign(target, its)
             case ast.AnnAssign(target, _, value) if value is not None:
@@ -377,7 +413,10 @@ class _Kernel:
                 values = value.values if isinstance(value, Group) else tuple(map(Known, value.value))
                 if len(targets) != len(values):
                     self._refuse(target)
-                kept = [self._kept(its) for its in values] if len(values) > 1 else list(values)
+                given = {its.id for its in targets if isinstance(its, ast.Name)}
+                plain = len(given) == len(targets)
+                kept = [values[0]] if plain else []  # set before the others are
+                kept += [its if plain and not _reads_any(its, given) else self._kept(its) for its in values[len(kept) :]]
                 for one, its in zip(targets, kept, strict=True):
                     self._assign(one, its)
             case ast.Subscript(of, place):
@@ -395,6 +434,24 @@ class _Kernel:
             case _:
                 self._refuse(target)
 
+    def _new(self, target: ast.expr, value: ast.expr) -> Value:
+        """The value of an assignment; arrays that it makes are called like their target."""
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+            pairs = zip(target.elts, value.elts, strict=True)
+            return Group(tuple(self._new(its, one) for its, one in pairs))
+        self._array_name = target.id if isinstance(target, ast.Name) and self._stores[target.id] == 1 else ""
+        found = self._value(value)
+        self._array_name = ""
+        return found
+
+    def _new_array(self, shape: tuple[int, ...], kind: Kind) -> ArrayOf:
+        name, self._array_name = self._array_name, ""
+        if not name:
+            self._temporaries += 1
+        array = ArrayOf(name or f"a{self._temporaries}", shape, kind)
+        self.function.arrays.append(array)
+        return array
+
     def _kept(self, value: Value) -> Value:
         """A value that later assignments do not change."""
         if isinstance(value, (Known, Group, ArrayOf)) or not _reads(value):
@@ -405,6 +462,12 @@ class _Kernel:
     def _set(self, name: str, value: Expr) -> None:
         kind = self.function.variables.setdefault(name, value.kind)
         self._env[name] = Var(name, kind)
+        last = self._out[-1] if self._out else None
+        if isinstance(last, Do) and value in last.results and value.kind == kind and Var(name, kind) not in last.results:
+            results = tuple(Var(name, kind) if its == value else its for its in last.results)
+            self._out[-1] = Do(last.function, last.args, results)
+            del self.function.variables[value.name]
+            return
         self._out.append(Set(Var(name, kind), self._as(value, kind)))
 
     def _temporary(self, value: Expr) -> Var:
@@ -728,9 +791,7 @@ class _Kernel:
         kinds: dict[Any, Kind] = {np.bool_: "bool", np.int64: "int"}
         asked = values[-1].value if isinstance(values[-1], Known) and len(values) > 1 else None
         kind: Kind = kinds.get(asked, "real") if isinstance(asked, type) else "real"
-        self._temporaries += 1
-        array = ArrayOf(f"a{self._temporaries}", shape, kind)
-        self.function.arrays.append(array)
+        array = self._new_array(shape, kind)
         if how is not np.empty:
             fill = self._as(values[1], kind) if how is np.full else self._as(Known(kind == "real" and 0.0), kind)
             self.function.variables.setdefault("fill", "int")
@@ -745,13 +806,12 @@ class _Kernel:
             given += list(self._passed(value))
         results, arrays, back = [], [], []
         for part in function.returned:
-            self._temporaries += 1
             if isinstance(part, ArrayOf):
-                array = ArrayOf(f"a{self._temporaries}", part.shape, part.kind)
-                self.function.arrays.append(array)
+                array = self._new_array(part.shape, part.kind)
                 arrays.append(array)
                 back.append(array)
             else:
+                self._temporaries += 1
                 kind = function.results[len(results)].kind
                 one = Var(f"t{self._temporaries}", kind)
                 self.function.variables[one.name] = kind
@@ -809,6 +869,13 @@ def _length(value: Value) -> int:
 def _reads(e: Any) -> bool:
     """Whether an expression depends on variables or arrays."""
     return isinstance(e, (Var, Item)) or (isinstance(e, Op) and any(map(_reads, e.args)))
+
+
+def _reads_any(e: Any, names: set[str]) -> bool:
+    """Whether an expression depends on one of these variables."""
+    if isinstance(e, Item):
+        return _reads_any(e.place, names)
+    return (isinstance(e, Var) and e.name in names) or (isinstance(e, Op) and any(_reads_any(a, names) for a in e.args))
 
 
 def _may_fail(e: Expr) -> bool:
