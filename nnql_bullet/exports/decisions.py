@@ -87,7 +87,7 @@ def decide(
     """
     for a in range(len(paper.TURNS)):
         values[a] = 0.0
-    status = checked(distances, target_distance, target_bearing, yaw_rate)
+    status = checked(distances, target_distance, target_bearing, yaw_rate, MOST_YAW_RATE)
     if status != OK:
         return status, STOPPED, 0.0, 0.0, False
     for k in range(len(distances)):
@@ -121,7 +121,7 @@ def decide_shielded(
     Returns:
         Status, manoeuvre, heading change [rad], share of the drive's speed, and whether the shield overrode the agent.
     """
-    status = checked(distances, target_distance, target_bearing, yaw_rate)
+    status = checked(distances, target_distance, target_bearing, yaw_rate, p.most_yaw_rate)
     if status == OK and not (speed >= -FASTEST * p.speed and speed <= FASTEST * p.speed):
         status = BAD_SPEED
     if status != OK:
@@ -136,7 +136,9 @@ def decide_shielded(
     return status, chosen, turn_of(chosen, target_bearing), share_of(p, chosen), chosen != action
 
 
-def checked(distances: Array, target_distance: float, target_bearing: float, yaw_rate: float) -> int:
+def checked(
+    distances: Array, target_distance: float, target_bearing: float, yaw_rate: float, most_yaw_rate: float
+) -> int:
     """The status of an input."""
     status = OK
     for k in range(len(distances)):
@@ -148,7 +150,7 @@ def checked(distances: Array, target_distance: float, target_bearing: float, yaw
         return BAD_TARGET_DISTANCE
     if not (target_bearing >= -WIDEST_BEARING and target_bearing <= WIDEST_BEARING):
         return BAD_TARGET_BEARING
-    if not (yaw_rate >= -MOST_YAW_RATE and yaw_rate <= MOST_YAW_RATE):
+    if not (yaw_rate >= -most_yaw_rate and yaw_rate <= most_yaw_rate):
         return BAD_YAW_RATE
     return OK
 

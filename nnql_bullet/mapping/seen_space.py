@@ -146,7 +146,7 @@ def meets_unseen(
     frames, steps = np.empty((len(path), 4)), len(path)
     for k in range(steps):
         frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
-    return comes_near(frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30)
+    return comes_near(frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30, 1 << 30)
 
 
 @njit()
@@ -160,7 +160,8 @@ def comes_near(
     known: int,
     sensor: Array,
     first_angle: float,
-    most: int,
+    most_along: int,
+    most_across: int,
 ) -> bool:
     """`meets_unseen` of poses as frames: x, y, cosine and sine of the heading (k, 4).
 
@@ -174,7 +175,8 @@ def comes_near(
         known: Number of them.
         sensor: See `meets_unseen`.
         first_angle: See `meets_unseen`.
-        most: Bound on the cells along a ray and across it.
+        most_along: Bound on the cells along a ray.
+        most_across: Bound on the cells across it.
     """
     rays = scans.rays
     count, radius = rays.shape[1], width / 2
@@ -203,13 +205,13 @@ def comes_near(
         if far <= near:
             continue
         cells = int(np.ceil((far - near) / radius))
-        for cell in range(min(cells, most)):
+        for cell in range(min(cells, most_along)):
             end = far - cell * radius
             half_length = min(radius, end - near) / 2
             low = -end * sine + covered_half_width(radius, end - right)
             high = end * sine - covered_half_width(radius, end - left)
             pieces = int(np.ceil((high - low) / radius))
-            for piece in range(min(pieces, most)):
+            for piece in range(min(pieces, most_across)):
                 half_width = (high - low) / pieces / 2
                 along, across = end - half_length, low + (2 * piece + 1) * half_width
                 x, y = sensor[0] + c * along - s * across, sensor[1] + s * along + c * across

@@ -35,7 +35,7 @@ points in all, and how it turns on the spot, see `fallback.Spin`."""
 ASKED, FOLLOWED, SLOWLY_FOLLOWED, CHANGING, ON_THE_SPOT = range(5)
 """Rows of `Setting.limits`."""
 FASTEST = 2.0
-"""Largest speed that is taken, over the drive's."""
+"""Largest speed and yaw rate that are taken, over the drive's and over the vehicle's limit."""
 _LEFT_FIRST, _RIGHT_FIRST = (*LEFT_TURNS, *RIGHT_TURNS), (*RIGHT_TURNS, *LEFT_TURNS)
 
 
@@ -83,9 +83,13 @@ class Setting(NamedTuple):
     """Directions that are probed for an open side [rad]."""
     reaches: Array
     """Distances that are probed there [m]."""
+    most_yaw_rate: float
+    """Largest yaw rate that is taken [rad/s]."""
     most_driven: int
     most_braking: int
-    most_cells: int
+    most_along: int
+    most_across: int
+    """Most cells along a ray, and across it, in which an obstacle may stand unseen."""
 
 
 class Memory(NamedTuple):
@@ -131,7 +135,7 @@ def setting_of(predictor: Predictor, sensor: Sensor, task: TaskOptions) -> Setti
     rows: list[Limits] = [p.asked, p.followed, p.followed_slowly, p.followed_changing, p.followed_standing]
     moved = np.linspace(0.0, drive.decision_period, 11)[1:]
     step = lengths.times(DISTANCE_STEP)
-    fastest, largest = FASTEST * drive.speed, max(MOST_YAW_RATE, p.asked.yaw_rate)
+    fastest, largest = FASTEST * drive.speed, min(FASTEST * p.asked.yaw_rate, MOST_YAW_RATE)
     yaw = min(its.yaw_acceleration for its in rows)
     slowest = min(its.yaw_rate for its in rows)
     turned = LARGEST_TURN + largest**2 / yaw
@@ -176,9 +180,11 @@ def setting_of(predictor: Predictor, sensor: Sensor, task: TaskOptions) -> Setti
         moved_steps=np.diff(np.concatenate([[0.0], moved])),
         around=np.radians(np.arange(-180.0, 181.0, 15.0)),
         reaches=np.arange(step, lengths.look_ahead, step),
+        most_yaw_rate=largest,
         most_driven=driven,
         most_braking=int(np.ceil(braking / PREDICTION_STEP)) + 1,
-        most_cells=int(np.ceil(2 * reach / lengths.least_width)) + 3,
+        most_along=int(np.ceil(2 * reach / lengths.least_width)) + 1,
+        most_across=int(np.ceil(4 * reach * np.sin(np.pi / sensor.rays) / lengths.least_width)) + 1,
     )
 
 
@@ -573,7 +579,8 @@ def stops_clear(
         m.numbers[KNOWN],
         p.sensor,
         p.first_angle,
-        p.most_cells,
+        p.most_along,
+        p.most_across,
     )
 
 
