@@ -18,8 +18,9 @@ from nnql_bullet.cli import main
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.c99 import Cost, Operations, c_files
+from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import Contract, contract_of
+from nnql_bullet.exports.cost import Cost, Operations
 from nnql_bullet.exports.folder import write_export
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build

@@ -24,8 +24,8 @@ from nnql_bullet.agents.turns import nearest_turns
 from nnql_bullet.env import MOST_YAW_RATE, TOWARD_TARGET
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.cost import FRAME, Cost, Operations
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
+from nnql_bullet.exports.cost import FRAME, Cost, Operations
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
 from nnql_bullet.vehicle.scale import length_scale, scaled

@@ -153,7 +153,9 @@ def _block(body: Sequence[Statement], indent: str, pointers: set[str], result: s
             case Leave(how):
                 yield f"{indent}{how};"
             case Do(function, args, results):
-                given = list(dict.fromkeys(its.struct for its in function.params if isinstance(its, ArrayOf) and its.struct))
+                given = list(
+                    dict.fromkeys(its.struct for its in function.params if isinstance(its, ArrayOf) and its.struct)
+                )
                 for param, a in zip(function.params, args, strict=True):
                     if not (isinstance(param, ArrayOf) and param.struct):
                         given.append(_place(a) if isinstance(a, ArrayOf) else _expr(a, pointers))
@@ -205,7 +207,7 @@ def _expr(e: Expr, pointers: set[str]) -> str:
 def _literal(value: float | int | bool, kind: Kind) -> str:
     if kind == "real":
         text = repr(float(value))
-        return text if value >= 0 and "-" != text[0] else f"({text})"
+        return text if value >= 0 and text[0] != "-" else f"({text})"
     number = int(value)
     return str(number) if number >= 0 else f"({number})"
 

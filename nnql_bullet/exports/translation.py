@@ -185,7 +185,9 @@ class Function:
 
     def deepest(self, size: Callable[["Function"], int]) -> int:
         """The largest sum of sizes of functions that are active at once, itself among them."""
-        return size(self) + max((its.function.deepest(size) for its in self.statements() if isinstance(its, Do)), default=0)
+        return size(self) + max(
+            (its.function.deepest(size) for its in self.statements() if isinstance(its, Do)), default=0
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -403,9 +405,11 @@ class _Kernel:
             case ast.Name("_"):
                 pass
             case ast.Name(name):
-                if isinstance(value, (Group, ArrayOf)) or (isinstance(value, Known) and not _is_number(value.value)):
-                    self._env[name] = value
-                elif isinstance(value, Known) and self._stores.get(name) == 1:
+                if (
+                    isinstance(value, (Group, ArrayOf))
+                    or (isinstance(value, Known) and not _is_number(value.value))
+                    or (isinstance(value, Known) and self._stores.get(name) == 1)
+                ):
                     self._env[name] = value
                 else:
                     self._set(name, _expr(value))
@@ -416,7 +420,9 @@ class _Kernel:
                 given = {its.id for its in targets if isinstance(its, ast.Name)}
                 plain = len(given) == len(targets)
                 kept = [values[0]] if plain else []  # set before the others are
-                kept += [its if plain and not _reads_any(its, given) else self._kept(its) for its in values[len(kept) :]]
+                kept += [
+                    its if plain and not _reads_any(its, given) else self._kept(its) for its in values[len(kept) :]
+                ]
                 for one, its in zip(targets, kept, strict=True):
                     self._assign(one, its)
             case ast.Subscript(of, place):
@@ -427,7 +433,9 @@ class _Kernel:
                 if isinstance(value, Group):
                     places = [self._value(place)]
                     for column, its in enumerate(value.values):
-                        self._out.append(Set(Item(array, self._flat(array, [*places, Known(column)])), self._as(its, array.kind)))
+                        self._out.append(
+                            Set(Item(array, self._flat(array, [*places, Known(column)])), self._as(its, array.kind))
+                        )
                 else:
                     index = self._flat(array, self._indices(place))
                     self._out.append(Set(Item(array, index), self._as(value, array.kind)))
@@ -463,7 +471,12 @@ class _Kernel:
         kind = self.function.variables.setdefault(name, value.kind)
         self._env[name] = Var(name, kind)
         last = self._out[-1] if self._out else None
-        if isinstance(last, Do) and value in last.results and value.kind == kind and Var(name, kind) not in last.results:
+        if (
+            isinstance(last, Do)
+            and value in last.results
+            and value.kind == kind
+            and Var(name, kind) not in last.results
+        ):
             results = tuple(Var(name, kind) if its == value else its for its in last.results)
             self._out[-1] = Do(last.function, last.args, results)
             del self.function.variables[value.name]
@@ -517,9 +530,7 @@ class _Kernel:
                 return int(min(known)) - int(least)
         raise NotTranslatable(f"{self._kernel.__name__}: a loop without a bound: {ast.unparse(stop)}")
 
-    def _count(
-        self, target: ast.expr, start: Value, stop: Value, most: int, body: Callable[[Var], None]
-    ) -> None:
+    def _count(self, target: ast.expr, start: Value, stop: Value, most: int, body: Callable[[Var], None]) -> None:
         if not isinstance(target, ast.Name):
             self._refuse(target)
             return
@@ -784,8 +795,14 @@ class _Kernel:
     def _made(self, how: Any, args: Sequence[ast.expr]) -> ArrayOf:
         """A new array, filled if it is to be."""
         values = [self._value(arg) for arg in args]
-        shape = values[0].value if isinstance(values[0], Known) else tuple(
-            its.value for its in values[0].values if isinstance(its, Known)  # type: ignore[union-attr]
+        shape = (
+            values[0].value
+            if isinstance(values[0], Known)
+            else tuple(
+                its.value
+                for its in values[0].values
+                if isinstance(its, Known)  # type: ignore[union-attr]
+            )
         )
         shape = shape if isinstance(shape, tuple) else (shape,)
         kinds: dict[Any, Kind] = {np.bool_: "bool", np.int64: "int"}
@@ -796,7 +813,9 @@ class _Kernel:
             fill = self._as(values[1], kind) if how is np.full else self._as(Known(kind == "real" and 0.0), kind)
             self.function.variables.setdefault("fill", "int")
             place = Var("fill", "int")
-            self._out.append(For(place, Literal_(0, "int"), Literal_(array.size, "int"), array.size, [Set(Item(array, place), fill)]))
+            self._out.append(
+                For(place, Literal_(0, "int"), Literal_(array.size, "int"), array.size, [Set(Item(array, place), fill)])
+            )
         return array
 
     def _called(self, kernel: Callable[..., Any], values: list[Value]) -> Value:
@@ -863,7 +882,9 @@ def _expr(value: Value) -> Expr:
 
 
 def _length(value: Value) -> int:
-    return value.shape[0] if isinstance(value, ArrayOf) else len(value.values if isinstance(value, Group) else value.value)  # type: ignore[union-attr]
+    return (
+        value.shape[0] if isinstance(value, ArrayOf) else len(value.values if isinstance(value, Group) else value.value)
+    )  # type: ignore[union-attr]
 
 
 def _reads(e: Any) -> bool:

@@ -146,7 +146,9 @@ def meets_unseen(
     frames, steps = np.empty((len(path), 4)), len(path)
     for k in range(steps):
         frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
-    return comes_near(frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30, 1 << 30)
+    return comes_near(
+        frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30, 1 << 30
+    )
 
 
 @njit()

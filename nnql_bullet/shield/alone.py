@@ -215,7 +215,13 @@ def memory_of(p: Setting) -> Memory:
 
 
 def perceive(
-    p: Setting, m: Memory, distances: Array, target_distance: float, target_bearing: float, speed: float, readings: Array
+    p: Setting,
+    m: Memory,
+    distances: Array,
+    target_distance: float,
+    target_bearing: float,
+    speed: float,
+    readings: Array,
 ) -> bool:
     """Takes a scan in, as `perception.perceived`: completes it, tells what moves, and remembers.
 
@@ -545,7 +551,16 @@ def can_stop(p: Setting, m: Memory, manoeuvre: int, turn: float, yaw_rate: float
         turned, which, slides = variant(p, v, turn, yaw_rate, speed, goal)
         if which >= 0:
             count = fill_drive(
-                m.driven, yaw_rate, speed, turned, goal, p.period, p.limits[which, 0], p.limits[which, 1], change, slides
+                m.driven,
+                yaw_rate,
+                speed,
+                turned,
+                goal,
+                p.period,
+                p.limits[which, 0],
+                p.limits[which, 1],
+                change,
+                slides,
             )
             rate, fast = m.driven[count - 1, 3], m.driven[count - 1, 4]
             for w in range(4):

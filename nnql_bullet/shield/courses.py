@@ -89,9 +89,7 @@ def then_stops(
     """
     last = len(driven) - 1
     stop = time_to_stop(driven[last, 3], driven[last, 4], turn, max_rate, yaw_acceleration, deceleration, slides)
-    then = drives(
-        driven[last, 3], driven[last, 4], turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides
-    )
+    then = drives(driven[last, 3], driven[last, 4], turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides)
     poses = np.empty((len(driven) + len(then), 3))
     join(poses, driven, len(driven), then, len(then))
     return poses
