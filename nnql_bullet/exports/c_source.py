@@ -1,6 +1,8 @@
-"""Writes translated kernels (`translation`) as C99: static functions of fixed sizes, without allocation or recursion."""
+"""Writes translated kernels (`translation`) as C99: static functions of fixed sizes, no allocation, no recursion."""
 
 from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
 
 from nnql_bullet.exports.translation import (
     ArrayOf,
@@ -32,7 +34,10 @@ _HELPERS = (
     "static int smaller_int(int a, int b) { return b < a ? b : a; }",
     "static int larger_int(int a, int b) { return b > a ? b : a; }",
     "static int abs_int(int a) { return a < 0 ? -a : a; }",
-    "static int quotient_int(int a, int b) { return a / b - (a % b != 0 && (a % b < 0) != (b < 0)); } /* rounds down */",
+    """static int quotient_int(int a, int b) /* rounds down */
+{
+    return a / b - (a % b != 0 && (a % b < 0) != (b < 0));
+}""",
     "static int remainder_of_int(int a, int b) { return a - b * quotient_int(a, b); }",
     """static double remainder_of(double a, double b)
 {
@@ -56,8 +61,8 @@ def c_functions(functions: Sequence[Function], structs: Mapping[str, Struct]) ->
 
 def _table(array: ArrayOf) -> str:
     """A table in the source."""
-    assert array.values is not None
-    numbers = ", ".join(_literal(its, array.kind) for its in array.values.reshape(-1).tolist())
+    values = np.asarray(array.values).reshape(-1).tolist()
+    numbers = ", ".join(_literal(its, array.kind) for its in values)
     return f"static const {_STORED[array.kind]} {array.name}[{array.size}] = {{ {numbers} }};"
 
 
@@ -195,13 +200,13 @@ def _expr(e: Expr, pointers: set[str]) -> str:
             return f"(int){_wrapped(a, pointers)}"
         case Op(name, (a, b)) if name in _INFIX or name in _NAMED:
             return f"{_wrapped(a, pointers)} {_NAMED.get(name, name)} {_wrapped(b, pointers)}"
-    assert isinstance(e, Op)
-    name = _HELPED.get(e.name, e.name)
-    if e.kind == "int":
-        name = "abs_int" if name == "abs" else f"{name}_int"
-    elif name == "abs":
-        name = "fabs"
-    return f"{name}({', '.join(_expr(a, pointers) for a in e.args)})"
+        case Op(name, args, kind):
+            name = _HELPED.get(name, name)
+            if kind == "int":
+                name = f"{name}_int"
+            elif name == "abs":
+                name = "fabs"
+            return f"{name}({', '.join(_expr(a, pointers) for a in args)})"
 
 
 def _literal(value: float | int | bool, kind: Kind) -> str:

@@ -143,9 +143,10 @@ def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     about |= {ST_EXAMPLE: "a program that calls it"}
     usage = (
         f"Import `{ST_XML}` into your development system, or compile `{ST_SOURCE}`, and call the function block\n"
-        f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does. Arrays are fixed, loops are bounded, nothing\n"
-        "recurses, and only standard functions are called. IEC 61131-3, third edition: `CONTINUE`, and functions with\n"
-        f"outputs. A decision takes at most: {cost.operations.text()}."
+        f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does.\n"
+        "Arrays are fixed, loops are bounded, nothing recurses, and only standard functions are called. It takes the\n"
+        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs.\n"
+        f"A decision takes at most: {cost.operations.text()}."
     )
     return write, about, "Structured Text (IEC 61131-3)", usage, cost.operations.text()
 

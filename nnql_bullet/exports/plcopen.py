@@ -89,14 +89,15 @@ def _pou(parent: Element, unit: Unit) -> None:
         if section == "VAR CONSTANT":
             variables.set("constant", "true")
         for declaration in declarations.split(";")[:-1]:
-            name, kind, value = re.fullmatch(r"\s*(\w+) : (.*?)(?: := \[(.*)\])?", declaration, re.S).groups()  # type: ignore[union-attr]
+            name, kind, value = re.findall(r"^\s*(\w+) : (.*?)(?: := \[(.*)\])?$", declaration, re.S)[0]
             variable = SubElement(variables, "variable", name=name)
             _type(SubElement(variable, "type"), kind)
             if value:
                 values = SubElement(SubElement(variable, "initialValue"), "arrayValue")
                 for one in value.split(", "):
                     SubElement(SubElement(values, "value"), "simpleValue", value=one)
-    last = [its.end() for its in _DECLARED.finditer(unit.text)][-1]
-    body = unit.text[last:].rsplit("END_FUNCTION", 1)[0]
+    ends = [its.end() for its in re.finditer(r"^FUNCTION.*\n", unit.text, re.M)]
+    ends += [its.end() for its in _DECLARED.finditer(unit.text)]
+    body = unit.text[max(ends) :].rsplit("END_FUNCTION", 1)[0]
     text = SubElement(SubElement(SubElement(pou, "body"), "ST"), "xhtml", xmlns=_XHTML)
     text.text = body

@@ -1,5 +1,7 @@
 """Policies in their shield: which can be exported, and their source in C. See `shield.alone` for what is carried."""
 
+from dataclasses import replace
+
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.base import Overridable, TurnChooser
 from nnql_bullet.errors import UserError
@@ -34,10 +36,8 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
 
 def without_shield(policy: LoadedPolicy) -> LoadedPolicy:
     """A policy without its shield."""
-    experiment = policy.experiment
-    return LoadedPolicy(
-        policy.name, Experiment(changed(experiment.config, shield=None), experiment.agent), policy.episodes
-    )
+    config = replace(policy.experiment.config, shield=None)
+    return LoadedPolicy(policy.name, Experiment(config, policy.experiment.agent), policy.episodes)
 
 
 def shield_files(contract: Contract, experiment: Experiment, policy_cost: Cost) -> tuple[dict[str, str], Cost]:

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from nnql_bullet.exports.translation import (
     ArrayOf,
     Do,
@@ -319,8 +321,9 @@ class Writer:
         yield from _section("VAR", inner)
         tables = []
         for its in f.constants:
-            assert its.values is not None
-            numbers = ", ".join(self._literal(one, its.kind).strip("()") for one in its.values.reshape(-1).tolist())
+            numbers = ", ".join(
+                self._literal(one, its.kind).strip("()") for one in np.asarray(its.values).reshape(-1).tolist()
+            )
             kind = self._type(its.kind)
             tables.append(f"    {its.name} : ARRAY [0..{its.size - 1}] OF {kind} := [{numbers}];")
         yield from _section("VAR CONSTANT", tables)
@@ -400,12 +403,13 @@ class Writer:
                 return f"NNQL_{what}{'_INT' if kind == 'int' else ''}(x := {self._expr(a)}, y := {self._expr(b)})"
             case Op(name, (a, b)) if name in _INFIX:
                 return f"{self._inner(a)} {_INFIX[name]} {self._inner(b)}"
-        assert isinstance(e, Op)
-        args = [self._expr(a) for a in e.args]
-        if e.name in _OWN:
-            letters = ("y", "x") if e.name == "atan2" else ("x", "y")
-            return f"NNQL_{e.name.upper()}({', '.join(f'{x} := {arg}' for x, arg in zip(letters, args, strict=False))})"
-        return f"{_STANDARD[e.name]}({', '.join(args)})"
+            case Op(name, parts):
+                args = [self._expr(a) for a in parts]
+                if name not in _OWN:
+                    return f"{_STANDARD[name]}({', '.join(args)})"
+                letters = ("y", "x") if name == "atan2" else ("x", "y")
+                given = (f"{x} := {arg}" for x, arg in zip(letters, args, strict=False))
+                return f"NNQL_{name.upper()}({', '.join(given)})"
 
     def _literal(self, value: float | int | bool, kind: Kind) -> str:
         if kind == "bool":

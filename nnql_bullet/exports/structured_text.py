@@ -1,4 +1,4 @@
-"""Policies in Structured Text of IEC 61131-3, with or without their shield: a function block, plain and as PLCopen XML."""
+"""Policies in Structured Text of IEC 61131-3, with or without their shield: a function block, also as PLCopen XML."""
 
 from nnql_bullet import __version__, paper
 from nnql_bullet.experiment import Experiment
@@ -63,7 +63,7 @@ def _example(contract: Contract) -> str:
     kind = "LREAL" if contract.shielded else "REAL"
     numbers = [signal.name for signal in contract.inputs[1:]]
     lines = [
-        f"(* Run this once every {contract.decision_period:g} s, with what the sensors measured since the last time. *)",
+        f"(* Run this once every {contract.decision_period:g} s, with what was measured since the last time. *)",
         "PROGRAM NNQL_EXAMPLE",
         "VAR",
         f"    policy : {block_name(contract)};",

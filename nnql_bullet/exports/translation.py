@@ -332,7 +332,8 @@ class _Kernel:
     def _parameter(self, name: str, value: Value) -> Value:
         match value:
             case Group(values, names, struct) if struct:
-                members = tuple(ArrayOf(its.name, its.shape, its.kind, struct=name) for its in values)  # type: ignore[union-attr]
+                arrays = [its for its in values if isinstance(its, ArrayOf)]
+                members = tuple(ArrayOf(its.name, its.shape, its.kind, struct=name) for its in arrays)
                 self.function.params += members
                 return Group(members, names, name)
             case Group(values, names):
@@ -731,8 +732,7 @@ class _Kernel:
                 kind: Kind = "real" if "real" in (x.kind, y.kind) else x.kind
                 one = Op(sign, (self._as(x, kind), self._as(y, kind)), "bool")
             found = one if found is None else Op("and", (_expr(found), _expr(one)), "bool")
-        assert found is not None
-        return found
+        return found or Known(True)
 
     def _either(self, test: Value, body: ast.expr, orelse: ast.expr) -> Value:
         if isinstance(test, Known):
@@ -795,16 +795,10 @@ class _Kernel:
     def _made(self, how: Any, args: Sequence[ast.expr]) -> ArrayOf:
         """A new array, filled if it is to be."""
         values = [self._value(arg) for arg in args]
-        shape = (
-            values[0].value
-            if isinstance(values[0], Known)
-            else tuple(
-                its.value
-                for its in values[0].values
-                if isinstance(its, Known)  # type: ignore[union-attr]
-            )
-        )
-        shape = shape if isinstance(shape, tuple) else (shape,)
+        sizes = values[0].values if isinstance(values[0], Group) else (values[0],)
+        shape = tuple(int(its.value) for its in sizes if isinstance(its, Known))
+        if len(shape) < len(sizes):
+            raise NotTranslatable(f"{self._kernel.__name__}: an array of no fixed shape")
         kinds: dict[Any, Kind] = {np.bool_: "bool", np.int64: "int"}
         asked = values[-1].value if isinstance(values[-1], Known) and len(values) > 1 else None
         kind: Kind = kinds.get(asked, "real") if isinstance(asked, type) else "real"
@@ -882,9 +876,14 @@ def _expr(value: Value) -> Expr:
 
 
 def _length(value: Value) -> int:
-    return (
-        value.shape[0] if isinstance(value, ArrayOf) else len(value.values if isinstance(value, Group) else value.value)
-    )  # type: ignore[union-attr]
+    match value:
+        case ArrayOf(_, shape):
+            return shape[0]
+        case Group(values):
+            return len(values)
+        case Known(its):
+            return len(its)
+    raise NotTranslatable("the length of a number")
 
 
 def _reads(e: Any) -> bool:

@@ -30,8 +30,8 @@ from nnql_bullet.vehicle.profiles import profile_at, ramp_at, turn_profile
 from nnql_bullet.vehicle.spec import Limits
 
 BEGUN, KNOWN, STANDING, MOVING, POINTS, SIDE, DECISIONS, BACKS = range(8)
-"""Places in `Memory.numbers`: whether a scan was seen, how many scans are known, points remembered, points that move and
-points in all, and how it turns on the spot, see `fallback.Spin`."""
+"""Places in `Memory.numbers`: whether a scan was seen, how many scans are known, points remembered, points that move
+and points in all, and how it turns on the spot, see `fallback.Spin`."""
 ASKED, FOLLOWED, SLOWLY_FOLLOWED, CHANGING, ON_THE_SPOT = range(5)
 """Rows of `Setting.limits`."""
 FASTEST = 2.0
