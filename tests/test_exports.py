@@ -306,7 +306,7 @@ class TestContract:
             ("random", "c", "kind 'random'"),
             ("double_dqn", "c", "kind 'double_dqn'"),
             ("vfh", "onnx", "kind 'vfh'"),
-            (load_policy("straight", {"shield": {}}), "c", "shield"),
+            (load_policy("straight", {"shield": {}}), "c", "--with-shield"),
             (LoadedPolicy("sb3", Experiment(load_config("sb3_dqn", {})), 1), "onnx", "kind 'sb3_dqn'"),
             (type("Mine", (), {"act": lambda self, observations: None})(), "c", "object of your own"),
         ],

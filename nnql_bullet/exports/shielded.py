@@ -21,7 +21,7 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
     """A policy in the shield that is exported: in its own, or in the usual one, which does not lead it.
 
     Raises:
-        UserError: If it would have to be told what the shield did instead of its action.
+        UserError: If it drives on a plan, or would have to be told what the shield did instead of its action.
     """
     experiment = policy.experiment
     agent, config = experiment.agent, experiment.config
@@ -29,6 +29,10 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
         raise UserError(
             f"{policy.name}: remembers its own actions, and in a shield has to be told others; such policies, here of "
             f"kind '{config.agent.kind}', are not exported with a shield"
+        )
+    if config.plan is not None:
+        raise UserError(
+            f"{policy.name}: drives on a plan, and its target moves on; a shield is exported for targets that stay"
         )
     shielded = changed(config, shield={"recovers": False})
     return LoadedPolicy(policy.name, Experiment(shielded, agent), policy.episodes)
