@@ -31,12 +31,11 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     from benchmarks.floor import fast_over_floor
     from benchmarks.kinematic import kinematic_steps_per_second
     from benchmarks.many_shapes import FEW, MANY, many_over_few
-    from benchmarks.rendering import film_over_bare
+    from benchmarks.rendering import film_frames_per_second, film_over_bare
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
     from nnql_bullet.run_config import SimulatorName
-    from nnql_bullet.sim.scene_trial import works
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
@@ -74,13 +73,14 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             "training steps a second, NNQL with one vehicle over stable-baselines3 DQN (train_freq 1)",
             lambda: nnql_over_sb3(*(2, 200) if quick else (6, 500)),
         ),
-        **{
-            f"film_over_bare_{renderer}": (
-                f"frames a second of a whole film, 640x360, {renderer}, over a bare getCameraImage in one process",
-                partial(film_over_bare, renderer, 6.0 if quick else 30.0),
-            )
-            for renderer in ("tiny", *(["egl"] if works("egl") else []))
-        },
+        "film_over_bare": (
+            "frames a second of a whole film, 640x360, over PyBullet's bare getCameraImage in one process",
+            lambda: film_over_bare(6.0 if quick else 30.0),
+        ),
+        "film_frames_per_second": (
+            f"frames a second of a whole film, 1280x720, on {CORES} cores",
+            lambda: film_frames_per_second(6.0 if quick else 30.0),
+        ),
         "simulator_mb": ("memory of one contact simulator process [MB]", simulator_mb),
     }
     if quick:
