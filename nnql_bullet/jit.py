@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from typing import Any, Protocol, TypeVar
 
 from nnql_bullet.machine import private_folder, warned_once
@@ -66,9 +67,12 @@ def _cache_instead(instead: bool) -> Iterator[None]:
 
 
 class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
-    """Logs the first compilation of this process; code that is loaded from the cache is not compiled."""
+    """Logs the first compilation of this process; code that is loaded from the cache is not compiled.
 
-    made = False
+    Worker processes say nothing: each of them would say the same.
+    """
+
+    made = parent_process() is not None
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]

@@ -28,6 +28,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     """What there is to measure: key, what it is, and how."""
     # Not at the top: worker processes import this file again, and would carry along all that these need.
     from benchmarks.contact import contact_over_bare
+    from benchmarks.engines import mujoco_over_bullet
     from benchmarks.floor import fast_over_floor
     from benchmarks.kinematic import kinematic_steps_per_second
     from benchmarks.many_shapes import FEW, MANY, many_over_few
@@ -36,6 +37,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
     from nnql_bullet.run_config import SimulatorName
+    from nnql_bullet.sim.engines import PhysicsName
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
@@ -60,6 +62,13 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
                 partial(many_over_few, simulator, *(4, 30) if quick else (12, 60)),
             )
             for simulator in get_args(SimulatorName)
+        },
+        **{
+            f"mujoco_over_bullet_{physics}": (
+                f"simulated over wall seconds, MuJoCo over PyBullet, {physics}",
+                partial(mujoco_over_bullet, physics, *(4, 30) if quick else (12, 60)),
+            )
+            for physics in get_args(PhysicsName)
         },
         "paper_training_kinematic_s": (
             f"1000 paper episodes in the kinematic model, {VEHICLES} vehicles [s]",

@@ -199,7 +199,7 @@ def test_pybullet_sees_the_same_bodies(name: str, drive: Recording, monkeypatch:
     for time in (1.0, 6.0):
         moment = timeline.at(time)
         camera = PATHS[name](timeline, *SIZE)(moment)
-        window.show(moment)
+        window.show(time)
         view, lens = camera.view.T.ravel().tolist(), camera.projection.T.ravel().tolist()
         tiny = bullet.getCameraImage(*SIZE, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client)
         theirs, mask = (np.reshape(tiny[k], SIZE[::-1]) for k in (3, 4))

@@ -338,11 +338,14 @@ def _place(row: int, column: int, depths: NDArray[np.float32], eye: Eye) -> Vect
 
 @_part
 def clipped(low: float, high: float, slope: float, value: float) -> tuple[float, float]:
-    """Clips an interval to the part in which the linear function value + slope * x is not negative."""
+    """Clips an interval to the part in which the linear function value + slope * x is not negative.
+
+    An empty interval ends 1 before it begins.
+    """
     if slope > TINY:
-        return max(low, -value / slope), high
+        return min(max(low, -value / slope), high + 1.0), high
     if slope < -TINY:
-        return low, min(high, -value / slope)
+        return low, max(min(high, -value / slope), low - 1.0)
     return low, high if value >= 0.0 else low - 1.0
 
 
