@@ -67,16 +67,14 @@ def _cache_instead(instead: bool) -> Iterator[None]:
 
 
 class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
-    """Logs the first compilation of this process; code that is loaded from the cache is not compiled.
+    """Logs the first compilation of this process; code that is loaded from the cache is not compiled."""
 
-    Worker processes say nothing: each of them would say the same.
-    """
-
-    made = parent_process() is not None
+    made = False
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]
-        if _Announcement.made or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
+        # Worker processes say nothing: each of them would say the same.
+        if _Announcement.made or parent_process() or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
             return
         _Announcement.made = True
         folder = dispatcher.stats.cache_path
