@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, wraps
 from pathlib import Path
@@ -9,6 +10,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from typing_extensions import is_typeddict
 
 from nnql_bullet.errors import UserError
 
@@ -32,19 +34,24 @@ _WORDS: dict[Any, str] = {
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Lets a function refuse arguments that are not of the types in its signature.
 
+    Of `**asked: Unpack[Group]` each key of the group, a `TypedDict`, becomes an argument of its own, also for `help`:
+    the line about `asked` in the docstring becomes the lines of the group's section `Attributes`.
+
     A number of NumPy becomes one of Python. Protocols are not checked: who uses such an object says what it lacks.
 
     Raises:
         UserError: (The function.) If an argument is of another type.
     """
-    signature, hints = inspect.signature(function), cache(lambda: get_type_hints(function))
+    signature, about = _unpacked(function)
+    grouped = {its.name: its.annotation for its in signature.parameters.values() if its.default is ...}
+    hints = cache(lambda: get_type_hints(function) | grouped)
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             given = signature.bind(*args, **kwargs)
-        except TypeError:
-            return function(*args, **kwargs)  # Python says which argument there is not, or is missing
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}() {error}") from None
         for name, value in given.arguments.items():
             if name not in hints() or signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD:
                 continue
@@ -60,7 +67,33 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
                 raise UserError(f"'{name}' must be {_text(hints()[name])}, not {shown}")
         return function(*given.args, **given.kwargs)
 
+    call.__signature__, call.__doc__ = signature, about  # type: ignore[attr-defined]
     return call
+
+
+def _unpacked(function: Callable[..., Any]) -> tuple[inspect.Signature, str | None]:
+    """The signature and the docstring of a function, with each key of a group as an argument of its own."""
+    signature, about = inspect.signature(function), function.__doc__
+    parameters: list[inspect.Parameter] = []
+    for its in signature.parameters.values():
+        groups = [part for part in get_args(its.annotation) if is_typeddict(part)]
+        if its.kind is not inspect.Parameter.VAR_KEYWORD or not groups:
+            parameters.append(its)
+            continue
+        parameters += [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=hint)
+            for name, hint in get_type_hints(groups[0]).items()
+        ]
+        line = re.compile(rf"^ *\*\*{its.name}: .*\n", re.MULTILINE)
+        about = about and line.sub(lambda _, group=groups[0]: _told(group), about)  # type: ignore[misc]
+    return signature.replace(parameters=parameters), about
+
+
+def _told(group: Any) -> str:
+    """The lines about the keys of a group and of its bases."""
+    lines = (group.__doc__ or "").partition("Attributes:\n")[2].rstrip()
+    bases = "".join(_told(base) for base in group.__orig_bases__ if is_typeddict(base))
+    return bases + (f"{lines}\n" if lines else "")
 
 
 def _can_name(text: str | Path) -> bool:

@@ -202,9 +202,7 @@ def keys(cls: Any, table: str = "", kind: str = "", told: bool = True) -> Iterat
         kind: The `kind` of that table if it has several.
         told: Whether they say what they mean, which takes long to read from the sources.
     """
-    abouts: dict[str, str] = {}
-    for base in reversed(cls.__mro__[:-1] if told else ()):
-        abouts |= abouts_of(base)
+    abouts = abouts_of(cls) if told else {}
     for field in fields(cls):
         # A table that a user may give by its name is one key.
         named = str in _leaves(field.type)
@@ -219,8 +217,9 @@ def keys(cls: Any, table: str = "", kind: str = "", told: bool = True) -> Iterat
 
 
 def abouts_of(what: Any) -> dict[str, str]:
-    """Reads the meaning of each field of a class or argument of a function from docstrings."""
-    found = docstring_parser.parse_from_object(what).params
+    """Reads the meaning of each field of a class and its bases, or argument of a function, from docstrings."""
+    parts = reversed(what.__mro__[:-1]) if isinstance(what, type) else [what]
+    found = [its for part in parts for its in docstring_parser.parse_from_object(part).params]
     return {its.arg_name: " ".join((its.description or "").split()) for its in found}
 
 

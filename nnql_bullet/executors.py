@@ -15,6 +15,8 @@ from itertools import islice
 from multiprocessing.connection import Connection
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
+from typing_extensions import TypedDict
+
 from nnql_bullet.errors import UserError
 from nnql_bullet.machine import allowed_cores, may_start_processes
 
@@ -25,6 +27,21 @@ RAY_TIMEOUT = 5.0
 
 T = TypeVar("T")
 V = TypeVar("V")
+
+
+class ExecutorArguments(TypedDict, total=False):
+    """Where pieces of work run.
+
+    Attributes:
+        executor: "inline", "processes" or "ray"; by default inline with one worker and processes with more. A script
+            that starts processes needs `if __name__ == "__main__":`.
+        workers: Pieces at a time, by default one; None takes one a core. The results do not depend on it.
+        address: HOST:PORT of a running Ray cluster; without it, Ray is started on this machine.
+    """
+
+    executor: ExecutorKind | None
+    workers: int | None
+    address: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +104,15 @@ def make_executor(kind: ExecutorKind | None = None, workers: int | None = None, 
         raise UserError(f"the executor '{kind or 'inline'}' takes no address: leave it out, or choose 'ray'")
     inline = not may_start_processes() or (workers == 1 if kind is None else kind == "inline")
     return InlineExecutor() if inline else ProcessExecutor(workers)
+
+
+def executor_of(asked: ExecutorArguments) -> Executor:
+    """Makes the executor that is asked for.
+
+    Raises:
+        UserError: See `make_executor`.
+    """
+    return make_executor(asked.get("executor"), asked.get("workers", 1), asked.get("address"))
 
 
 _Attempt = tuple[V | None, TaskError | None]

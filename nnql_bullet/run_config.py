@@ -12,7 +12,6 @@ from nnql_bullet import paper
 from nnql_bullet.agents import AnyAgentOptions
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.config import dotted, merged, options, parse, to_values
-from nnql_bullet.errors import UserError
 from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.sensing import BlindArc, RayCount, SensorRange
 from nnql_bullet.shield.shield import ShieldOptions
@@ -25,7 +24,6 @@ from nnql_bullet.types import Count, Few, NonNegative, Number, Positive, Seed, V
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
 from nnql_bullet.vehicle.spec import VehicleSpec
-from nnql_bullet.vehicle.urdf import robot_name
 from nnql_bullet.worlds.source import Waypoints, WorldLike
 
 DEFAULT_ROBOT = "tricycle"
@@ -196,26 +194,6 @@ def key_texts(values: Mapping[str, Any]) -> dict[str, str]:
 
 DRIVING = ("robot", "drive", "shield", "plan", "task", "agent")
 """The keys and tables of how a policy drives, besides the conditions."""
-
-
-def driving_with(
-    changes: Mapping[str, Any], robot: str | Path | VehicleSpec | None = None, speed: float | None = None
-) -> dict[str, Any]:
-    """Lays a robot and a speed over nested values of how a policy drives.
-
-    Args:
-        changes: Values in the tables of `DRIVING`.
-        robot: A shipped robot, a TOML file or a vehicle.
-        speed: [m/s]
-
-    Raises:
-        UserError: If a value is of something else, or the vehicle has no file.
-    """
-    others = [key for key in changes if key not in DRIVING]
-    if others:
-        raise UserError(f"changes: '{others[0]}' is not of how a policy drives; these are: {', '.join(DRIVING)}")
-    asked = {"robot": None if robot is None else robot_name(robot), "drive": {} if speed is None else {"speed": speed}}
-    return merged(changes, asked)
 
 
 Keys = tuple[tuple[str, Any], ...]

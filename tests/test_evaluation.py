@@ -13,7 +13,7 @@ from PIL import Image
 from scipy.stats import binom
 
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import Drawn, DriveTask, Setting, Tier, draw_tiers, drive, drive_tasks
+from nnql_bullet.evaluation.drives import Drawn, DriveTask, Tier, draw_tiers, drive, drive_tasks
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
 from nnql_bullet.evaluation.parts import Parts, part_name
 from nnql_bullet.evaluation.policies import Policy, open_policies
@@ -24,6 +24,7 @@ from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.evaluation import counted
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import Conditions
+from nnql_bullet.setting import Setting
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.spec import WorldSpec

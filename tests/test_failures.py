@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from nnql_bullet.cli import main
-from nnql_bullet.evaluation.drives import Drawn, FilmTask, Setting, Tier
+from nnql_bullet.evaluation.drives import Drawn, FilmTask, Tier
 from nnql_bullet.evaluation.failures import GROUPS, Contact, Timeout, features, group
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.replays import FailedDrive, choose
@@ -22,6 +22,7 @@ from nnql_bullet.geometry import Array, OrientedBox
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.reports.failures import varied
 from nnql_bullet.reports.player import player_text
+from nnql_bullet.setting import Setting
 from nnql_bullet.worlds.spec import Patrol
 
 RunCli = Callable[..., tuple[int, str, str]]

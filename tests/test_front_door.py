@@ -4,6 +4,7 @@ import ast
 import doctest
 import functools
 import inspect
+import re
 import subprocess
 import sys
 import typing
@@ -35,6 +36,12 @@ WITHOUT_EXAMPLE = {
     "load_run",
 }
 SLOW = {"check_fidelity"}
+TAKEN = {
+    name: inspect.signature(getattr(nb, name)).parameters
+    for name in nb.__all__
+    if inspect.isfunction(getattr(nb, name))
+}
+"""Parameters of each function."""
 
 
 def fresh(code: str) -> str:
@@ -56,17 +63,29 @@ class TestImport:
         heavy = "{'numpy', 'torch', 'gymnasium', 'numba', 'pydantic', 'matplotlib'}"
         assert fresh(f"import nnql_bullet, sys; print({heavy} & sys.modules.keys())") == "set()"
 
+    def test_driving_a_rule_brings_along_what_it_needs_alone(self, here: Path) -> None:
+        others = "torch gymnasium pybullet mujoco http.client optuna ray"
+        ours = "nnql_bullet.api nnql_bullet.gym_env nnql_bullet.render nnql_bullet.session nnql_bullet.cli.worlds"
+        drive = "main(['drive', 'straight', '--sim', 'kinematic', '--world', 'empty', '--out', '.', '--json'])"
+        heavy = f"{{*'{others} {ours}'.split()}}"
+        said = fresh(f"import sys; from nnql_bullet.cli import main; {drive}; print({heavy} & sys.modules.keys())")
+        assert said.splitlines()[-1] == "set()"
+
     @pytest.mark.parametrize("order", ["nnql_bullet, gymnasium", "gymnasium, nnql_bullet"])
     def test_makes_the_environment_known_in_either_order(self, order: str) -> None:
         assert fresh(f"import {order}; print('nnql_bullet/Tricycle-v0' in gymnasium.registry)") == "True"
 
     def test_takes_paths_as_text(self) -> None:
         """Whatever takes a path takes its text too."""
-        for name in nb.__all__:
-            hints = typing.get_type_hints(getattr(nb, name)) if inspect.isfunction(getattr(nb, name)) else {}
-            taken = [typing.get_args(hint) for key, hint in hints.items() if key != "return"]
-            assert all(str in kinds for kinds in taken if Path in kinds), name
-            assert Path not in hints.values(), name
+        for name, parameters in TAKEN.items():
+            hints = [its.annotation for its in parameters.values()]
+            assert all(str in kinds for kinds in map(typing.get_args, hints) if Path in kinds), name
+            assert Path not in hints, name
+
+    def test_says_what_each_argument_is(self) -> None:
+        for name, parameters in TAKEN.items():
+            about = (inspect.getdoc(getattr(nb, name)) or "").partition("Args:\n")[2].partition("\n\n")[0]
+            assert sorted(re.findall(r"^ {4}\*{0,2}(\w+): ", about, re.MULTILINE)) == sorted(parameters), name
 
     def test_every_name_is_there_typed_and_listed(self) -> None:
         (checked,) = [node for node in ast.parse(Path(nb.__file__).read_text()).body if isinstance(node, ast.If)]

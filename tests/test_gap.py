@@ -32,6 +32,7 @@ from nnql_bullet.geometry import OrientedBox, Pose
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import Conditions
+from nnql_bullet.setting import Setting
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.engines import ContactSimulator, contact_simulator
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -346,8 +347,9 @@ class TestCommand:
 
     def test_a_fault_takes_the_place_of_the_same_condition_only(self) -> None:
         sides = Side("kinematic", "fast"), Side("bullet", "fast")
-        work = tasks(open_policies("straight"), None, [range(1)], *sides, Conditions(payload=10.0, dead_sector=3), True)
-        under = {task.fault: task.conditions for task in work if isinstance(task, FaultTask)}
+        setting = Setting("bullet", "fast", Conditions(payload=10.0, dead_sector=3))
+        work = tasks(open_policies("straight"), None, [range(1)], *sides, setting, True)
+        under = {task.fault: task.setting.conditions for task in work if isinstance(task, FaultTask)}
         assert under["friction 0.5"] == Conditions(payload=10.0, dead_sector=3, wheel_friction=0.5)
         assert under["payload 80 kg"] == Conditions(payload=80.0, dead_sector=3)
         assert under["front sector dead"] == Conditions(payload=10.0, dead_sector=0)

@@ -2,8 +2,9 @@
 
 import heapq
 import json
+from contextlib import closing
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import count, pairwise, product
 from math import hypot, inf, sqrt
 
 import numpy as np
@@ -199,6 +200,17 @@ class TestWayPoints:
         x, y, _ = env._fleet.navigation._poses[0]
         assert hypot(x - 60.0, y - 20.0) <= 2.0
         env.close()
+
+    @pytest.mark.parametrize("plan", [True, {"look_ahead": 3.0}])
+    def test_an_environment_takes_way_points_and_a_plan_as_a_drive_does(self, plan):
+        asked = {"world": "paper", "simulator": "kinematic", "waypoints": [(40.0, 30.0), (50.0, 60.0)]}
+        changes = {} if plan is True else {"plan": plan}
+        driven = nb.drive("straight", plan=True, changes=changes, seed=4, **asked)
+        with closing(nb.make_env(plan=plan, **asked)) as env:
+            env.reset(options={"world_seed": 4})
+            steps = next(k for k in count(1) if any(env.step(5)[2:4]))
+            assert env._fleet.navigation._poses[0] == pytest.approx(driven.state_pose[-1], abs=1e-9)
+        assert (driven.summary.ending, driven.summary.steps) == ("goal", steps)
 
     @pytest.mark.parametrize("simulator", ["kinematic", pytest.param("bullet", marks=pytest.mark.slow)])
     def test_vectors_take_targets_by_vehicle(self, simulator):

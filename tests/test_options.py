@@ -15,12 +15,13 @@ from nnql_bullet import ablate, check_fidelity, drive, failures
 from nnql_bullet.cli.flags import ELSEWHERE, parse
 from nnql_bullet.cli.parser import VERBS, verb_of
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import Drawn, DriveTask, Setting, Tier
+from nnql_bullet.evaluation.drives import Drawn, DriveTask, Tier
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.fidelity.envelope import envelope_slices
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import stopping_tasks
 from nnql_bullet.run_config import frozen_keys
+from nnql_bullet.setting import Setting
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -45,15 +46,21 @@ def called(verb: str, arguments: list[str]) -> Any:
     return parse(verb_of(verb), f"nnql-bullet {verb}", arguments)
 
 
+def keys_of(verb: str, arguments: list[str]) -> Any:
+    """The values of a configuration that arguments of a verb that drives stand for."""
+    given = called(verb, [*DRIVES[verb], *arguments]).keywords
+    return given["drives"].keys if "drives" in given else given["keys"]
+
+
 class TestFlags:
     @pytest.mark.parametrize("verb", DRIVES)
     @pytest.mark.parametrize("flags", GIVEN)
     def test_every_verb_that_drives_takes_it(self, verb: str, flags: str) -> None:
-        assert called(verb, [*DRIVES[verb], *flags.split()]).keywords["keys"] == GIVEN[flags]
+        assert keys_of(verb, flags.split()) == GIVEN[flags]
 
     @pytest.mark.parametrize("verb", [verb for verb in DRIVES if verb != "render"])  # where it is the film's
     def test_speed_is_short_for_the_key(self, verb: str) -> None:
-        assert called(verb, [*DRIVES[verb], "--speed", "0.5"]).keywords["keys"] == {"drive": {"speed": 0.5}}
+        assert keys_of(verb, ["--speed", "0.5"]) == {"drive": {"speed": 0.5}}
 
     @pytest.mark.parametrize("verb", ["fidelity", "envelope"])
     def test_a_bench_has_a_robot_and_a_speed(self, verb: str) -> None:

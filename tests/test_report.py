@@ -19,6 +19,7 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from nnql_bullet.cli import main
@@ -377,7 +378,7 @@ def episodes(goals: list[bool]) -> list[TrainingEpisode]:
 
 def test_the_mean_over_seeds_is_that_of_the_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: drawn.append(figure))
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda canvas, path, **_: drawn.append(canvas.figure))
     generator = np.random.default_rng(0)
     goals = {name: (generator.random(length) < 0.5).tolist() for name, length in (("a", 40), ("b", 60), ("c", 50))}
     runs = {name: episodes(its) for name, its in goals.items()}

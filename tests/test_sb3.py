@@ -147,7 +147,8 @@ class TestVehicles:
     def test_they_do_what_single_environments_do(self, parts: Callable[..., Any], small_world: Path) -> None:
         """Each episode again, in the Gymnasium environment of one vehicle."""
         experiment, _, navigation = parts()
-        vehicles = sb3.TrainingVehicles(navigation, experiment.training_world)
+        native = sb3.TrainingVehicles(navigation, experiment.training_world)
+        vehicles = sb3.VehiclesVecEnv(native)
         generator = np.random.default_rng(1)
         seen = [[observation] for observation in vehicles.reset()]
         done: list[list[int]] = [[] for _ in range(3)]
@@ -162,11 +163,11 @@ class TestVehicles:
                 rewards[i].append(float(reward[i]))
                 seen[i].append(infos[i]["terminal_observation"] if over[i] else observations[i])
                 if over[i]:
-                    number, summary = next(pair for pair in vehicles.finished if pair[1].steps == len(done[i]))
-                    vehicles.finished.remove((number, summary))
+                    number, summary = next(pair for pair in native.finished if pair[1].steps == len(done[i]))
+                    native.finished.remove((number, summary))
                     stretches.append((number, summary, done[i], rewards[i], seen[i], infos[i]["TimeLimit.truncated"]))
                     done[i], rewards[i], seen[i] = [], [], [observations[i]]
-        assert vehicles.finished == []
+        assert native.finished == []
         assert len(stretches) > 5
         config = RunConfig(simulator="kinematic", world=str(small_world), task=TaskOptions(max_steps=40))
         with closing(gymnasium.make("nnql_bullet/Tricycle-v0", config=config)) as env:

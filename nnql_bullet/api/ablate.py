@@ -4,8 +4,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+
+from typing_extensions import Unpack
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, merged
@@ -14,14 +15,14 @@ from nnql_bullet.evaluation.ablation import Budget, Counts, Entry, entries, task
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.splits import split_seeds
 from nnql_bullet.evaluation.studies import STUDIES, Study
-from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.executors import ExecutorArguments, executor_of
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.reports import ablation as report
 from nnql_bullet.reports.tables import text_table
-from nnql_bullet.run_config import Conditions, SimulatorName, asked_title, driving_with, frozen_keys
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.run_config import Conditions, SimulatorName, asked_title, frozen_keys
+from nnql_bullet.setting import DrivingArguments, asked_tables
 from nnql_bullet.work import OnProgress
 from nnql_bullet.worlds.source import World
 
@@ -62,6 +63,10 @@ class AblationResults:
             write_text(out / "ablation.json", json.dumps(values, indent=1) + "\n")
 
 
+class AblationArguments(DrivingArguments, ExecutorArguments, total=False):
+    """How policies drive, and where pieces of work run."""
+
+
 @checked
 def ablate(
     preset: str = "paper",
@@ -70,20 +75,12 @@ def ablate(
     seeds: int | None = None,
     simulator: SimulatorName = "kinematic",
     worlds: Sequence[str | Path] | None = None,
-    robot: str | Path | VehicleSpec | None = None,
-    speed: float | None = None,
-    conditions: Conditions | None = None,
-    shield: bool = False,
-    changes: Mapping[str, Any] = MappingProxyType({}),
     episodes: int | None = None,
     vehicles: int = 64,
     n_worlds: int = 300,
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
-    address: str | None = None,
     out: Path | str | None = None,
-    check: bool = True,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[AblationArguments],
 ) -> AblationResults:
     """Trains every variant of every factor of a preset from several seeds, and tests them on validation worlds.
 
@@ -99,21 +96,13 @@ def ablate(
         seeds: Trainings of each variant; by default as the study says.
         simulator: Where policies are trained and tested.
         worlds: Shipped worlds or files in place of the study's, to train and to test in.
-        robot: A shipped robot, a TOML file or a `Vehicle` in place of the preset's.
-        speed: Speed in place of the preset's [m/s].
-        conditions: Conditions of trainings and tests.
-        shield: Whether each policy is tested in a shield.
-        changes: Nested values laid over the tables drive, shield, task and agent of the preset.
         episodes: Episodes of each training; by default as the study says.
         vehicles: Vehicles that each training learns from at once.
         n_worlds: Validation worlds of each kind.
-        executor: See `evaluate`.
-        workers: Trainings at a time; None takes one a core. The results do not depend on it.
-        address: HOST:PORT of a running Ray cluster.
         out: Folder for the report; finished trainings are kept there, so that the same call continues after an
             interrupt. Without it nothing is written.
-        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
+        **asked: How policies drive, and where pieces of work run.
 
     Raises:
         UserError: If an argument is wrong, or another process writes to `out`.
@@ -122,8 +111,8 @@ def ablate(
     split_seeds("validation", n_worlds)
     if seeds is not None and not 1 <= seeds <= MOST_SEEDS:
         raise UserError(f"seeds must be from 1 to {MOST_SEEDS}, not {seeds}")
-    asked = driving_with(merged({"shield": {}}, changes) if shield else changes, robot, speed)
-    study = _with_asked(_study(preset, only), asked, conditions, worlds)
+    tables = asked_tables(asked)
+    study = _with_asked(_study(preset, only), tables, asked.get("conditions"), worlds)
     budget = Budget(
         simulator=simulator,
         seeds=seeds or study.seeds,
@@ -131,9 +120,9 @@ def ablate(
         vehicles=vehicles,
         worlds=n_worlds,
     )
-    where = make_executor(executor, workers, address)
-    if check and "robot" in asked:
-        check_at_first_use(asked["robot"], simulator, "reference", on_progress)
+    where = executor_of(asked)
+    if asked.get("check", True) and "robot" in tables:
+        check_at_first_use(tables["robot"], simulator, "reference", on_progress)
     trials = [
         (factor.name, variant.label, task_of(study, variant, seed, budget))
         for seed in range(budget.seeds)

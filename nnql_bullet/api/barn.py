@@ -5,29 +5,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, isfinite
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+
+from typing_extensions import Unpack
 
 from nnql_bullet.api.evaluate import run_evaluation
 from nnql_bullet.arguments import checked
-from nnql_bullet.config import merged, nested
+from nnql_bullet.config import nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.barn import STEPS, TIME, Barn, BarnRow, Reference, most_steps
-from nnql_bullet.evaluation.drives import FilmTask, Setting, WorldFiles, film
+from nnql_bullet.evaluation.drives import FilmTask, WorldFiles, film
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import Draws
-from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.executors import Executor, ExecutorArguments, InlineExecutor
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.recording import RECORDINGS, Recording
 from nnql_bullet.reports import barn as report
 from nnql_bullet.reports.failures import varied
 from nnql_bullet.reports.tables import text_table
-from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
+from nnql_bullet.run_config import frozen_keys
 from nnql_bullet.runs import PolicyLike, load_policy
-from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.setting import Setting, SimulationArguments, asked_tables
 from nnql_bullet.sources import SOURCES, keep_files
-from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.importers.barn import START, TARGET, number_of, path_file, reference_length, world_files
 
@@ -94,25 +94,19 @@ class BarnResults:
         return values
 
 
+class BarnArguments(SimulationArguments, ExecutorArguments, total=False):
+    """How policies drive, and where pieces of work run."""
+
+
 @checked
 def barn(
     folder: str | Path,
     policies: PolicyLike | Sequence[PolicyLike],
     *,
     n_worlds: int | None = None,
-    simulator: SimulatorName = "bullet",
-    physics: PhysicsName = "reference",
-    robot: str | Path | VehicleSpec | None = None,
-    speed: float | None = None,
-    conditions: Conditions | None = None,
-    shield: bool = False,
-    changes: Mapping[str, Any] = MappingProxyType({}),
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
-    address: str | None = None,
     out: Path | str | None = None,
-    check: bool = True,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[BarnArguments],
 ) -> BarnResults:
     """Drives policies through the worlds of the BARN challenge by its protocol, and scores them as it does.
 
@@ -129,35 +123,26 @@ def barn(
             them or in path_files. OT of a world without a path is that of the vehicle's shortest path.
         policies: Run folders, policy files, shipped policies and rules by name, or your own objects (see `drive`).
         n_worlds: How many of the worlds, evenly spread over their numbers; by default all.
-        simulator: "bullet", "mujoco" or "kinematic".
-        physics: Solver settings of contact physics.
-        robot: A shipped robot, a TOML file or a `Vehicle`; by default `ROBOT`.
-        speed: Speed [m/s]; by default that of each policy, or the robot's own if that is less.
-        conditions: Conditions in place of each policy's own.
-        shield: Whether each policy drives in a shield too.
-        changes: Nested values laid over the tables drive, shield, task and agent of each policy's configuration.
-        executor: See `evaluate`.
-        workers: Pieces at a time; None takes one a core. The results do not depend on it.
-        address: HOST:PORT of a running Ray cluster.
         out: Folder for the report (see `BarnResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
-        check: See `evaluate`.
         on_progress: Receives the progress.
+        **asked: How policies drive, and where pieces of work run.
 
     Raises:
         UserError: If an argument is wrong, a policy, world or path cannot be read, or another process writes to `out`.
         WorkFailed: If a piece of work fails.
     """
-    if "max_steps" in changes.get("task", {}):
+    if "max_steps" in asked.get("changes", {}).get("task", {}):
         raise UserError(f"{STEPS}: the challenge gives each drive {TIME:g} s; leave it out")
     files = _spread(world_files(Path(folder)), n_worlds, folder)
     lengths = {str(file): reference_length(path) for file in files if (path := path_file(file)) is not None}
-    asked = merged({"robot": ROBOT}, driving_with(changes, robot, speed))
-    opened = open_policies(policies, shield or "shield" in changes, asked["robot"])
-    setting = Setting(simulator, physics, conditions, allow_impassable=True, keys=frozen_keys(asked))
-    limit = nested({STEPS: _most_steps(opened, setting)})
-    setting = replace(setting, keys=frozen_keys(merged(asked, limit)))
-    where = executor_for(opened, executor, workers, address)
+    if "robot" not in asked_tables(asked):
+        asked["robot"] = ROBOT
+    setting = replace(Setting.of(asked), allow_impassable=True)
+    opened = open_policies(policies, setting.shield, setting.robot)
+    limit = {STEPS: _most_steps(opened, setting)}
+    setting = replace(setting, keys=frozen_keys(nested(dict(setting.keys) | limit)))
+    where = executor_for(opened, asked)
     given = WorldFiles("BARN", tuple(map(str, files)))
 
     def results(evaluation: Evaluation) -> BarnResults:
@@ -166,9 +151,8 @@ def barn(
     def save(evaluation: Evaluation, folder: Path) -> None:
         results(evaluation).save(folder, where, on_progress)
 
-    draws = Draws(range(1), None)
-    asked_for = [str(folder)]
-    return results(run_evaluation(opened, [given], asked_for, draws, setting, where, out, save, on_progress, check))
+    draws, check = Draws(range(1), None), asked.get("check", True)
+    return results(run_evaluation(opened, [given], [str(folder)], draws, setting, where, out, save, on_progress, check))
 
 
 def _spread(files: Mapping[int, Path], number: int | None, folder: str | Path) -> list[Path]:
@@ -191,7 +175,7 @@ def _most_steps(policies: Sequence[Policy], setting: Setting) -> int:
     Raises:
         UserError: If policies decide at different times.
     """
-    configs = [load_policy(its.source, setting.changes(its)).experiment.config for its in policies]
+    configs = [load_policy(its.source, its.own(setting).changes).experiment.config for its in policies]
     periods = {config.drive.decision_period for config in configs}
     if len(periods) > 1:
         every = " and ".join(f"{period:g}" for period in sorted(periods))

@@ -18,6 +18,7 @@ from nnql_bullet.gym_env.observations import ObservationName
 from nnql_bullet.gym_env.rewards import RewardName
 from nnql_bullet.gym_env.single import TricycleEnv, TricycleGoalEnv
 from nnql_bullet.gym_env.vector import TricycleVectorEnv
+from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.presets import load_config
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.live import SIZE, Live, RenderMode, check_mode
@@ -29,6 +30,7 @@ from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.vehicle.urdf import robot_name
 from nnql_bullet.worlds.source import World
+from nnql_bullet.worlds.waypoints import as_waypoints
 
 
 @checked
@@ -42,6 +44,8 @@ def make_env(
     world: str | Path | World | None = None,
     start: Sequence[float] | None = None,
     target: Sequence[float] | None = None,
+    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
+    plan: bool | PlanOptions | Mapping[str, Any] = False,
     robot: str | Path | VehicleSpec | None = None,
     rays: int | None = None,
     simulator: SimulatorName | None = None,
@@ -83,6 +87,10 @@ def make_env(
         world: A shipped world, a TOML file, a map or world of another program, or a `World`.
         start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
         target: x, y [m] of the target in that frame, in place of its own.
+        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
+            file of them (see `waypoints.read_waypoints`).
+        plan: Whether a plan of the way through the whole world leads the vehicle, or the keys of one; see
+            `planning.planner.PlanOptions`.
         robot: A shipped robot, a TOML file or a `Vehicle`.
         rays: Number of the sensor's rays, a multiple of 4.
         simulator: Contact physics in one of two engines, or the kinematic model.
@@ -111,6 +119,8 @@ def make_env(
         world=str(world) if isinstance(world, Path) else world,
         start=None if start is None else list(start),
         target=None if target is None else list(target),
+        waypoints=None if waypoints is None else list(as_waypoints(waypoints)),
+        plan={} if plan is True else None if plan is False else plan,
         robot=None if robot is None else robot_name(robot),
         simulator=simulator,
         physics=physics,

@@ -1,18 +1,18 @@
 """`evaluate`: policies through the same worlds, with intervals."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+
+from typing_extensions import Unpack
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import (
     FilmTask,
-    Setting,
     Tier,
     WorldFiles,
     check_setting,
@@ -28,7 +28,7 @@ from nnql_bullet.evaluation.metrics import Comparison, Evaluation, Row, comparis
 from nnql_bullet.evaluation.parts import Parts, run_kept
 from nnql_bullet.evaluation.policies import Policy, executor_for, open_policies
 from nnql_bullet.evaluation.splits import Draws, SplitName, choose_draws
-from nnql_bullet.executors import Executor, ExecutorKind, InlineExecutor
+from nnql_bullet.executors import Executor, ExecutorArguments, InlineExecutor
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -39,15 +39,12 @@ from nnql_bullet.reports import evaluation as report
 from nnql_bullet.reports.failures import FILES
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.rollout import EpisodeSummary
-from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
 from nnql_bullet.runs import PolicyLike
-from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.setting import PlaceArguments, Setting
 from nnql_bullet.sources import SOURCES, keep_files
-from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.paths import Difficulty
 from nnql_bullet.worlds.source import World
-from nnql_bullet.worlds.waypoints import as_waypoints
 
 WORLDS = ("paper", "cover_10", "cover_15")
 """Worlds that policies are evaluated in by default."""
@@ -132,6 +129,10 @@ class EvaluationResults:
         return values
 
 
+class EvaluationArguments(PlaceArguments, ExecutorArguments, total=False):
+    """How policies drive, and where pieces of work run."""
+
+
 @checked
 def evaluate(
     policies: PolicyLike | Sequence[PolicyLike],
@@ -140,25 +141,10 @@ def evaluate(
     split: SplitName | None = None,
     n_worlds: int | None = None,
     seeds: range | None = None,
-    simulator: SimulatorName = "bullet",
-    physics: PhysicsName = "reference",
-    robot: str | Path | VehicleSpec | None = None,
-    speed: float | None = None,
-    conditions: Conditions | None = None,
-    shield: bool = False,
-    changes: Mapping[str, Any] = MappingProxyType({}),
-    allow_impassable: bool = False,
-    start: Sequence[float] | None = None,
-    target: Sequence[float] | None = None,
-    waypoints: str | Path | Sequence[Sequence[float]] | None = None,
-    plan: bool = False,
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
-    address: str | None = None,
     out: Path | str | None = None,
     clips: int = 0,
-    check: bool = True,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[EvaluationArguments],
 ) -> EvaluationResults:
     """Drives policies through the same worlds, and says how good each is with intervals.
 
@@ -179,29 +165,11 @@ def evaluate(
         split: "validation", the default, has worlds to choose with, "test" those for a final table.
         n_worlds: Worlds of each file, by default 100; a world in which nothing is random counts once.
         seeds: Seeds of the worlds of each file, in place of `split` and `n_worlds`.
-        simulator: "bullet", "mujoco" or "kinematic".
-        physics: Solver settings of contact physics.
-        robot: A shipped robot, a TOML file or a `Vehicle` in place of each policy's own.
-        speed: Speed in place of each policy's own [m/s].
-        conditions: Conditions in place of each policy's own.
-        shield: Whether each policy drives in a shield too.
-        changes: Nested values laid over the tables drive, shield, plan, task and agent of each policy's configuration;
-            those of a shield hold for policies in a shield.
-        allow_impassable: Whether to take worlds as they are drawn, even if the vehicle is too wide for every path.
-        start: x, y [m] and, if given, yaw [rad] of the start in the frame of each world's map, in place of its own.
-        target: x, y [m] of the target in that frame, in place of its own.
-        waypoints: x, y [m] in that frame of several targets to reach in turn, of which the last is the target; or a
-            file of them (see `waypoints.read_waypoints`).
-        plan: Whether a plan of the way through the whole world leads each policy.
-        executor: Where pieces run: "inline", "processes" or "ray"; by default inline with one worker and processes with
-            more. A script that starts processes needs `if __name__ == "__main__":`.
-        workers: Pieces at a time; None takes one a core. The results do not depend on it.
-        address: HOST:PORT of a running Ray cluster.
         out: Folder for the report (see `EvaluationResults.save`); finished pieces are kept there, so that the same call
             continues after an interrupt. Without it nothing is written.
         clips: Most videos of failures in `out`.
-        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
+        **asked: How policies drive, and where pieces of work run.
 
     Raises:
         UserError: If an argument is wrong, a policy or world cannot be read, or another process writes to `out`.
@@ -212,20 +180,18 @@ def evaluate(
         raise UserError(f"clips must not be negative, not {clips}")
     if out is not None and clips:
         check_encoder()
-    first, last = (None if place is None else tuple(place) for place in (start, target))
-    keys = frozen_keys(driving_with(changes, robot, speed))
-    between, plan = None if waypoints is None else as_waypoints(waypoints), plan or "plan" in changes
-    setting = Setting(simulator, physics, conditions, allow_impassable, first, last, between, plan, keys)
-    opened = open_policies(policies, shield or "shield" in changes, setting.robot)
-    where = executor_for(opened, executor, workers, address)
+    setting = Setting.of(asked)
+    opened = open_policies(policies, setting.shield, setting.robot)
+    where = executor_for(opened, asked)
     if not worlds:
         raise UserError("give a world")
-    asked = [one.name if isinstance(one, World) else str(one) for one in worlds]
+    names = [one.name if isinstance(one, World) else str(one) for one in worlds]
 
     def save(evaluation: Evaluation, folder: Path) -> None:
         EvaluationResults(evaluation).save(folder, clips, where, on_progress)
 
-    evaluation = run_evaluation(opened, worlds, asked, draws, setting, where, out, save, on_progress, check)
+    check = asked.get("check", True)
+    evaluation = run_evaluation(opened, worlds, names, draws, setting, where, out, save, on_progress, check)
     return EvaluationResults(evaluation)
 
 
@@ -269,7 +235,7 @@ def run_evaluation(
             check_at_first_use(its, setting.simulator, setting.physics, on_progress)
         parts = Parts(folder / "parts" if folder else None)
         difficulties, drives = _driven(executor, policies, tiers, setting, parts, on_progress)
-        random = frozenset(p.name for p in policies if p.custom is None and has_chance(p, setting.changes(p)))
+        random = frozenset(p.name for p in policies if p.custom is None and has_chance(p, p.own(setting).changes))
         evaluation = Evaluation(asked, draws, setting, policies, tiers, difficulties, drives, refused, random)
         if folder:
             save(evaluation, folder)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import Unpack
+
 from nnql_bullet.api.evaluate import EvaluationResults
 from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
@@ -19,7 +21,7 @@ from nnql_bullet.evaluation.replays import (
     open_evaluation,
     replay,
 )
-from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.executors import ExecutorArguments
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.reports import failures as report
@@ -70,10 +72,9 @@ def failures(
     results: EvaluationResults | Path | str,
     *,
     most: int = 5,
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
     out: Path | str | None = None,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[ExecutorArguments],
 ) -> FailureResults:
     """Drives the failures of an evaluation again, and sorts them by how they failed.
 
@@ -86,10 +87,9 @@ def failures(
     Args:
         results: What `evaluate` returned, or the folder that it wrote.
         most: Most failures of each method in each kind of world.
-        executor: See `evaluate`.
-        workers: Drives at a time; None takes one a core. The results do not depend on it.
         out: Folder for recordings and report; without it nothing is written.
         on_progress: Receives the progress.
+        **asked: Where drives run.
 
     Raises:
         UserError: If an argument is wrong, or a policy, world or drive is not what it was.
@@ -108,7 +108,7 @@ def failures(
                 *(name, difference, evaluation.command),
             )
     chosen = choose(evaluation.failed, most)
-    where = executor_for([one.film.policy for one in chosen], executor, workers)
+    where = executor_for([one.film.policy for one in chosen], asked)
     check_policies(evaluation, chosen)
     replays = run_all(
         where,

@@ -7,8 +7,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import Unpack
+
 from nnql_bullet.arguments import checked
-from nnql_bullet.executors import ExecutorKind, make_executor
+from nnql_bullet.executors import ExecutorArguments, executor_of
 from nnql_bullet.experiment import refuse_speed
 from nnql_bullet.fidelity.actions import watch_actions
 from nnql_bullet.fidelity.envelope import Result, Slice, envelope_slices, envelope_tasks, measure_turn
@@ -186,10 +188,9 @@ def envelope(
     speed: float | None = None,
     simulator: EngineName = "bullet",
     physics: PhysicsName = "reference",
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
     out: Path | str | None = None,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[ExecutorArguments],
 ) -> EnvelopeResults:
     """Measures the turns that a vehicle can follow, and the distances in which it stops.
 
@@ -198,10 +199,9 @@ def envelope(
         speed: Speed at which it drives [m/s]; by default its own.
         simulator: An engine of contact physics.
         physics: Its solver settings.
-        executor: See `evaluate`.
-        workers: Measurements at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
         on_progress: Receives the progress.
+        **asked: Where measurements run.
 
     Raises:
         UserError: If the vehicle cannot be read, the engine is not installed, or another process writes to `out`.
@@ -211,7 +211,7 @@ def envelope(
     bench = Bench(spec, simulator, physics)
     with bench.open_engine():  # an engine that is not installed shows here
         pass
-    where, slices = make_executor(executor, workers), envelope_slices(spec)
+    where, slices = executor_of(asked), envelope_slices(spec)
     folder = None if out is None else Path(out)
     with locked(folder):
         turns = run_all(where, "turns", measure_turn, envelope_tasks(bench, slices), on_progress=on_progress)

@@ -1,31 +1,30 @@
 """`gap`: the same policies, worlds and seeds in two simulators."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
+from typing_extensions import Unpack
+
+from nnql_bullet.api.evaluate import EvaluationArguments
 from nnql_bullet.arguments import checked
-from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation import gap as measure
 from nnql_bullet.evaluation.drives import distinct, has_chance
 from nnql_bullet.evaluation.gap import Gap, Pair, PairTask, Side, Trial
 from nnql_bullet.evaluation.policies import executor_for, open_policies
 from nnql_bullet.evaluation.splits import SplitName, choose_draws
-from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
 from nnql_bullet.recording import RECORDINGS
 from nnql_bullet.reports import gap as report
-from nnql_bullet.run_config import Conditions, SimulatorName, driving_with, frozen_keys
+from nnql_bullet.run_config import SimulatorName
 from nnql_bullet.runs import PolicyLike, load_policy
-from nnql_bullet.sim.engines import EngineName, PhysicsName
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.setting import Setting
 from nnql_bullet.work import OnProgress, run_all
 from nnql_bullet.worlds.source import World
 
@@ -71,25 +70,14 @@ def gap(
     policies: PolicyLike | Sequence[PolicyLike],
     *,
     against: SimulatorName = "kinematic",
-    simulator: EngineName = "bullet",
-    physics: PhysicsName = "reference",
     world: str | Path | World | None = None,
     split: SplitName | None = None,
     n_worlds: int | None = None,
     seeds: range | None = None,
-    start: Sequence[float] | None = None,
-    target: Sequence[float] | None = None,
-    robot: str | Path | VehicleSpec | None = None,
-    speed: float | None = None,
-    conditions: Conditions | None = None,
-    shield: bool = False,
-    changes: Mapping[str, Any] = MappingProxyType({}),
     faults: bool = True,
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
     out: Path | str | None = None,
-    check: bool = True,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[EvaluationArguments],
 ) -> GapResults:
     """Measures the sim-to-sim gap: the same policies, worlds and seeds in two simulators, drive by drive.
 
@@ -102,53 +90,39 @@ def gap(
     Args:
         policies: See `evaluate`.
         against: The first simulator.
-        simulator: The second one, an engine of contact physics.
-        physics: Solver settings of contact physics.
         world: A shipped world, a TOML file, a map or world of another program, or a `World`; by default that of the
             training.
         split: "validation", the default, has worlds to choose with, "test" those for a final table.
         n_worlds: Number of worlds, by default 100.
         seeds: Seeds of the worlds, in place of `split` and `n_worlds`.
-        start: x, y [m] and, if given, yaw [rad] of the start in the frame of the world's map, in place of its own.
-        target: x, y [m] of the target in that frame, in place of its own.
-        robot: A shipped robot, a TOML file or a `Vehicle` in place of each policy's own.
-        speed: Speed in place of each policy's own [m/s].
-        conditions: Conditions in place of each policy's own.
-        shield: Whether each policy drives in a shield.
-        changes: Nested values laid over the tables drive, shield, task and agent of each policy's configuration.
         faults: Whether policies drive with a series of faults too, which takes some twelve times as long.
-        executor: See `evaluate`.
-        workers: Pieces at a time; None takes one a core. The results do not depend on it.
         out: Folder for the report; without it nothing is written.
-        check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
+        **asked: How policies drive, and where pieces of work run.
 
     Raises:
         UserError: If an argument is wrong, a policy or world cannot be read, or another process writes to `out`.
         WorkFailed: If a piece of work fails.
     """
-    if against == simulator:
+    setting = Setting.of(asked)
+    if setting.simulator == "kinematic":
+        raise UserError("simulator: the second one is one of contact physics; give the kinematic model as against")
+    if against == setting.simulator:
         raise UserError(f"against: '{against}' is the simulator itself; give another one")
     draws, world = choose_draws(split, n_worlds, seeds), str(world) if isinstance(world, Path) else world
-    shown = world.name if isinstance(world, World) else world
-    if start or target:
-        if world is None:
-            raise UserError("start and target are places in a world: give one")
-        world = World.load(world).between(start, target)
-    first, second = Side(against, physics), Side(simulator, physics)
-    in_shield, keys = shield or "shield" in changes, frozen_keys(driving_with(changes, robot, speed))
-    robot = dict(keys).get("robot")
-    opened = [its for its in open_policies(policies, in_shield, robot, world is None) if its.shielded == in_shield]
-    where = executor_for(opened, executor, workers)
-    ours = [measure.check(PairTask(policy, world, draws.seeds, first, second, conditions, keys)) for policy in opened]
-    for its, side in product(dict.fromkeys(ours if check else ()), (against, simulator)):
-        check_at_first_use(its, side, physics, on_progress)
-    asked = [{"world": world, "conditions": conditions} | policy.changes(keys) for policy in opened]
-    experiment = load_policy(opened[0].source, asked[0]).experiment
-    chances = [has_chance(policy, its) for policy, its in zip(opened, asked, strict=True)]
+    first, second = Side(against, setting.physics), Side(setting.simulator, setting.physics)
+    opened = open_policies(policies, setting.shield, setting.robot, own_world=world is None)
+    opened = [its for its in opened if its.shielded == setting.shield]
+    where = executor_for(opened, asked)
+    ours = [measure.check(PairTask(policy, world, draws.seeds, first, second, setting)) for policy in opened]
+    for its, side in product(dict.fromkeys(ours if asked.get("check", True) else ()), (first, second)):
+        check_at_first_use(its, side.simulator, side.physics, on_progress)
+    own = [{"world": world, **setting.ends, **policy.own(setting).changes} for policy in opened]
+    experiment = load_policy(opened[0].source, own[0]).experiment
+    chances = [has_chance(policy, its) for policy, its in zip(opened, own, strict=True)]
     numbers = {one: len(distinct(experiment, experiment.worlds, draws.seeds, one)) for one in set(chances)}
     driven = [draws.seeds[: numbers[one]] for one in chances]
-    tasks = measure.tasks(opened, world, driven, first, second, conditions, faults, keys)
+    tasks = measure.tasks(opened, world, driven, first, second, setting, faults)
     folder = None if out is None else Path(out)
     with locked(folder):
         pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
@@ -157,11 +131,9 @@ def gap(
         trials = [drive for drive in drives if isinstance(drive, Trial)]
         prints = tuple(policy.fingerprint for policy in opened)
         names = tuple(policy.path for policy in opened)
-        ends = tuple(flags({"start": start, "target": target}))
         robots = tuple(policy.robot for policy in opened)
-        results = GapResults(
-            Gap(names, prints, shown, draws, first, second, pairs, trials, conditions, ends, keys, in_shield, robots)
-        )
+        shown = world.name if isinstance(world, World) else world
+        results = GapResults(Gap(names, prints, shown, draws, first, second, pairs, trials, setting, robots))
         if folder:
             results.save(folder)
     return results

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typing_extensions import Unpack
+
 from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError, WorkFailed, missing_library
 from nnql_bullet.evaluation.space import Trial, bars, best_of
 from nnql_bullet.evaluation.sweep import Sweep, TrialTask, identity, read_sweep, train_trial
-from nnql_bullet.executors import Executor, ExecutorKind, make_executor
+from nnql_bullet.executors import Executor, ExecutorArguments, executor_of
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
@@ -77,12 +79,10 @@ def sweep(
     file: Path | str,
     *,
     trials: int | None = None,
-    executor: ExecutorKind | None = None,
-    workers: int | None = 1,
-    address: str | None = None,
     out: Path | str | None = None,
     check: bool = True,
     on_progress: OnProgress | None = None,
+    **asked: Unpack[ExecutorArguments],
 ) -> SweepResults:
     """Searches for the values of a run's keys with which an agent learns best, by Optuna.
 
@@ -107,13 +107,11 @@ def sweep(
     Args:
         file: A configuration as `train` takes it, with a table `sweep` (see `evaluation.sweep.SweepOptions`).
         trials: Number of trials in place of the file's; a finished sweep goes on with more.
-        executor: See `evaluate`. On a Ray cluster of several machines, `out` has to be a folder that all of them share.
-        workers: Trials at a time, of those that are drawn together; None takes one a core.
-        address: HOST:PORT of a running Ray cluster.
         out: Folder of the study, of the trials' run folders and of the report; by default runs/sweep-FILE. The same
-            call continues there after an interrupt.
+            call continues there after an interrupt. The machines of a Ray cluster have to share it.
         check: Whether a robot of your own is checked when it is first driven in contact physics (see `RobotWarning`).
         on_progress: Receives the progress.
+        **asked: Where trials run, of those that are drawn together.
 
     Raises:
         UserError: If the file is wrong, Optuna is not installed, the folder holds another sweep, or another process
@@ -129,7 +127,7 @@ def sweep(
     total = options.trials if trials is None else trials
     if not 1 <= total <= 1000:
         raise UserError(f"trials must be from 1 to 1000, not {total}")
-    where = make_executor(executor, workers, address)
+    where = executor_of(asked)
     if check:
         check_at_first_use(space.base.robot, space.base.simulator, space.base.physics, on_progress)
     folder = Path("runs") / f"sweep-{read.name}" if out is None else Path(out)

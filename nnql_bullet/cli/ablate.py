@@ -1,15 +1,13 @@
 """`nnql-bullet ablate`."""
 
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import ablate as api
 from nnql_bullet.cli.console import complain, items, progress, say
-from nnql_bullet.cli.flags import DriveKeys, asked_for
-from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.cli.shared import DrivingFlags, ExecutorFlags
 from nnql_bullet.run_config import SimulatorName
 
 
@@ -19,17 +17,14 @@ def ablate(
     seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     sim: SimulatorName = "kinematic",
     only: Annotated[str | None, tyro.conf.arg(metavar="FACTOR,...")] = None,
-    shield: bool = False,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE,...")] = None,
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     vehicles: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
     worlds: Annotated[int, tyro.conf.arg(metavar="N")] = 300,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
-    executor: ExecutorKind = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
-    check: bool = True,
-    keys: DriveKeys = MappingProxyType({}),
+    *,
+    drives: DrivingFlags,
+    pieces: ExecutorFlags,
 ) -> int:
     """Measure what each factor of a preset is worth.
 
@@ -50,17 +45,13 @@ def ablate(
         seeds: Trainings of each variant; default 10, of tuned 5, of double_dqn 2.
         sim: Simulator; kinematic takes half an hour on two cores, the others a day.
         only: Some factors, by name; a wrong one has all of them listed.
-        shield: Test each policy in a shield.
         world: Worlds in place of the study's, to train and to test in.
         episodes: Episodes of each training; default 1000, of double_dqn 4000.
         vehicles: Vehicles that each training learns from in lockstep.
         worlds: Validation worlds of each kind.
-        workers: Trainings at a time; default one a core. They do not change the result.
-        executor: Where trainings run; inline is this process.
-        address: A running Ray cluster; without it Ray is started on this machine.
         out: Folder of the report; default runs/ablation, of another preset runs/ablation-PRESET.
-        check: Leave out the check of a robot of your own when it is first driven in contact physics.
-        keys: Values in place of the preset's; none that a factor varies.
+        drives: How policies drive.
+        pieces: Where pieces of work run.
     """
     folder = out or Path("runs") / ("ablation" if preset == "paper" else f"ablation-{preset}")
     try:
@@ -71,16 +62,12 @@ def ablate(
                 seeds=seeds,
                 simulator=sim,
                 worlds=items(world) or None,
-                shield=shield,
-                **asked_for(keys),
                 episodes=episodes,
                 vehicles=vehicles,
                 n_worlds=worlds,
-                executor=executor,
-                workers=workers,
-                address=address,
+                **drives.asked,
+                **pieces.asked,
                 out=folder,
-                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

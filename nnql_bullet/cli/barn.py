@@ -1,18 +1,14 @@
 """`nnql-bullet barn`."""
 
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import barn as api
 from nnql_bullet.cli.console import complain, progress, say
-from nnql_bullet.cli.flags import DriveKeys, asked_for
-from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.cli.shared import ExecutorFlags, SimulationFlags
 from nnql_bullet.reports import barn as report
-from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.sim.engines import PhysicsName
 
 
 def barn(
@@ -20,16 +16,11 @@ def barn(
     policies: Annotated[list[Path], tyro.conf.arg(metavar="POLICY ...")],
     /,
     worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    sim: SimulatorName = "bullet",
-    physics: PhysicsName = "reference",
-    shield: bool = False,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
-    executor: ExecutorKind = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/barn"),
     json: bool = False,
-    check: bool = True,
-    keys: DriveKeys = MappingProxyType({}),
+    *,
+    drives: SimulationFlags,
+    pieces: ExecutorFlags,
 ) -> int:
     """Drive policies through the worlds of the BARN challenge by its protocol, and score them as it does.
 
@@ -49,16 +40,10 @@ def barn(
             or in path_files.
         policies: Run folders, policy files, shipped policies, rules, or TOML files that configure a rule.
         worlds: How many of the worlds, evenly spread over their numbers; default all.
-        sim: Simulator; bullet and mujoco are contact physics.
-        physics: Solver settings of contact physics.
-        shield: Drive each policy in a shield too.
-        workers: Pieces at a time; default one a core. They do not change the result.
-        executor: Where pieces run; inline is this process.
-        address: A running Ray cluster; without it Ray is started on this machine.
         out: Folder of the report.
         json: Print results.json instead of the table.
-        check: Leave out the check of a robot of your own when it is first driven in contact physics.
-        keys: Values in place of each policy's own.
+        drives: How policies drive.
+        pieces: Where pieces of work run.
     """
     try:
         with progress() as show:
@@ -66,15 +51,9 @@ def barn(
                 folder,
                 policies,
                 n_worlds=worlds,
-                simulator=sim,
-                physics=physics,
-                shield=shield,
-                **asked_for(keys),
-                executor=executor,
-                workers=workers,
-                address=address,
+                **drives.asked,
+                **pieces.asked,
                 out=out,
-                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

@@ -7,6 +7,7 @@ import tyro
 
 from nnql_bullet.api import fidelity as api
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.shared import ExecutorFlags
 from nnql_bullet.sim.engines import EngineName, PhysicsName
 from nnql_bullet.vehicle.urdf import load_vehicle
 
@@ -16,8 +17,9 @@ def envelope(
     speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None,
     sim: EngineName = "bullet",
     physics: PhysicsName = "reference",
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    *,
+    pieces: ExecutorFlags,
 ) -> int:
     """Measure which turns a vehicle can follow, and how far it runs until it stands.
 
@@ -38,8 +40,8 @@ def envelope(
         speed: Speed in the middle of those that are measured; default its own.
         sim: Engine of contact physics.
         physics: Its solver settings.
-        workers: Processes; default one a core. They do not change the result.
         out: Folder of the report; default runs/envelope/ROBOT-ENGINE-PHYSICS.
+        pieces: Where pieces of work run.
     """
     vehicle = load_vehicle(robot)
     at = "" if speed is None else f"-{speed:g}"
@@ -50,8 +52,7 @@ def envelope(
             speed=speed,
             simulator=sim,
             physics=physics,
-            executor="processes",
-            workers=workers,
+            **pieces.asked,
             out=folder,
             on_progress=show,
         )

@@ -1,21 +1,16 @@
 """`nnql-bullet evaluate`."""
 
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 import tyro
 
 from nnql_bullet.api import evaluate as api
 from nnql_bullet.cli.console import complain, items, progress, say, seed_range
-from nnql_bullet.cli.flags import DriveKeys, Place, Waypoints, asked_for
-from nnql_bullet.cli.worlds import tell_warnings
+from nnql_bullet.cli.shared import ExecutorFlags, PlaceFlags, tell_warnings
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.splits import SplitName
-from nnql_bullet.executors import ExecutorKind
 from nnql_bullet.reports import evaluation as report
-from nnql_bullet.run_config import SimulatorName
-from nnql_bullet.sim.engines import PhysicsName
 
 COVERS = {"2.5": "cover_2.5", "5": "paper", "7.5": "cover_7.5", "10": "cover_10", "15": "cover_15", "20": "cover_20"}
 """Percent of the arena under boxes, and the shipped world."""
@@ -29,22 +24,12 @@ def evaluate(
     seeds: Annotated[str | None, tyro.conf.arg(metavar="FROM:TO")] = None,
     cover: Annotated[str | None, tyro.conf.arg(metavar="P,P,...")] = None,
     world: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE|DIR,...")] = None,
-    start: Annotated[Place, tyro.conf.arg(metavar="X,Y[,YAW]")] = None,
-    target: Annotated[Place, tyro.conf.arg(metavar="X,Y")] = None,
-    waypoints: Annotated[Waypoints, tyro.conf.arg(metavar="FILE|X,Y;...")] = None,
-    plan: bool = False,
-    sim: SimulatorName = "bullet",
-    physics: PhysicsName = "reference",
-    shield: bool = False,
-    allow_impassable: bool = False,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
-    executor: ExecutorKind = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     clips: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/evaluate"),
     json: bool = False,
-    check: bool = True,
-    keys: DriveKeys = MappingProxyType({}),
+    *,
+    drives: PlaceFlags,
+    pieces: ExecutorFlags,
 ) -> int:
     """Drive policies through the same worlds; say how good each is and how sure that is.
 
@@ -66,25 +51,14 @@ def evaluate(
         cover: Percentages under boxes: 2.5, 5, 7.5, 10, 15, 20; default 5,10,15 without --world.
         world: Shipped worlds (traps, aisles, moving, ...), TOML files, ROS maps, other files that `nnql-bullet worlds`
             reads, or folders of such files, each counted as one kind.
-        start: Start, at rest, in the frame of the world's map [m, radians], in place of its own.
-        target: Target in that frame, in place of its own.
-        waypoints: Places in that frame to reach in turn; the last is the target. A file is CSV (x,y a line) or JSON.
-        plan: Lead each policy along a plan of the way through the whole world; see `drive`.
-        sim: Simulator; bullet and mujoco are contact physics.
-        physics: Solver settings of contact physics.
-        shield: Drive each policy in a shield too.
-        allow_impassable: Take worlds as they are drawn, even if the vehicle is too wide for every path.
-        workers: Pieces at a time; default one a core. They do not change the result.
-        executor: Where pieces run; inline is this process.
-        address: A running Ray cluster; without it Ray is started on this machine.
         clips: Most videos of failures, in DIR/clips.
         out: Folder of the report.
         json: Print results.json instead of the table.
-        check: Leave out the check of a robot of your own when it is first driven in contact physics.
-        keys: Values in place of each policy's own.
+        drives: How policies drive.
+        pieces: Where pieces of work run.
     """
     files = _files(cover, world)
-    tell_warnings(files, start, waypoints[-1] if waypoints else target)
+    tell_warnings(files, drives.start, drives.end)
     try:
         with progress() as show:
             results = api.evaluate(
@@ -93,21 +67,10 @@ def evaluate(
                 split=split,
                 n_worlds=worlds,
                 seeds=seed_range(seeds),
-                simulator=sim,
-                physics=physics,
-                shield=shield,
-                **asked_for(keys),
-                allow_impassable=allow_impassable,
-                start=start,
-                target=target,
-                waypoints=waypoints,
-                plan=plan,
-                executor=executor,
-                workers=workers,
-                address=address,
+                **drives.asked,
+                **pieces.asked,
                 out=out,
                 clips=clips,
-                check=check,
                 on_progress=show,
             )
     except KeyboardInterrupt:

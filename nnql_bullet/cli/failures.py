@@ -7,13 +7,15 @@ import tyro
 
 from nnql_bullet.api import failures as api
 from nnql_bullet.cli.console import progress, say
+from nnql_bullet.cli.shared import ExecutorFlags
 
 
 def failures(
     results: Annotated[Path, tyro.conf.arg(metavar="RESULTS")] = Path("runs/evaluate"),
     /,
     most: Annotated[int, tyro.conf.arg(metavar="N")] = 5,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
+    *,
+    pieces: ExecutorFlags,
 ) -> int:
     """Drive the failures of an evaluation again, and sort them by how they failed.
 
@@ -32,11 +34,11 @@ def failures(
     Args:
         results: Folder that `evaluate` left.
         most: Failures of each method in each kind of world that are driven again. The rest is counted.
-        workers: Drives at a time; default one a core. They do not change the result.
+        pieces: Where pieces of work run.
     """
     folder = results / "failures"
     with progress() as show:
-        found = api.failures(results, most=most, executor="processes", workers=workers, out=folder, on_progress=show)
+        found = api.failures(results, most=most, out=folder, on_progress=show, **pieces.asked)
     say(found.sentence)
     if found.rows:
         say(found.table())

@@ -3,8 +3,8 @@
 import functools
 import shutil
 import textwrap
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, make_dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from inspect import Parameter, getdoc, signature
 from itertools import takewhile
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -16,7 +16,7 @@ from nnql_bullet.cli.console import say
 from nnql_bullet.commands import flag
 from nnql_bullet.config import Key, abouts_of, keys, nearest, nested
 from nnql_bullet.errors import UserError
-from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig, conditions_of
+from nnql_bullet.run_config import RENAMED_KEYS, RENAMED_SIMULATORS, RunConfig
 from nnql_bullet.worlds.waypoints import read_waypoints
 
 RENAMED_FLAGS = {
@@ -69,10 +69,6 @@ WAYPOINTS = tyro.constructors.PrimitiveConstructorSpec[tuple[tuple[float, float]
     str_from_instance=lambda its: [] if its is None else [";".join(f"{x},{y}" for x, y in its)],
 )
 """Annotates way points, which may be in a file."""
-Waypoints = Annotated[tuple[tuple[float, float], ...] | None, WAYPOINTS]
-"""The places to reach in turn."""
-Place = Annotated[tuple[float, ...] | None, NUMBERS]
-"""The numbers of a start or target."""
 _METAVARS = {float: "X", int: "N", bool: "true|false", str: "TEXT"}
 
 
@@ -102,22 +98,6 @@ class KeyFlags:
         return [key for name in self.shown for key in found if key.name == name]
 
 
-DriveKeys = Annotated[
-    Mapping[str, Any],
-    KeyFlags(
-        names=("robot", "conditions.", "drive.", "shield.", "plan.", "task.", "agent."),
-        shown=("robot", *SHORT_FLAGS),
-        title="vehicle",
-        defaults=False,
-        about=(
-            "Conditions are flags too: --conditions.wheel-friction, --conditions.payload [kg], "
-            "--conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7). So is "
-            "every key that begins with agent, drive, plan, shield or task, such as --shield.margin, which asks for a "
-            "shield as --shield does. To list them: nnql-bullet keys shield"
-        ),
-    ),
-]
-"""Values of a verb that drives, in place of each policy's own."""
 OF_DRIVES = ("--world", "--seed", "--seeds", "--start", "--target", "--sim", "--shield", "--robot", "--speed", "--rays")
 """Flags of drives that people may look for where nothing is driven."""
 ELSEWHERE = {
@@ -126,16 +106,6 @@ ELSEWHERE = {
     "report": "it shows what there is; give it to `train`, `evaluate` or `gap`",
 }
 """What verbs that drive nothing of their own say of flags of drives."""
-
-
-def asked_for(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Sorts the values of `DriveKeys` into arguments of the library's functions.
-
-    Raises:
-        UserError: If a value is wrong.
-    """
-    changes = {key: value for key, value in given.items() if key != "conditions"}
-    return {"conditions": conditions_of(given.get("conditions", {})), "changes": changes}
 
 
 def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Callable[[], int]:
@@ -156,7 +126,7 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
     for_help = not {"-h", "--help"}.isdisjoint(arguments)
     about, _, examples = (getdoc(verb) or "").partition("\n\nArgs:")[0].partition("For example:\n")
     if for_help:
-        marks = filter(None, map(_mark, get_type_hints(verb, include_extras=True).values()))
+        marks = filter(None, (_mark(hint) for _, hint in _parameters(verb).values()))
         say(_wrapped("\n\n".join((about.strip(), *(mark.about for mark in marks)))))
 
     def refuse(event: tyro_errors.ParseErrorEvent) -> None:
@@ -164,7 +134,8 @@ def parse(verb: Callable[..., int], prog: str, arguments: Sequence[str]) -> Call
 
     with tyro_errors.on_parse_error(refuse):
         try:
-            return tyro.cli(_noting(verb, for_help), prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+            noting = _noting(verb, for_help, arguments)
+            return tyro.cli(noting, prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
         except SystemExit:
             if examples:
                 say(f"For example:\n{textwrap.indent(textwrap.dedent(examples.strip(chr(10))), '  ')}")
@@ -178,20 +149,24 @@ def _wrapped(text: str) -> str:
     return "".join(f"{textwrap.fill(its, width, break_on_hyphens=False)}\n\n" for its in paragraphs)[:-1]
 
 
-def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[[], int]]:
-    """The verb with its help, which only takes note of its arguments."""
+def _noting(verb: Callable[..., int], for_help: bool, arguments: Sequence[str]) -> Callable[..., Callable[[], int]]:
+    """The verb with its help, which only takes note of its arguments.
+
+    Of the keys of a configuration, tyro learns those that it shows and those that are given: all of them take it long.
+    """
 
     def note(*args: object, **kwargs: object) -> Callable[[], int]:
         grouped = {name: value for its in kwargs.values() if _is(its, "Group") for name, value in vars(its).items()}
-        single = {name: _given(its) for name, its in kwargs.items() if not _is(its, "Group")}
-        return functools.partial(verb, *args, **single, **grouped)
+        given = {name: _given(its) for name, its in kwargs.items() if not _is(its, "Group")} | grouped
+        made = {name: cls(**{its.name: given.pop(its.name) for its in fields(cls)}) for name, cls in records.items()}
+        return functools.partial(verb, *args, **given, **made)
 
-    hints, abouts = get_type_hints(verb, include_extras=True), abouts_of(verb) if for_help else {}
-    taken = frozenset(map(flag, hints))
-    parameters = [
-        _parameter(its, hints[its.name], abouts.get(its.name, ""), for_help, taken)
-        for its in signature(verb).parameters.values()
-    ]
+    taken, records = _parameters(verb), _records(verb)
+    told = (*records.values(), verb) if for_help else ()
+    abouts = {name: about for its in told for name, about in abouts_of(its).items()}
+    words = {word.partition("=")[0].replace("_", "-") for word in arguments}
+    flags = frozenset(map(flag, taken))
+    parameters = [_parameter(*its, abouts.get(name, ""), for_help, flags, words) for name, its in taken.items()]
     if len(parameters) >= GROUPED_FROM:
         for title, names in GROUPS.items():
             group = [its for its in parameters if its.name in names]
@@ -202,12 +177,34 @@ def _noting(verb: Callable[..., int], for_help: bool) -> Callable[..., Callable[
     return note
 
 
-def _parameter(its: Parameter, hint: Any, about: str, for_help: bool, taken: frozenset[str]) -> Parameter:
+def _parameters(verb: Callable[..., int]) -> dict[str, tuple[Parameter, Any]]:
+    """The parameters of a verb and their types, with the fields of a record of shared flags in its place."""
+    hints, found = get_type_hints(verb, include_extras=True), {}
+    for its in signature(verb).parameters.values():
+        record = hints[its.name]
+        if not is_dataclass(record):
+            found[its.name] = its, record
+            continue
+        inner = get_type_hints(record, include_extras=True)
+        for one in fields(record):
+            parameter = Parameter(one.name, Parameter.POSITIONAL_OR_KEYWORD, default=one.default)
+            found[one.name] = parameter, inner[one.name]
+    return found
+
+
+def _records(verb: Callable[..., int]) -> dict[str, Any]:
+    """The parameters of a verb that are records of shared flags, and their classes."""
+    return {name: its for name, its in get_type_hints(verb).items() if is_dataclass(its)}
+
+
+def _parameter(
+    its: Parameter, hint: Any, about: str, for_help: bool, taken: frozenset[str], given: Collection[str]
+) -> Parameter:
     """A parameter of a verb as tyro takes it."""
     mark = _mark(hint)
     if mark:
-        constructor = _flags_class(tuple(mark.keys(for_help)), taken, mark.defaults, for_help)
-        return _nested(its.name, mark.title, constructor)
+        found = [key for key in mark.keys(for_help) if for_help or {*_flags_of_key(key.name, taken)} & {*given}]
+        return _nested(its.name, mark.title, _flags_class(tuple(found), taken, mark.defaults, for_help))
     choices = _choices(hint)
     told = tyro.conf.arg(help=about, help_behavior_hint=functools.partial(_hint, choices))
     named = (tyro.conf.arg(metavar="NAME"),) if choices else ()
@@ -349,14 +346,14 @@ def _unknown(token: str, verb: Callable[..., int]) -> str:
 
 
 def _flags_of(verb: Callable[..., int]) -> Iterator[str]:
-    hints = get_type_hints(verb, include_extras=True)
-    taken = set(map(flag, hints))
-    for name, hint in hints.items():
+    parameters = _parameters(verb)
+    taken = set(map(flag, parameters))
+    for name, (its, hint) in parameters.items():
         mark = _mark(hint)
         if mark:
             for key in mark.keys(for_help=False):
                 yield from _flags_of_key(key.name, taken)
-        elif name != "return" and signature(verb).parameters[name].kind is not Parameter.POSITIONAL_ONLY:
+        elif its.kind is not Parameter.POSITIONAL_ONLY:
             yield flag(name)
 
 

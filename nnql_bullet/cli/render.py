@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from nnql_bullet.cli.console import progress, say
-from nnql_bullet.cli.flags import DriveKeys, Place, asked_for
+from nnql_bullet.cli.shared import DriveKeys, Place, PlaceFlags
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
 from nnql_bullet.render import filming
@@ -111,11 +111,13 @@ def render(
 
 def _driven(policy: Path, world: str | None, seed: int, ends: Mapping[str, Any], keys: Mapping[str, Any]) -> Path:
     """Drives a policy as the verb `drive` does; returns the file of the recording."""
-    from nnql_bullet.driving import drive, drive_folder, keep  # all that drives; to draw, none of it is needed
+    from nnql_bullet.cli.kept import drive_folder, keep  # all that drives; to draw, none of it is needed
+    from nnql_bullet.driving import drive
+    from nnql_bullet.setting import Setting
 
-    asked, shield = asked_for(keys), "shield" in keys
-    recording = drive(policy, world=world, seed=seed, shield=shield, **ends, **asked)
-    return keep(recording, drive_folder(policy, recording.world.name, seed, shield=shield, **asked))["recording"]
+    asked = PlaceFlags(**ends, keys=keys).asked
+    recording = drive(policy, world=world, seed=seed, **asked)
+    return keep(recording, drive_folder(policy, recording.world.name, seed, Setting.of(asked)))["recording"]
 
 
 def _size(text: str) -> tuple[int, int]:

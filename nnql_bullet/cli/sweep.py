@@ -7,7 +7,7 @@ import tyro
 
 from nnql_bullet.api import sweep as api
 from nnql_bullet.cli.console import complain, progress, say
-from nnql_bullet.executors import ExecutorKind
+from nnql_bullet.cli.shared import ExecutorFlags
 from nnql_bullet.text import shell_line
 
 
@@ -15,11 +15,10 @@ def sweep(
     file: Annotated[Path, tyro.conf.arg(metavar="FILE")],
     /,
     trials: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="W")] = None,
-    executor: ExecutorKind = "processes",
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     check: bool = True,
+    *,
+    pieces: ExecutorFlags,
 ) -> int:
     """Search for the values of keys with which an agent learns best.
 
@@ -49,11 +48,9 @@ def sweep(
     Args:
         file: TOML file of a configuration with a table sweep.
         trials: Number of trials in place of the file's; a finished sweep goes on with more.
-        workers: Trials of a round at a time; default one a core. They do not change the result.
-        executor: Where trials run; inline is this process.
-        address: A running Ray cluster, whose machines share DIR; without it Ray is started on this machine.
         out: Folder of the study and its trials; default runs/sweep-FILE.
         check: Leave out the check of a robot of your own when it is first driven in contact physics.
+        pieces: Where pieces of work run.
     """
     folder = out or Path("runs") / f"sweep-{file.stem}"
     try:
@@ -61,9 +58,7 @@ def sweep(
             results = api.sweep(
                 file,
                 trials=trials,
-                executor=executor,
-                workers=workers,
-                address=address,
+                **pieces.asked,
                 out=folder,
                 check=check,
                 on_progress=show,

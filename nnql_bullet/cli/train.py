@@ -10,8 +10,8 @@ import tyro
 from nnql_bullet.api import training as api
 from nnql_bullet.cli.console import complain, is_unread, progress, say
 from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.shared import tell_warnings
 from nnql_bullet.cli.signals import held_back
-from nnql_bullet.cli.worlds import tell_warnings
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError, WorkerDied
 from nnql_bullet.presets import load_config

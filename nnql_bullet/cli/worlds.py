@@ -1,7 +1,7 @@
-"""`nnql-bullet worlds`, and what other verbs say of maps that they drive in."""
+"""`nnql-bullet worlds`."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from json import dumps
 from pathlib import Path
 from types import MappingProxyType
@@ -10,13 +10,14 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from nnql_bullet.api import worlds as api
-from nnql_bullet.cli.console import complain, say, tell
-from nnql_bullet.cli.flags import KeyFlags, Place
+from nnql_bullet.cli.console import complain, say
+from nnql_bullet.cli.flags import KeyFlags
+from nnql_bullet.cli.shared import Place
 from nnql_bullet.errors import UserError
 from nnql_bullet.reports.tables import text_table
 from nnql_bullet.worlds.exporters import CELL
 from nnql_bullet.worlds.exporters.toml import write_world
-from nnql_bullet.worlds.importers import READERS, Reading, is_foreign
+from nnql_bullet.worlds.importers import READERS, Reading
 
 SHOWN = 10
 """Most lines about what is left out of a world."""
@@ -93,14 +94,6 @@ def worlds(
     if out.suffix.lower() != ".toml":
         say(f"not in it: --start={ends['start']} --target={ends['target']}")
     return 0
-
-
-def tell_warnings(names: Iterable[object], start: Place, target: Place) -> None:
-    """Says on standard error what was chosen in maps of other programs, and what is left out of them."""
-    for name in names:
-        if isinstance(name, str | Path) and is_foreign(Path(name)):
-            for warning in api.import_world(name, start=start, target=target).warnings:
-                tell(f"{name}: {warning}")
 
 
 def _picture(out: Path) -> Path:

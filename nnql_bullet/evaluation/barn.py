@@ -12,12 +12,13 @@ from statistics import fmean, median
 
 import numpy as np
 
-from nnql_bullet.evaluation.drives import Drawn, Setting, Tier
+from nnql_bullet.evaluation.drives import Drawn, Tier
 from nnql_bullet.evaluation.metrics import Evaluation, quarters
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.statistics import Estimate, mean_interval, proportion
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.setting import Setting
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.text import shell_line
 
@@ -132,8 +133,7 @@ class Barn:
         e = self.evaluation
         policies = [policy.path for policy in e.policies if not policy.shielded]
         number = [] if self.asked is None else ["--worlds", str(self.asked)]
-        shield = ["--shield"] if e.shielded else []
-        return shell_line("nnql-bullet", "barn", self.folder, *policies, *number, *shield, *self._asked.flags)
+        return shell_line("nnql-bullet", "barn", self.folder, *policies, *number, *self._asked.flags)
 
     @property
     def _asked(self) -> Setting:

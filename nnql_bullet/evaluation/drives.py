@@ -3,7 +3,7 @@
 import logging
 import os
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,7 +13,6 @@ from typing import Any
 from nnql_bullet import __version__, assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
-from nnql_bullet.config import merged, nested
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.policies import Policy
@@ -22,13 +21,11 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file, real
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
-from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
-from nnql_bullet.sim.engines import PhysicsName
+from nnql_bullet.setting import Setting
 from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.importers import READERS
 from nnql_bullet.worlds.layouts.random_boxes import RandomBoxes
-from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.paths import Difficulty, difficulty
 from nnql_bullet.worlds.source import World
 from nnql_bullet.worlds.spec import WorldSpec
@@ -110,71 +107,13 @@ class Tier:
         return *(str(world.seed) for world in block), *(world.digest for world in block)
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """Simulator and conditions of an evaluation."""
-
-    simulator: SimulatorName
-    physics: PhysicsName
-    conditions: Conditions | None = None
-    """Conditions that replace each policy's own; None keeps those."""
-    allow_impassable: bool = False
-    """Whether worlds are taken as they are drawn, even if the vehicle is too wide for every path."""
-    start: tuple[float, ...] | None = None
-    """In place of each world's own: x, y [m] and, if given, yaw [rad], in the frame of its map."""
-    target: tuple[float, ...] | None = None
-    """In place of each world's own [m]."""
-    waypoints: tuple[Point, ...] | None = None
-    """Places to reach in turn, in place of each world's own target [m]; the last is the target."""
-    plan: bool = False
-    """Whether a plan leads each policy."""
-    keys: Keys = ()
-    """What else each policy drives with in place of its own configuration: robot, speed, keys of the shield, ..."""
-
-    def changes(self, policy: Policy) -> dict[str, Any]:
-        """Returns changes to a policy's configuration."""
-        return {
-            "simulator": self.simulator,
-            "physics": self.physics,
-            "conditions": self.conditions,
-            "allow_impassable": self.allow_impassable,
-            **merged({"plan": {}} if self.plan else {}, policy.changes(self.keys)),
-        }
-
-    @property
-    def ends(self) -> dict[str, Any]:
-        """What each world has in place of its own ends, by the keys of a configuration."""
-        return {"start": self.start, "target": self.target, "waypoints": self.waypoints}
-
-    def title(self, robots: Iterable[str] = ()) -> str:
-        """Title for people, with the vehicles that drive."""
-        where = "the kinematic model" if self.simulator == "kinematic" else f"{self.simulator}, {self.physics}"
-        plan = "with a plan" if self.plan else ""
-        return ", ".join(filter(None, (where, plan, asked_title(self.conditions, self.keys, robots))))
-
-    @property
-    def robot(self) -> str | None:
-        """What all policies drive; None if each drives its own vehicle."""
-        robot: str | None = dict(self.keys).get("robot")
-        return robot
-
-    @property
-    def flags(self) -> list[str]:
-        """Flags of the setting on a command line."""
-        physics = [] if self.simulator == "kinematic" else ["--physics", self.physics]
-        impassable = ["--allow-impassable"] if self.allow_impassable else []
-        plan = ["--plan"] if self.plan else []
-        changes = {**self.ends, "conditions": self.conditions, **nested(dict(self.keys))}
-        return ["--sim", self.simulator, *physics, *impassable, *plan, *flags(changes)]
-
-
 def check_setting(policy: Policy, setting: Setting) -> str:
     """Checks an evaluation's setting before the drives, by making a simulator; returns the robot that will drive.
 
     Raises:
         UserError: If there is no such engine, or a condition is impossible.
     """
-    experiment = load_policy(policy.source, setting.changes(policy)).experiment
+    experiment = load_policy(policy.source, policy.own(setting).changes).experiment
     experiment.simulator.close()
     return experiment.config.robot
 
@@ -239,7 +178,7 @@ def draw_tiers(
     Raises:
         UserError: If there is no such world, one is given twice or is not the frozen one, or all files are refused.
     """
-    chance = any([has_chance(policy, setting.changes(policy)) for policy in policies])
+    chance = any([has_chance(policy, policy.own(setting).changes) for policy in policies])
     tiers: list[Tier] = []
     refused: list[Refused] = []
     errors: list[UserError] = []
@@ -332,12 +271,12 @@ class DriveTask(_BlockTask):
         """See `parts.Piece`."""
         if self.policy.custom:
             return ""
-        policy, setting = self.policy, self.setting
+        policy, setting = self.policy, self.policy.own(self.setting)
         where = setting.simulator, setting.physics, *flags({"conditions": setting.conditions})
         how = (
             policy.vehicle,
             *(["plan"] if setting.plan else []),
-            *(its for its in policy.holding(setting.keys) if its[0] != "robot"),
+            *(its for its in setting.keys if its[0] != "robot"),
         )
         return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
@@ -423,9 +362,7 @@ class FilmTask:
     def replay(self) -> str:
         """Command line that repeats the drive."""
         where = ["--world", self.world.file, "--seed", str(self.world.seed)]
-        shield = ["--shield"] if self.policy.shielded else []
-        setting = replace(self.setting, keys=self.policy.holding(self.setting.keys))
-        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *shield, *setting.flags)
+        return shell_line("nnql-bullet", "drive", self.policy.path, *where, *self.policy.own(self.setting).flags)
 
 
 def film(task: FilmTask) -> Recording:
@@ -446,5 +383,5 @@ def _experiment(policy: Policy, tier: Tier, setting: Setting, vehicles: int) -> 
 
 
 def _experiment_of(policy: Policy, world: str | World, setting: Setting, vehicles: int = 1) -> Experiment:
-    changes = {"world": world, "vehicles": vehicles, **setting.ends, **setting.changes(policy)}
+    changes = {"world": world, "vehicles": vehicles, **setting.ends, **policy.own(setting).changes}
     return load_policy(policy.source, changes).experiment

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import __version__
-from nnql_bullet.commands import flags
-from nnql_bullet.config import nested
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import Draws
@@ -19,8 +17,9 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
-from nnql_bullet.run_config import Conditions, Keys, SimulatorName, asked_title
+from nnql_bullet.run_config import Conditions, SimulatorName, asked_title
 from nnql_bullet.runs import load_policy
+from nnql_bullet.setting import Setting
 from nnql_bullet.sim.engines import PhysicsName
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.text import shell_line
@@ -70,10 +69,8 @@ class PairTask:
     seeds: range
     first: Side
     second: Side
-    conditions: Conditions | None
-    """In place of the policy's own; None leaves those."""
-    keys: Keys = ()
-    """What else it drives with in place of its own configuration."""
+    setting: Setting
+    """How it drives, in the second simulator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,10 +131,8 @@ class FaultTask:
     side: Side
     fault: str
     """A key of `FAULTS`."""
-    conditions: Conditions
-    """The fault, and what holds beside it."""
-    keys: Keys = ()
-    """See `PairTask`."""
+    setting: Setting
+    """How it drives, with the fault among its conditions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,15 +156,13 @@ def drive_faulty(task: FaultTask) -> list[Trial]:
 
 
 def _experiment(task: PairTask | FaultTask, side: Side) -> Experiment:
-    return _kept_experiment(task.policy, task.world, side, task.conditions, task.keys)
+    return _kept_experiment(task.policy, task.world, side, task.setting)
 
 
 @lru_cache(maxsize=4)  # so that a worker makes a simulator once, and not again for every few worlds
-def _kept_experiment(
-    policy: Policy, world: str | World | None, side: Side, conditions: Conditions | None, keys: Keys
-) -> Experiment:
-    changes = {"world": world, "simulator": side.simulator, "physics": side.physics, "conditions": conditions}
-    return load_policy(policy.source, changes | policy.changes(keys)).experiment
+def _kept_experiment(policy: Policy, world: str | World | None, side: Side, setting: Setting) -> Experiment:
+    setting = replace(policy.own(setting), simulator=side.simulator)
+    return load_policy(policy.source, {"world": world, **setting.ends, **setting.changes}).experiment
 
 
 def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording]:
@@ -195,14 +188,8 @@ class Gap:
     pairs: list[Pair]
     trials: list[Trial]
     """With faults; may be empty."""
-    conditions: Conditions | None = None
-    """In place of each policy's own; None leaves those."""
-    ends: tuple[str, ...] = ()
-    """Flags of a start and a target in place of the world's own."""
-    keys: Keys = ()
-    """What else each policy drives with in place of its own configuration."""
-    shield: bool = False
-    """Whether each policy drives in a shield."""
+    setting: Setting
+    """How the policies drive, in the second simulator."""
     robots: tuple[str, ...] = ()
     """Names of the vehicles that drive."""
 
@@ -219,28 +206,25 @@ class Gap:
     @property
     def asked(self) -> str:
         """What is asked for in place of the policies' own, besides the world."""
-        shield = "in a shield" if self.shield else ""
-        return ", ".join(filter(None, (shield, asked_title(self.conditions, self.keys, self.robots))))
+        its = self.setting
+        shield, plan = "in a shield" if its.shield else "", "with a plan" if its.plan else ""
+        return ", ".join(filter(None, (shield, plan, asked_title(its.conditions, its.keys, self.robots))))
 
     @property
     def command(self) -> str:
         """What measures it again."""
-        world = ["--world", self.world, *self.ends] if self.world else []
-        sides = ["--against", self.first.simulator, "--sim", self.second.simulator, "--physics", self.second.physics]
-        faults = [] if self.trials else ["--no-faults"]
-        return shell_line("nnql-bullet", "gap", *self.runs, *world, *self.draws.flags, *sides, *faults, *self._asked)
+        against = ["--against", self.first.simulator, *([] if self.trials else ["--no-faults"])]
+        asked = *self._world, *self.draws.flags, *against, *self.setting.flags
+        return shell_line("nnql-bullet", "gap", *self.runs, *asked)
 
     def replay(self, pair: Pair, side: Side) -> str:
         """The command that drives one side of a pair again, exactly."""
-        world = ["--world", self.world, *self.ends] if self.world else []
-        physics = [] if side.simulator == "kinematic" else ["--physics", side.physics]
-        where = ["--seed", str(pair.world_seed), "--sim", side.simulator, *physics, *self._asked]
-        return shell_line("nnql-bullet", "drive", pair.run, *world, *where)
+        asked = replace(self.setting, simulator=side.simulator).flags
+        return shell_line("nnql-bullet", "drive", pair.run, *self._world, "--seed", str(pair.world_seed), *asked)
 
     @property
-    def _asked(self) -> list[str]:
-        shield = ["--shield"] if self.shield else []
-        return [*shield, *flags({"conditions": self.conditions, **nested(dict(self.keys))})]
+    def _world(self) -> list[str]:
+        return ["--world", self.world] if self.world else []
 
 
 def check(task: PairTask) -> str:
@@ -253,7 +237,7 @@ def check(task: PairTask) -> str:
         UserError: If a simulator or the world cannot be made, or a condition is impossible.
     """
     for side in (task.first, task.second):
-        experiment = _kept_experiment.__wrapped__(task.policy, task.world, side, task.conditions, task.keys)
+        experiment = _kept_experiment.__wrapped__(task.policy, task.world, side, task.setting)
         experiment.simulator.close()
         experiment.world(task.seeds[0])
     return experiment.config.robot
@@ -268,9 +252,8 @@ def tasks(
     seeds: Sequence[range],
     first: Side,
     second: Side,
-    conditions: Conditions | None,
+    setting: Setting,
     faults: bool,
-    keys: Keys = (),
 ) -> list[PairTask | FaultTask]:
     """The work of a comparison, in pieces: every run through every world, on both sides, then with each fault.
 
@@ -282,14 +265,14 @@ def tasks(
         for policy, its in zip(policies, seeds, strict=True)
         for k in range(0, len(its), WORLDS_AT_A_TIME)
     ]
-    pairs = [PairTask(policy, world, chunk, first, second, conditions, keys) for policy, chunk in shares]
+    pairs = [PairTask(policy, world, chunk, first, second, setting) for policy, chunk in shares]
     wrong = [
-        (side, fault, replace(conditions or Conditions(), **its.changes))
+        (side, fault, replace(setting, conditions=replace(setting.conditions or Conditions(), **its.changes)))
         for fault, its in FAULTS.items()
         for side in (first, second)
         if faults and side.notices(fault)
     ]
-    return [*pairs, *(FaultTask(policy, world, chunk, *its, keys) for its in wrong for policy, chunk in shares)]
+    return [*pairs, *(FaultTask(policy, world, chunk, *its) for its in wrong for policy, chunk in shares)]
 
 
 def work(task: PairTask | FaultTask) -> list[Pair] | list[Trial]:

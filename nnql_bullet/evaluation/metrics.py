@@ -7,12 +7,13 @@ from statistics import fmean
 
 import numpy as np
 
-from nnql_bullet.evaluation.drives import Refused, Setting, Tier
+from nnql_bullet.evaluation.drives import Refused, Tier
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import Draws
 from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion, success_over_seeds
 from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.seeding import Stream, rng
+from nnql_bullet.setting import Setting
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.paths import Difficulty
@@ -56,8 +57,8 @@ class Evaluation:
         """Command line that repeats the evaluation."""
         policies = [policy.path for policy in self.policies if not policy.shielded]
         worlds = ",".join(self.asked)
-        flags = [*(["--shield"] if self.shielded else []), *self.setting.flags]
-        return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *self.draws.flags, *flags)
+        flags = *self.draws.flags, *self.setting.flags
+        return shell_line("nnql-bullet", "evaluate", *policies, "--world", worlds, *flags)
 
     @property
     def shielded(self) -> bool:

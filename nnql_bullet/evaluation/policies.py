@@ -14,14 +14,15 @@ import numpy as np
 from nnql_bullet import assets, rollout
 from nnql_bullet.agents import RULES, Trainable
 from nnql_bullet.agents.base import Custom
-from nnql_bullet.config import merged, nested, to_values
+from nnql_bullet.config import to_values
 from nnql_bullet.errors import UserError
-from nnql_bullet.executors import Executor, ExecutorKind, make_executor
+from nnql_bullet.executors import Executor, ExecutorArguments, executor_of
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array
-from nnql_bullet.run_config import Keys, RunConfig
+from nnql_bullet.run_config import RunConfig
 from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy, tell_differences
+from nnql_bullet.setting import Setting
 from nnql_bullet.vehicle.urdf import load_vehicle
 
 
@@ -70,14 +71,11 @@ class Policy:
         """The fields that JSON can represent."""
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "custom"}
 
-    def holding(self, keys: Keys) -> Keys:
-        """Returns those values that hold for it: a shield's only if it drives in one."""
+    def own(self, setting: Setting) -> Setting:
+        """Returns what of a setting holds for it: a shield's keys only if it drives in one."""
         in_shield = self.shielded or self.own_shield
-        return keys if in_shield else tuple(its for its in keys if not its[0].startswith("shield."))
-
-    def changes(self, keys: Keys) -> dict[str, Any]:
-        """Returns changes to the policy's own configuration: its shield, and what else is asked for."""
-        return merged(nested(dict(self.holding(keys))), {"shield": {}} if self.shielded else {})
+        keys = tuple(its for its in setting.keys if in_shield or not its[0].startswith("shield."))
+        return replace(setting, keys=keys, shield=self.shielded)
 
 
 def open_policies(
@@ -153,18 +151,16 @@ def open_policies(
     return [policy for one in bare for policy in ((one, _shielded(one)) if shield else (one,))]
 
 
-def executor_for(
-    policies: Sequence[Policy], kind: ExecutorKind | None, workers: int | None, address: str | None = None
-) -> Executor:
+def executor_for(policies: Sequence[Policy], asked: ExecutorArguments) -> Executor:
     """Makes the executor that runs drives. Objects of this process drive in this process.
 
     Raises:
         UserError: If an object of this process would drive elsewhere; see also `executors.make_executor`.
     """
     custom = [policy.name for policy in policies if policy.custom]
-    if custom and kind not in (None, "inline"):
+    if custom and asked.get("executor") not in (None, "inline"):
         raise UserError(f"policy '{custom[0]}' is an object of this process; give it the executor 'inline'")
-    return make_executor("inline" if custom else kind, workers, address)
+    return executor_of({**asked, "executor": "inline"} if custom else asked)
 
 
 def _named(policy: PolicyLike) -> PolicyLike:

@@ -9,13 +9,14 @@ from typing import Any
 
 from nnql_bullet.config import parse
 from nnql_bullet.errors import UserError
-from nnql_bullet.evaluation.drives import Drawn, FilmTask, Setting, Tier, film
+from nnql_bullet.evaluation.drives import Drawn, FilmTask, Tier, film
 from nnql_bullet.evaluation.failures import GROUPS, Features, Group, features, group
 from nnql_bullet.evaluation.metrics import Evaluation
 from nnql_bullet.evaluation.policies import Policy, open_policies
 from nnql_bullet.files import is_file, plain_file, read_json
 from nnql_bullet.recording import Recording
 from nnql_bullet.run_config import Conditions, frozen_keys
+from nnql_bullet.setting import Setting
 from nnql_bullet.sources import read_sources
 from nnql_bullet.text import shell_line
 from nnql_bullet.worlds.waypoints import as_waypoints

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -94,9 +96,10 @@ def picture(
     its: dict[Any, Any] = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
     its |= {"text.parse_math": False, **settings}  # a dollar in a name is a dollar
     with _one_at_a_time, rc_context(its):
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+        canvas: Any = FigureCanvasAgg(figure)  # `savefig` would draw it twice
         yield figure
-        write_atomically(path, lambda temporary: figure.savefig(temporary, dpi=DPI, metadata={"Software": None}))
+        write_atomically(path, lambda temporary: canvas.print_png(temporary, metadata={"Software": None}))
 
 
 def finish_axes(
@@ -189,8 +192,8 @@ def draw_path(axes: Axes, recording: Recording, detail: float = 1.0, cross: bool
     decision = np.searchsorted(recording.state_time, recording.sample_time - 1e-9, side="left") - 1
     non_safe = recording.state_property[np.clip(decision, 0, None)] == "NS"
     axes.add_collection(coloured_line(points, np.where(non_safe[1:], NON_SAFE, SAFE), 2.0 * detail))
-    for pose in _outlines(recording, OUTLINE_EVERY / detail):
-        axes.add_patch(Polygon(pose.corners(), fc="none", ec=INK, lw=0.6 * detail, zorder=3))
+    outlines = [its.corners() for its in _outlines(recording, OUTLINE_EVERY / detail)]
+    axes.add_collection(PolyCollection(outlines, facecolor="none", edgecolor=INK, linewidth=0.6 * detail, zorder=3))
     last = moved(recording.footprint, Pose(*recording.state_pose[-1]))
     axes.add_patch(Polygon(last.corners(), fc=VEHICLE, ec=INK, lw=0.8 * detail, zorder=6))
     if cross and recording.about["ending"] == "collision":
@@ -257,8 +260,10 @@ def draw_endings(
 
 def coloured_line(points: Array, piece_colours: NDArray[np.str_], width: float) -> LineCollection:
     """Returns a line through points (n, 2) whose n - 1 pieces have their own colours."""
-    pieces = [points[i : i + 2] for i in range(len(points) - 1)]
-    return LineCollection(pieces, colors=piece_colours.tolist(), linewidths=width, capstyle="round", zorder=4)
+    turns = [0, *(np.flatnonzero(piece_colours[1:] != piece_colours[:-1]) + 1), len(piece_colours)]
+    runs = [points[a : b + 1] for a, b in pairwise(turns) if a < b]  # a piece at a time takes long to draw
+    shown = piece_colours[turns[: len(runs)]].tolist()
+    return LineCollection(runs, colors=shown, linewidths=width, capstyle="round", joinstyle="round", zorder=4)
 
 
 def _outlines(recording: Recording, every: float) -> list[OrientedBox]:

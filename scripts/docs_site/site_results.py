@@ -9,7 +9,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 
-PAGES = {
+REPORTS = {
     "covers": ("Contact physics, by cover", "Every method in PyBullet, in worlds of 5 to 20 % cover.", "covers"),
     "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes, two seeds of each method.", "hard"),
     "kinematic": ("Kinematic model, all worlds", "More worlds of every kind, without slip.", "kinematic"),
@@ -18,8 +18,11 @@ PAGES = {
     "ablation": ("Ablation of paper", "The factors that the paper leaves open.", "ablations"),
     "ablation-tuned": ("Ablation of tuned", "What each departure of `tuned` is worth.", "ablations"),
     "ablation-double_dqn": ("Ablation of double_dqn", "What the map and the frames are worth.", "ablations"),
+    "learners": ("Learners of others", "DQN, QR-DQN, PPO and recurrent PPO, each tuned.", "learners.py"),
 }
-"""By folder of results/: title, one sentence, and the part of scripts/results.py that makes it."""
+"""By folder of results/: title, one sentence, and the script or the part of scripts/results.py that makes it."""
+PAGES = {folder: its for folder, its in REPORTS.items() if (RESULTS / folder).is_dir()}
+"""Those that have been made."""
 
 
 @cache
@@ -150,10 +153,13 @@ def section(folder: str, *title: str) -> str:
 def results_list() -> str:
     """A table of the generated reports."""
     rows = [
-        [f"[{title}]({folder}/index.md)", about, f"`results.py --only {part}`"]
-        for folder, (title, about, part) in PAGES.items()
+        [f"[{title}]({folder}/index.md)", about, f"`{_script(part)}`"] for folder, (title, about, part) in PAGES.items()
     ]
     return _table([["report", "what it holds", "made by"], ["---"] * 3, *rows])
+
+
+def _script(part: str) -> str:
+    return part if part.endswith(".py") else f"results.py --only {part}"
 
 
 def narrowed(markdown: str) -> str:
@@ -168,7 +174,7 @@ def report(folder: str) -> str:
     (path,) = (RESULTS / folder).glob("*.md")
     title, _, part = PAGES[folder]
     body = path.read_text(encoding="utf-8").partition("\n")[2].strip()
-    made = f"Generated. `python scripts/results.py --only {part}` makes it; it is not edited by hand."
+    made = f"Generated. `python scripts/{_script(part)}` makes it; it is not edited by hand."
     return f'# {title}\n\n!!! note ""\n    {made}\n\n{body}\n'
 
 

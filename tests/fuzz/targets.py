@@ -16,7 +16,7 @@ import nnql_bullet as nb
 from nnql_bullet import assets
 from nnql_bullet.config import to_values, write_toml
 from nnql_bullet.env import Navigation
-from nnql_bullet.evaluation.drives import Setting, draw_tiers
+from nnql_bullet.evaluation.drives import draw_tiers
 from nnql_bullet.evaluation.parts import Parts
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.evaluation.replays import open_evaluation
@@ -29,6 +29,7 @@ from nnql_bullet.rollout import EpisodeSummary
 from nnql_bullet.run_config import RunConfig, changed
 from nnql_bullet.runs import load_policy, load_run
 from nnql_bullet.session import check
+from nnql_bullet.setting import Setting
 from nnql_bullet.sources import changed_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
 from nnql_bullet.worlds.importers.barn import path_file, reference_length, world_files

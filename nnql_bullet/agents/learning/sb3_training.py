@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.logger import Logger
@@ -18,7 +19,7 @@ from stable_baselines3.common.logger import Logger
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import SB3_INPUTS
 from nnql_bullet.agents.learning.sb3_dqn import Sb3Dqn, inputs
-from nnql_bullet.agents.learning.sb3_vehicles import Vehicles
+from nnql_bullet.agents.learning.sb3_vehicles import VehiclesVecEnv
 from nnql_bullet.agents.learning.weights import load_state_dict, state_dict
 from nnql_bullet.env import ACTIONS, Navigation
 from nnql_bullet.errors import UserError
@@ -68,7 +69,7 @@ class DqnTraining:
         with fenced(rng(self._seed, Stream.WEIGHTS)), without_cache_folder():
             dqn = DQN(
                 "MlpPolicy",
-                vehicles,
+                VehiclesVecEnv(vehicles),
                 learning_rate=o.learning_rate,
                 buffer_size=o.buffer_size,
                 learning_starts=o.learning_starts,
@@ -96,45 +97,41 @@ class DqnTraining:
             vehicles.finished.clear()
 
 
-class TrainingVehicles(Vehicles):
-    """Many vehicles, as stable-baselines3 wants them: one whose episode is over is in its next world at once.
-
-    As in `Training`, it takes the next episode that nobody has begun.
-    """
+class TrainingVehicles(VectorEnv[NDArray[np.float32], NDArray[np.int64], Any]):
+    """Vehicles of a training, each in the next episode that nobody has begun as soon as its own is over."""
 
     def __init__(self, navigation: Navigation, world_of: Callable[[int], WorldSpec], scale: float = 1.0) -> None:
         self._navigation, self._scale = navigation, scale
         self._world_of = world_of
-        n = navigation.simulator.size
+        self.num_envs = navigation.simulator.size
+        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (SB3_INPUTS,), np.float32)
+        self.single_action_space = gymnasium.spaces.Discrete(ACTIONS)
         self._tally = Tally(navigation)
-        self._episode = np.zeros(n, np.int64)
+        self._episode = np.zeros(self.num_envs, np.int64)
         self._next_episode = 0
-        self._actions = np.zeros(n, np.int64)
         self.finished: list[tuple[int, EpisodeSummary]] = []
         """Number and summary of the episodes that have finished; whoever reads it empties it."""
-        seen = gymnasium.spaces.Box(-np.inf, np.inf, (SB3_INPUTS,), np.float32)
-        super().__init__(n, seen, gymnasium.spaces.Discrete(ACTIONS))
 
-    def reset(self) -> NDArray[np.float32]:
-        """Starts an episode for every vehicle."""
-        return self._begin(range(self.num_envs))
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Starts an episode for every vehicle; the training has drawn them all."""
+        return self._begin(range(self.num_envs)), {}
 
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        """Takes down what they are to do (n,)."""
-        self._actions = actions
-
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Carries out one decision of each vehicle."""
-        t = self._navigation.step(self._actions)
+        t = self._navigation.step(actions)
         self._tally.add(t)
         seen, over = inputs(t.s_t, self._scale), self._tally.over
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        truncated = over & (t.discount_t > 0)
         ended = np.flatnonzero(over).tolist()
-        for vehicle in ended:
-            timeout = bool(t.discount_t[vehicle])
-            infos[vehicle] = {"terminal_observation": seen[vehicle], "TimeLimit.truncated": timeout}
-            self.finished.append((int(self._episode[vehicle]), self._tally.summary(vehicle)))
-        return self._begin(ended), t.r_t.astype(np.float32), over, infos
+        done = {vehicle: self._tally.summary(vehicle) for vehicle in ended}
+        self.finished += [(int(self._episode[vehicle]), summary) for vehicle, summary in done.items()]
+        endings = {vehicle: summary.ending for vehicle, summary in done.items()}
+        final = {"ending": endings, "is_success": {vehicle: its == "goal" for vehicle, its in endings.items()}}
+        infos = {"final_obs": seen, "final_info": final}
+        return self._begin(ended), t.r_t, over & ~truncated, truncated, infos
 
     def _begin(self, vehicles: Sequence[int]) -> NDArray[np.float32]:
         worlds = {}
@@ -145,6 +142,3 @@ class TrainingVehicles(Vehicles):
             self._next_episode += 1
         self._navigation.reset(worlds)
         return inputs(self._navigation.observation, self._scale)
-
-    def close(self) -> None:
-        """Does nothing: the caller closes the simulator."""
