@@ -477,7 +477,7 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (("nobody",), "nobody: no such run or policy file, no shipped policy and no rule; policies: double_dqn, "),
+            (("nobody",), "nobody: no such run or policy file, no shipped policy and no rule; policies: distilled, "),
             (("straight", "--cover", "6"), "--cover: there are worlds with 2.5, 5, 7.5, 10, 15, 20 percent, not '6'"),
             (("straight", "--seeds", "0:9", "--split", "test"), "seeds and split both say which worlds are drawn"),
             (("straight", "--seeds", "0:9", "--worlds", "9"), "seeds and worlds both say which worlds are drawn"),
