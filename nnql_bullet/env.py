@@ -395,7 +395,7 @@ class Navigation:
 
     def _sights(self, vehicles: NDArray[np.int64], poses: Array) -> dict[str, Any]:
         """What some vehicles are told of their targets, by the names of an `Observation`."""
-        found = _seen(self._landmarks[vehicles], poses, "target")
+        found = sights(self._landmarks[vehicles], poses, "target")
         if self._courses:
             left = found["target_distance"].copy()
             aims = self._landmarks[vehicles]
@@ -403,8 +403,8 @@ class Navigation:
                 course = self._courses.get(vehicle)
                 if course:
                     aims[row], left[row] = course.aim, course.distance_left
-            landmarks = _seen(self._landmarks[vehicles], poses, "landmark")
-            found = {**_seen(aims, poses, "target"), **landmarks, "distance_left": left}
+            landmarks = sights(self._landmarks[vehicles], poses, "landmark")
+            found = {**sights(aims, poses, "target"), **landmarks, "distance_left": left}
         return found
 
     def _stay(self, motion: Motion, active: NDArray[np.bool_]) -> None:
@@ -437,7 +437,7 @@ class Navigation:
         )
 
 
-def _seen(places: Array, poses: Array, name: str) -> dict[str, Array]:
+def sights(places: Array, poses: Array, name: str) -> dict[str, Array]:
     """Distances (n,) [m] and bearings (n,) [rad] of places (n, 2) [m] from poses (n, 3), under a name."""
     dx, dy = (places - poses[:, :2]).T
     bearing = wrap_angles(np.arctan2(dy, dx) - poses[:, 2])

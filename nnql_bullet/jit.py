@@ -1,17 +1,25 @@
-"""Numba's compiler behind a typed decorator. Compiled code is cached on disk where a folder can be written to."""
+"""Numba's compiler behind a typed decorator. Compiled code is cached on disk where a folder can be written to.
+
+Without Numba, as on a vehicle that `deploy` drives, functions stay as they are: they do the same, and take longer.
+"""
 
 import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import parent_process
+from types import SimpleNamespace
 from typing import Any, Protocol, TypeVar
 
 from nnql_bullet.machine import private_folder, warned_once
 
-with warned_once():
-    import numba
-    from numba.core import event
+try:
+    with warned_once():
+        import numba
+        from numba.core import event
+except ImportError:
+    numba, event = None, SimpleNamespace(Listener=object)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -27,7 +35,7 @@ class Compiler(Protocol):
 
 
 def njit(**settings: Any) -> Compiler:
-    """Returns a decorator that compiles a function in nopython mode.
+    """Returns a decorator that compiles a function in nopython mode, where Numba is installed.
 
     The code is cached where Numba finds a folder that can be written to: NUMBA_CACHE_DIR, beside the module, or in the
     user's cache. Where it finds none, the cache is `machine.private_folder`; without that, every process compiles.
@@ -37,6 +45,8 @@ def njit(**settings: Any) -> Compiler:
     """
 
     def compiled(function: F) -> F:
+        if numba is None:
+            return function
         homeless = os.path.expanduser("~") == "~"  # Numba would make a folder of that name in the working folder
         for instead in (homeless, True):
             try:
@@ -72,7 +82,8 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]
-        if _Announcement.made or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
+        # Worker processes say nothing: each of them would say the same.
+        if _Announcement.made or parent_process() or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
             return
         _Announcement.made = True
         folder = dispatcher.stats.cache_path
@@ -86,5 +97,8 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
 @contextmanager
 def announced() -> Iterator[None]:
     """Logs a warning as soon as the body compiles something, once in a process."""
+    if numba is None:
+        yield
+        return
     with event.install_listener("numba:compile", _Announcement()):
         yield

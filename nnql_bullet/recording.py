@@ -34,7 +34,7 @@ from nnql_bullet.worlds.passages import Point
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 FORMAT = "nnql-bullet recording 1"
-DERIVED = (".mp4", ".gif", ".rrd")
+DERIVED = (".mp4", ".gif", ".rrd", ".mcap")
 """Suffixes of films and time lines beside a recording."""
 RECORDINGS = ("*.npz", *(f"*{suffix}" for suffix in DERIVED))
 """Patterns of recordings, and of their films and time lines."""
@@ -205,7 +205,7 @@ class Recording:
         """Writes the file atomically.
 
         If it takes the place of another recording, the films and time lines of that one, which have its name and end in
-        .mp4, .gif or .rrd, are removed.
+        .mp4, .gif, .rrd or .mcap, are removed.
 
         Raises:
             OSError: If it cannot be written; then nothing is left under its name.

@@ -46,7 +46,7 @@ def test_it_runs(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["agent", "gymnasium", "learners", "reward"])
+@pytest.mark.parametrize("page", ["agent", "deploy", "gymnasium", "learners", "reward"])
 def test_the_python_of_a_page_runs(page: str, tmp_path: Path) -> None:
     text = (ROOT / "docs" / "how-to" / f"{page}.md").read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL)).replace(

@@ -22,6 +22,14 @@ class Overridable(Policy, Protocol):
         """Returns the state after `actions` (n,), manoeuvres of `env`, in place of the actions last chosen."""
 
 
+@runtime_checkable
+class Knowing(Policy, Protocol):
+    """A policy that can tell what it last decided by, at less cost than to find it again."""
+
+    def values_of(self, state: PolicyState) -> Array:
+        """Returns the values by which the last actions were chosen, those of the five turns first (n, 5 or more)."""
+
+
 class NoMemory:
     """The part of an agent without memory of vehicles: its state is None."""
 

@@ -30,6 +30,7 @@ from nnql_bullet.files import write_atomically
 from nnql_bullet.geometry import Array, Circle, OrientedBox
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.labels import MANOEUVRES, PROPERTIES, TURNS
+from nnql_bullet.reports.events import events_of
 from nnql_bullet.vehicle.visuals import Shape, Visuals
 
 TIME, DECISION = "time", "decision"
@@ -307,24 +308,10 @@ def _send_numbers(stream: rr.RecordingStream, entity: str, index: list[rr.TimeCo
 
 def _log_events(stream: rr.RecordingStream, recording: Recording) -> None:
     """Logs texts about changes of the property, the shield's decisions, contacts and the ending."""
-    nearest = recording.readings.min(axis=1)
-    labels = [PROPERTIES[letters][0] for letters in recording.state_property.tolist()]
-    events = [
-        (state, f"{labels[state]}: nearest reading {nearest[state]:.2f} m", rr.TextLogLevel.INFO)
-        for state in range(len(labels))
-        if state == 0 or labels[state] != labels[state - 1]
-    ]
-    events += [
-        (step, f"shield: {MANOEUVRES[recording.action[step]]}", rr.TextLogLevel.WARN)
-        for step in np.flatnonzero(recording.overridden).tolist()
-    ]
-    touching = (np.flatnonzero(recording.contact) + 1).tolist()
-    events += [(state, "contact with an obstacle or a wall", rr.TextLogLevel.ERROR) for state in touching]
-    last, ending = len(labels) - 1, recording.about["ending"]
-    events.append((last, f"{ending} after {recording.state_time[-1]:.1f} s", rr.TextLogLevel.INFO))
-    states, texts, levels = zip(*events, strict=True)
+    states, texts, levels = zip(*events_of(recording), strict=True)
     index = _at_states(recording, list(states))
     stream.send_columns("events", index, rr.TextLog.columns(text=texts, level=levels))
+    touching = (np.flatnonzero(recording.contact) + 1).tolist()
     if touching:
         places = _on_ground(recording.state_pose[touching, :2])
         stream.log("world/contacts", rr.Points3D.from_fields(colors=_rgba(COLLISION), radii=0.3), static=True)

@@ -21,7 +21,8 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet.agents.base import Overridable
+from nnql_bullet import paper
+from nnql_bullet.agents.base import Knowing, Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
 from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation, heading_change, speed_scale
 from nnql_bullet.geometry import Array, wrap_angles
@@ -95,7 +96,9 @@ class Shield:
         """
         self.options = options
         self.agent = agent
-        self._overridable = agent if isinstance(agent, Overridable) else None  # asked once: the answer takes a while
+        # Asked once: the answer takes a while.
+        self._overridable = agent if isinstance(agent, Overridable) else None
+        self._knowing = agent if isinstance(agent, Knowing) else None
         self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._predictor = Predictor(self._lengths, vehicle, drive)
@@ -126,8 +129,12 @@ class Shield:
         """
         seen = self.perceived(observations, state.memories)
         o = seen.observation
-        values = self.agent.action_values(o, state.agent)
         wanted, agent_state = self.agent.act(o, state.agent)
+        values = (
+            self._knowing.values_of(agent_state)[:, : len(paper.TURNS)]
+            if self._knowing
+            else self.agent.action_values(o, state.agent)
+        )
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
         led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))

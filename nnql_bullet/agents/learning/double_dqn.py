@@ -4,8 +4,7 @@ Mnih et al. (Nature 518, 2015), with the double estimator of van Hasselt et al. 
 al. (ICML 2016), n-step returns, and a target network that follows slowly, which also drives.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,8 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
 from nnql_bullet.agents.learning import weights
+from nnql_bullet.agents.learning.frame_driver import Choice, FrameDriver, FrameState
 from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import DoubleDqnOptions
@@ -56,76 +55,35 @@ class DuelingNetwork(torch.nn.Module):
         return q
 
 
-@dataclass(frozen=True, slots=True)
-class DoubleDqnState:
-    """Memory of n vehicles."""
-
-    memory: Memory
-    """Memory at the next decision."""
-    last: tuple[Look, Observation] | None = None
-    """What the last actions were chosen by; None before the first."""
-
-
-class DoubleDqn:
+class DoubleDqn(FrameDriver):
     """Chooses among all six actions at every step, by what a network expects of them from what was seen so far."""
 
     def __init__(self, options: DoubleDqnOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> None:
-        self.options = options
+        super().__init__(options, vehicle, drive)
         self._seed = seed
         self._scale = length_scale(vehicle.footprint)
-        self._frames = FrameMaker(options.rays, options.frames, options.grid_map, vehicle, drive)
         self._inputs = options.frames * self._frames.width
         with fenced(rng(seed, Stream.WEIGHTS)):
             self.network = DuelingNetwork(self._inputs, options.hidden)
         self.network.requires_grad_(False)
         self._learning: Learning | None = None
 
-    def initial_state(self, size: int) -> DoubleDqnState:
-        """Returns an empty memory of n vehicles."""
-        return DoubleDqnState(self._frames.nothing(size))
-
-    def reset(self, state: DoubleDqnState, world_seeds: Mapping[int, int]) -> DoubleDqnState:
-        """Forgets these vehicles."""
-        age = state.memory.age.copy()
-        age[list(world_seeds)] = 0
-        return replace(state, memory=replace(state.memory, age=age))
-
-    def act(self, observations: Observation, state: DoubleDqnState) -> tuple[Actions, DoubleDqnState]:
-        """Chooses the action with the largest Q-value."""
-        look = self._frames.look(state.memory, observations)
-        actions = np.asarray(self._values(self.network, look).argmax(axis=-1))
-        return actions, self._after(look, observations, actions)
-
-    def override(self, state: DoubleDqnState, actions: Actions) -> DoubleDqnState:
-        """Returns the state after these actions in place of those last chosen."""
-        return self._after(*state.last, actions) if state.last else state
-
-    def action_values(self, observations: Observation, state: DoubleDqnState) -> Array:
-        """Q(s, a) of the five turns (n, 5), the turn toward the target left out."""
-        return self._values(self.network, self._frames.look(state.memory, observations))[:, : len(paper.TURNS)]
-
-    def values_of(self, state: DoubleDqnState) -> Array:
-        """Q(s, a) of the six actions (n, 6), by which the last actions were chosen.
-
-        Raises:
-            ValueError: If there were none.
-        """
-        if state.last is None:
-            raise ValueError("values_of needs the state that act returned")
-        return self._values(self.network, state.last[0])
+    def values(self, look: Look) -> Array:
+        """Q(s, a) of the six actions (n, 6), by the target network."""
+        return _values(self.network, look)
 
     def act_exploring(
-        self, observations: Observation, state: DoubleDqnState, episodes: NDArray[np.int64], uniforms: Array
-    ) -> tuple[Actions, DoubleDqnState]:
+        self, observations: Observation, state: FrameState, episodes: NDArray[np.int64], uniforms: Array
+    ) -> tuple[Actions, FrameState]:
         """Chooses a random action with the scheduled probability, else the one with the largest Q-value."""
         look = self._frames.look(state.memory, observations)
-        best = self._values(self._learn_with(len(episodes)).online, look).argmax(axis=-1)
+        best = _values(self._learn_with(len(episodes)).online, look).argmax(axis=-1)
         chance = self.options.exploration(episodes)
         drawn = (uniforms / np.maximum(chance, 1e-9) * ACTIONS).astype(np.int64)
         actions = np.where(uniforms < chance, np.minimum(drawn, ACTIONS - 1), best)
-        return actions, self._after(look, observations, actions)
+        return actions, self._after(Choice(look, observations, actions))
 
-    def learn(self, transitions: Transition, state: DoubleDqnState, episodes: NDArray[np.int64]) -> Array:
+    def learn(self, transitions: Transition, state: FrameState, episodes: NDArray[np.int64]) -> Array:
         """Stores the steps in the replay buffer, and learns from a sample of it.
 
         Returns:
@@ -135,7 +93,7 @@ class DoubleDqn:
         o, t, learning = self.options, transitions, self._learn_with(len(transitions.a_tm1))
         if state.last is None:
             raise ValueError("learn needs the state that act_exploring returned")
-        look, _ = state.last
+        look = state.last.look
         ends = np.where(t.discount_t == 0, TERMINATED, np.where(t.ending == NO_ENDING, CONTINUES, TRUNCATED))
         learning.replay.add(
             look.memory.frames[:, 0],
@@ -164,12 +122,12 @@ class DoubleDqn:
         units = self._inputs, *self.options.hidden, ACTIONS
         weights.load_state_dict(self.network, arrays, "a dueling network", units)
 
-    def training_state(self, state: DoubleDqnState) -> dict[str, NDArray[Any]]:
+    def training_state(self, state: FrameState) -> dict[str, NDArray[Any]]:
         """Copies the online network, its optimizer, the replay buffer and the memory of vehicles."""
         kept: dict[str, NDArray[Any]] = {f"memory/{name}": a for name, a in state.memory.state_dict().items()}
         return kept | (self._learning.state_dict() if self._learning else {})
 
-    def load_training_state(self, arrays: dict[str, NDArray[Any]]) -> DoubleDqnState:
+    def load_training_state(self, arrays: dict[str, NDArray[Any]]) -> FrameState:
         """Replaces all that by what `training_state` gave, and returns the memory of vehicles."""
         try:
             memory = Memory(*(arrays[f"memory/{field.name}"].copy() for field in fields(Memory)))
@@ -177,22 +135,12 @@ class DoubleDqn:
                 self._learn_with(len(memory.age)).load_state_dict(arrays)
         except (KeyError, ValueError, TypeError, UserError):
             raise UserError("this is not the state of such a double_dqn") from None
-        return DoubleDqnState(memory)
-
-    def _after(self, look: Look, observations: Observation, actions: Actions) -> DoubleDqnState:
-        """Returns the state after these actions."""
-        return DoubleDqnState(self._frames.after(look, observations, actions), (look, observations))
+        return FrameState(memory)
 
     def _learn_with(self, vehicles: int) -> "Learning":
         if self._learning is None:
             self._learning = Learning(self.options, self.network, self._frames.width, vehicles)
         return self._learning
-
-    @staticmethod
-    def _values(network: DuelingNetwork, look: Look) -> Array:
-        with torch.no_grad():
-            values: Array = network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
-        return values
 
     def _update(self, learning: "Learning", episode: int) -> float:
         """Takes gradient steps on batches from the replay buffer, in a training episode.
@@ -217,6 +165,12 @@ class DoubleDqn:
             soft_update(self.network, learning.online, o.tau)
             errors.append(td_error.detach())
         return float(torch.cat(errors).square().mean().sqrt())
+
+
+def _values(network: DuelingNetwork, look: Look) -> Array:
+    with torch.no_grad():
+        values: Array = network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
+    return values
 
 
 def partly_mirrored(batch: Batch, frames: FrameMaker, generator: np.random.Generator) -> Batch:

@@ -1,0 +1,1 @@
+"""Drives a vehicle by a policy of nnql-bullet in ROS 2."""
