@@ -154,10 +154,9 @@ def _corners_to_box(a: Array, b: Array) -> float:
 
 @njit()
 def _gap_along_axes_of(a: Array, b: Array) -> float:
-    """Computes the larger gap between the projections of two boxes on the axes of row `a` [m].
+    """The larger gap between the projections of two boxes on the axes of row `a` [m]; 0 or less if both overlap.
 
-    It is 0 or less if both projections overlap, which is one half of the separating-axis test; the boxes are at least
-    so far apart.
+    That is one half of the separating-axis test; no distance between the boxes is smaller than a gap.
     """
     dx, dy = b[0] - a[0], b[1] - a[1]
     c, s = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
