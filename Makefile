@@ -10,7 +10,7 @@ DEMO := runs/demo
 help:
 	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 6 minutes)'
 	@echo 'make test       the whole test suite'
-	@echo 'make lint       ruff, import-linter and mypy'
+	@echo 'make lint       ruff, import-linter, mypy, and figures of the docs against results/'
 	@echo 'make docs       the documentation site, into site/'
 	@echo 'make format     let ruff rewrite the sources'
 	@echo 'make benchmark  speed against the bare engine'
@@ -37,6 +37,7 @@ lint: $(INSTALLED)
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/mypy
 	$(BIN)/python scripts/make_tricycle.py --check
+	$(BIN)/python scripts/docs_site/hooks.py --check
 
 docs: $(INSTALLED)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

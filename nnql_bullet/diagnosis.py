@@ -1,4 +1,4 @@
-"""Checks for `doctor`: this machine, and whether the engines, the encoder and the renderers work here.
+"""Checks for `doctor`: this machine, and whether the engines and the encoder work here.
 
 Each check imports what it needs: where a library does not load, the others still say what they find.
 """
@@ -24,7 +24,7 @@ from nnql_bullet.machine import allowed_cores, pybullet_package
 GIGABYTE = 1e9
 """[bytes]"""
 PROGRAM_TIMEOUT = 60.0
-"""Time limit for the answer of a program or renderer [s]."""
+"""Time limit for the answer of a program [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,17 +175,6 @@ def check_chromium() -> Finding:
     return Finding(True, answer.stdout.strip().split(" built on")[0])
 
 
-def check_renderer() -> Finding:
-    """Checks that EGL or TinyRenderer draws a picture."""
-    from nnql_bullet.sim.scene_trial import works
-
-    if works("egl", PROGRAM_TIMEOUT):
-        return Finding(True, "EGL (hardware or Mesa)")
-    if works("tiny", PROGRAM_TIMEOUT):
-        return Finding(True, "TinyRenderer; for smoother and faster pictures install EGL (Debian: libegl1)")
-    return Finding(False, "neither EGL nor TinyRenderer draws a picture; reinstall pybullet", needed=False)
-
-
 def _packages(module: str) -> dict[str, str]:
     """The installed packages that bring a module, with their versions."""
     return {name: version(name) for name in sorted(set(packages_distributions().get(module, ())))}
@@ -218,6 +207,5 @@ CHECKS: dict[str, Callable[[], Finding]] = {
     "drive": check_drive,
     "rays": check_rays,
     "ffmpeg": check_ffmpeg,
-    "renderer": check_renderer,
     "Chromium": check_chromium,
 }

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from typing_extensions import Unpack
 
-from nnql_bullet import __version__
 from nnql_bullet.arguments import checked
 from nnql_bullet.config import to_values
 from nnql_bullet.env import Reward
 from nnql_bullet.fidelity.first_use import check_at_first_use
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.runs import PolicyLike, load_policy, tell_differences
@@ -73,7 +73,7 @@ def drive(
         simulator=config.simulator,
         physics=config.physics,
         conditions=to_values(config.conditions),
-        version=__version__,
+        made_by=made_by(),
         summary=asdict(summary),
         plans=[{"time": time, "corners": corners.tolist()} for time, corners in navigation.plans(0)],
     )

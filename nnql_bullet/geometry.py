@@ -153,13 +153,16 @@ def _corners_to_box(a: Array, b: Array) -> float:
 
 
 @njit()
-def _overlap_along_axes_of(a: Array, b: Array) -> bool:
-    """Whether the projections on both axes of row `a` overlap (one half of the separating-axis test)."""
+def _gap_along_axes_of(a: Array, b: Array) -> float:
+    """Computes the larger gap between the projections of two boxes on the axes of row `a` [m]; 0 or less if both overlap.
+
+    That is one half of the separating-axis test; no distance between the boxes is smaller than a gap.
+    """
     dx, dy = b[0] - a[0], b[1] - a[1]
     c, s = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
-    along = abs(a[4] * dx + a[5] * dy) <= a[2] + b[2] * c + b[3] * s
-    across = abs(a[4] * dy - a[5] * dx) <= a[3] + b[2] * s + b[3] * c
-    return bool(along and across)
+    along = abs(a[4] * dx + a[5] * dy) - (a[2] + b[2] * c + b[3] * s)
+    across = abs(a[4] * dy - a[5] * dx) - (a[3] + b[2] * s + b[3] * c)
+    return float(max(along, across))
 
 
 @njit()
@@ -176,11 +179,15 @@ def clearance(footprint: Array, shapes: Array, most: float = np.inf) -> float:
     closest = float(most)
     reach = np.hypot(footprint[2], footprint[3]) + footprint[6]
     for shape in shapes:
-        centres = np.hypot(shape[0] - footprint[0], shape[1] - footprint[1])
-        if centres - reach - np.hypot(shape[2], shape[3]) - shape[6] >= closest:
+        dx, dy = shape[0] - footprint[0], shape[1] - footprint[1]
+        most_near = closest + reach + np.sqrt(shape[2] * shape[2] + shape[3] * shape[3]) + shape[6]
+        if dx * dx + dy * dy >= most_near * most_near:
             continue
-        if _overlap_along_axes_of(footprint, shape) and _overlap_along_axes_of(shape, footprint):
+        gap = max(_gap_along_axes_of(footprint, shape), _gap_along_axes_of(shape, footprint))
+        if gap <= 0.0:
             return 0.0
+        if gap - footprint[6] - shape[6] >= closest:
+            continue
         squared = min(_corners_to_box(footprint, shape), _corners_to_box(shape, footprint))
         distance = np.sqrt(squared) - footprint[6] - shape[6]
         if distance <= 0.0:
@@ -230,7 +237,7 @@ def _common_point(a: Array, b: Array) -> tuple[float, float]:
 @njit()
 def closest_points(a: Array, b: Array) -> tuple[float, float, float, float]:
     """Finds the closest points x, y of row `a` and x, y of row `b` (7,) of `as_rows` [m]; one point if they overlap."""
-    if _overlap_along_axes_of(a, b) and _overlap_along_axes_of(b, a):
+    if max(_gap_along_axes_of(a, b), _gap_along_axes_of(b, a)) <= 0.0:
         x, y = _common_point(a, b)
         return x, y, x, y
     closest, found = np.inf, (0.0, 0.0, 0.0, 0.0)

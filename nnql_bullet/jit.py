@@ -8,6 +8,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import parent_process
 from types import SimpleNamespace
 from typing import Any, Protocol, TypeVar
 
@@ -81,7 +82,8 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]
-        if _Announcement.made or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
+        # Worker processes say nothing: each of them would say the same.
+        if _Announcement.made or parent_process() or not dispatcher.py_func.__module__.startswith("nnql_bullet."):
             return
         _Announcement.made = True
         folder = dispatcher.stats.cache_path

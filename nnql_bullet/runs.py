@@ -3,6 +3,7 @@
 - config.toml: the configuration, every key resolved
 - sources.json, robot/, start.safetensors: what the files of worlds, of the robot and of the policy that the training
   began from said, which the configuration names (`sources.py`)
+- made_by.json: what made it (`provenance.made_by`), in the order in which several did
 - episodes.csv: a line for each finished episode
 - checkpoint.safetensors: the agent's weights after the last line of episodes.csv, and the state of the training then;
   with a selection (`training/selection.py`) the candidates too
@@ -16,6 +17,7 @@
 
 import csv
 import io
+import json
 import logging
 import os
 import shutil
@@ -34,9 +36,10 @@ from nnql_bullet.arguments import checked
 from nnql_bullet.config import dotted, parse, read_toml, to_values, write_toml
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment, refuse_speed
-from nnql_bullet.files import plain_file, real, write_text
+from nnql_bullet.files import plain_file, read_json, real, write_text
 from nnql_bullet.locks import LOCK
 from nnql_bullet.presets import load_config
+from nnql_bullet.provenance import made_by
 from nnql_bullet.rollout import EpisodeSummary, Policy
 from nnql_bullet.run_config import RunConfig, changed, migrated
 from nnql_bullet.sources import ROBOT, SOURCES, START, changed_robots, changed_worlds, keep_sources, located
@@ -50,7 +53,7 @@ from nnql_bullet.vehicle.urdf import load_vehicle
 
 CONFIG, EPISODES, CHECKPOINT = "config.toml", "episodes.csv", "checkpoint.safetensors"
 LEARNING_CURVE, SELECTION, REPORT = "learning_curve.png", "selection.csv", "report.html"
-EVALUATIONS, CARD = "evaluations.csv", "README.md"
+EVALUATIONS, CARD, MADE_BY = "evaluations.csv", "README.md", "made_by.json"
 _log = logging.getLogger(__name__)
 _REWARD = "reward/"
 """Prefix of the columns of reward terms that are not the paper's, as in the `info` of the environment."""
@@ -125,7 +128,7 @@ class Run:
         if start is not None and real(policy_file(start)).parent == real(folder):
             raise UserError(f"{folder}: is what the training begins from, so it stays as it is; give another folder")
         found = {path.name for path in folder.iterdir()} - {LOCK} if folder.is_dir() else set()
-        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD, EVALUATIONS}:
+        if found and not found <= {CONFIG, EPISODES, SOURCES, ROBOT, START, TENSORBOARD, EVALUATIONS, MADE_BY}:
             if not overwrite:
                 raise UserError(f"{folder}: is not empty; resume the run there, overwrite it, or give another folder")
             if CONFIG not in found:
@@ -134,10 +137,11 @@ class Run:
             shutil.rmtree(folder / TENSORBOARD)
         # The checkpoint can restore the files before it.
         shown = (LEARNING_CURVE, REPORT, CARD)
-        for name in (POLICY, SELECTION, *shown, CHECKPOINT, SOURCES, START, EVALUATIONS, EPISODES):
+        for name in (POLICY, SELECTION, *shown, CHECKPOINT, SOURCES, START, EVALUATIONS, MADE_BY, EPISODES):
             (folder / name).unlink(missing_ok=True)
         folder.mkdir(parents=True, exist_ok=True)
         self.save_config()
+        self.sign()
         keep_sources(self.config, folder)
 
     def save(self, agent: Trainable, training: Trainer) -> None:
@@ -196,8 +200,36 @@ class Run:
     def go_on(self) -> None:
         """Writes what the folder lacks before it goes on: a run that was cut short in its beginning may lack files."""
         self.save_config()
+        self.sign()
         if self.state is None and not (self.folder / SOURCES).is_file():
             keep_sources(self.config, self.folder)
+
+    @property
+    def makers(self) -> list[dict[str, Any]]:
+        """What made it, in order (see `provenance.made_by`), each with the number of episodes that it began after.
+
+        Raises:
+            UserError: If the file is damaged.
+        """
+        file = self.folder / MADE_BY
+        found = read_json(file) if file.is_file() else []  # version 0.2 wrote none
+        if not isinstance(found, list) or not all(isinstance(its, dict) for its in found):
+            raise UserError(f"{file}: damaged; delete it, or train anew")
+        return found
+
+    def sign(self) -> None:
+        """Writes down what makes it from here on, if that is not what made it last; warns if the code is another."""
+        makers, now = self.makers, {**made_by(), "after_episodes": len(self.episodes)}
+        last = makers[-1] if makers else {}
+        if {**last, "after_episodes": 0} == {**now, "after_episodes": 0}:
+            return
+        if last.get("code", now["code"]) != now["code"]:
+            _log.warning(
+                "%s was begun by other code of the program (%s) and goes on with this (%s); for a result of one code, "
+                "train anew",
+                *(self.folder, last["code"], now["code"]),
+            )
+        write_text(self.folder / MADE_BY, json.dumps([*makers, now], indent=1) + "\n")
 
     def save_config(self) -> None:
         """Writes the configuration, every key resolved."""

@@ -28,15 +28,16 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     """What there is to measure: key, what it is, and how."""
     # Not at the top: worker processes import this file again, and would carry along all that these need.
     from benchmarks.contact import contact_over_bare
+    from benchmarks.engines import mujoco_over_bullet
     from benchmarks.floor import fast_over_floor
     from benchmarks.kinematic import kinematic_steps_per_second
     from benchmarks.many_shapes import FEW, MANY, many_over_few
-    from benchmarks.rendering import film_over_bare
+    from benchmarks.rendering import film_frames_per_second, film_over_bare
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
     from nnql_bullet.run_config import SimulatorName
-    from nnql_bullet.sim.scene_trial import works
+    from nnql_bullet.sim.engines import PhysicsName
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
@@ -62,6 +63,13 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             )
             for simulator in get_args(SimulatorName)
         },
+        **{
+            f"mujoco_over_bullet_{physics}": (
+                f"simulated over wall seconds, MuJoCo over PyBullet, {physics}",
+                partial(mujoco_over_bullet, physics, *(4, 30) if quick else (12, 60)),
+            )
+            for physics in get_args(PhysicsName)
+        },
         "paper_training_kinematic_s": (
             f"1000 paper episodes in the kinematic model, {VEHICLES} vehicles [s]",
             lambda: paper_training_s("kinematic", CORES),
@@ -74,13 +82,14 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
             "training steps a second, NNQL with one vehicle over stable-baselines3 DQN (train_freq 1)",
             lambda: nnql_over_sb3(*(2, 200) if quick else (6, 500)),
         ),
-        **{
-            f"film_over_bare_{renderer}": (
-                f"frames a second of a whole film, 640x360, {renderer}, over a bare getCameraImage in one process",
-                partial(film_over_bare, renderer, 6.0 if quick else 30.0),
-            )
-            for renderer in ("tiny", *(["egl"] if works("egl") else []))
-        },
+        "film_over_bare": (
+            "frames a second of a whole film, 640x360, over PyBullet's bare getCameraImage in one process",
+            lambda: film_over_bare(6.0 if quick else 30.0),
+        ),
+        "film_frames_per_second": (
+            f"frames a second of a whole film, 1280x720, on {CORES} cores",
+            lambda: film_frames_per_second(6.0 if quick else 30.0),
+        ),
         "simulator_mb": ("memory of one contact simulator process [MB]", simulator_mb),
     }
     if quick:

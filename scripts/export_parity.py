@@ -9,6 +9,7 @@ inputs explains, is a tie. Then both drive in the same worlds in contact physics
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -110,12 +111,16 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         forms = [exported(policy, Path(folder) / str(number)) for number, policy in enumerate(policies)]
         totals: dict[tuple[str, str], Parity] = {}
+        seen = 0
         for drives in batches(policies[0].experiment, args.states):
+            seen += sum(len(drive.readings) for drive in drives)
+            print(f"\r{seen} of {args.states} states", end="", file=sys.stderr, flush=True)
             for policy, its in zip(policies, forms, strict=True):
                 for form, one in its.items():
                     for drive in drives:
                         total = totals.get((policy.name, form), Parity())
                         totals[policy.name, form] = total + compare(policy.experiment, one, drive)
+        print(file=sys.stderr)
         for (name, form), t in totals.items():
             print(
                 f"{name} {form}: {t.states} states, {t.differences} differ: {t.same_turn} by no turn, {t.ties} ties, "

@@ -30,12 +30,12 @@ from nnql_bullet.config import options, parse, to_values
 from nnql_bullet.evaluation.parts import Parts, part_name, run_kept
 from nnql_bullet.evaluation.search import Search
 from nnql_bullet.evaluation.space import Trial, best_of, read_space
-from nnql_bullet.evaluation.statistics import proportion, success_over_seeds
+from nnql_bullet.evaluation.statistics import over_seeds, proportion
 from nnql_bullet.executors import make_executor
 from nnql_bullet.files import write_text
 from nnql_bullet.integrations.sb3 import make_vec_env
 from nnql_bullet.reports.document import Report, Section, table
-from nnql_bullet.seeding import TEST_WORLDS, Stream, rng
+from nnql_bullet.seeding import TEST_WORLDS
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import seeds
 
@@ -269,8 +269,7 @@ def row(one: dict[str, Any], worlds: int) -> tuple[str, ...]:
     """The line of a combination in the table."""
     cells = []
     for world in TESTED_IN:
-        shares = np.array([[its["goal"] / worlds for its in one["endings"][world]]])
-        cells.append(str(success_over_seeds(list(shares), rng(0, Stream.BOOTSTRAP))))
+        cells.append(str(over_seeds(np.array([its["goal"] / worlds for its in one["endings"][world]]))))
     failures = {name: sum(its[name] for its in one["endings"][TRAINED_IN]) for name in ENDINGS if name != "goal"}
     share = 100 / (worlds * len(one["endings"][TRAINED_IN]))
     why = ", ".join(f"{name} {count * share:.0f}" for name, count in failures.items() if count)

@@ -1,32 +1,45 @@
 """Trains every method over its seeds, drives all of them and every rule through the test worlds, and fills results/.
 
 Everything is tested on the split `test`, which nothing is chosen on: in contact physics, in the kinematic model through
-more of the same worlds, in a shield, and under conditions that nothing was trained with. The ablations of choices are a
-part of it. What is trained and driven is kept in --out, so the same command goes on after an interrupt.
+more of the same worlds, in a shield, under conditions that nothing was trained with, and in two simulators side by
+side. The ablations of choices are a part of it. What is trained and driven is kept in --out, so the same command goes
+on after an interrupt, and a part can be made in several sessions. Each part is whole when it is in results/.
 
-    python scripts/results.py                    # as in the documentation
-    python scripts/results.py --scale 0.1        # a tenth of the seeds and worlds: a look at what comes out
-    python scripts/results.py --only shield      # one part of it
+    python scripts/results.py                        # as in the documentation
+    python scripts/results.py --estimate             # the CPU hours of each part
+    python scripts/results.py --only covers hard     # some parts, with the trainings that they need
+    python scripts/results.py --hours 8              # stops after so many hours, to be gone on with
+    python scripts/results.py --scale 0.1            # a tenth of the seeds and worlds: a look at what comes out
+    python scripts/results.py --only barn maps --barn BARN --maps maps/    # worlds that are not in the repository
+
+What other code has driven is driven anew (docs/explanation/evidence.md). What other code has trained is refused: train
+anew in another --out, or take it with --older, which results/ then shows.
 """
 
 import argparse
+import json
+import resource
 import shutil
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from rich.progress import track
 from scipy.stats import bootstrap
 
 import nnql_bullet as nb
+from nnql_bullet import assets
 from nnql_bullet.agents import RULES
 from nnql_bullet.errors import UserError
+from nnql_bullet.evaluation.studies import STUDIES
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.presets import load_config
+from nnql_bullet.provenance import TRAINING, code_digest
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.work import Progress
 
 
 @dataclass(frozen=True)
@@ -38,48 +51,114 @@ class Method:
     """Trainings."""
     changes: dict[str, Any] = field(default_factory=lambda: {"simulator": "kinematic"})
     """Further arguments of `nb.train`."""
+    hours: float = 0.01
+    """CPU time of a training [hours], of order only."""
     stages: tuple[int, ...] = ()
     """Episodes after which it is looked at on the way."""
 
 
 METHODS = {
     "paper": Method("paper", 10),
-    "literal": Method("literal", 10),
-    "tuned": Method("tuned", 10),
-    "tuned_contact": Method("tuned", 3, {"simulator": "bullet"}),
+    "literal": Method("literal", 5),
+    "tuned": Method("tuned", 5),
+    "tuned_contact": Method("tuned", 5, {"simulator": "bullet"}, 1.5),
     "q_table": Method("q_table", 5),
     "genetic": Method("genetic", 5, {"simulator": "kinematic", "vehicles": 200}),  # changes nothing but the time
-    "sb3_dqn": Method("sb3_dqn", 1, {"simulator": "kinematic", "vehicles": 16}),
-    "double_dqn": Method("double_dqn", 5, stages=(500, 1000, 1500, 2000, 3000, 4500, 6000, 8000, 10_000)),
+    "sb3_dqn": Method("sb3_dqn", 5, {"simulator": "kinematic", "vehicles": 16}, 0.5),
+    "double_dqn": Method("double_dqn", 5, hours=0.15, stages=(500, 1000, 1500, 2000, 3000, 4500, 6000, 8000, 10_000)),
 }
 LEARNING_FROM_STEPS = ("paper", "tuned", "q_table", "sb3_dqn")
 """Methods whose success during training is drawn."""
 COVERS = ("paper", "cover_10", "cover_15", "cover_20")
 HARD = ("traps", "aisles", "moving")
-HARD_SEEDS = 2
-"""Training seeds that are driven through those in contact physics, where drives last long."""
-SHIELDED_RULES = ("straight", "hand_rule")
-"""Rules that the success in a shield is compared with."""
+HEADLINE = ("paper", "double_dqn")
+"""Learned methods of the rows that are talked about, driven through most worlds."""
+HEADLINE_RULES = ("straight", "hand_rule", "vfh")
+KINEMATIC: dict[str, Any] = {"simulator": "kinematic"}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Policies through test worlds: a part of the results."""
+
+    worlds: tuple[str, ...]
+    count: int
+    """Number of test worlds of each kind."""
+    learned: tuple[str, ...] = tuple(METHODS)
+    rules: tuple[str, ...] = RULES
+    seeds: int | None = None
+    """Most training seeds of each method; all of them if it is not given."""
+    more: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of `nb.evaluate`."""
+
+    def drives(self, scale: float) -> float:
+        """Number of drives."""
+        seeds = [min(METHODS[name].seeds, self.seeds or METHODS[name].seeds) for name in self.learned]
+        policies = len(self.rules) + scale * sum(seeds)
+        return policies * len(self.worlds) * scale * self.count * (2 if self.more.get("shield") else 1)
+
+
+EVALUATIONS = {
+    "kinematic": Evaluation((*COVERS, *HARD), 1000, more=KINEMATIC),
+    "covers": Evaluation(COVERS, 100),
+    "hard": Evaluation(HARD, 100, seeds=5),
+    "shield": Evaluation((*COVERS, *HARD), 300, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
+    "shield-kinematic": Evaluation((*COVERS, *HARD), 300, seeds=5, more={**KINEMATIC, "shield": True}),
+    "poles": Evaluation(
+        *(("poles",), 1000, HEADLINE, HEADLINE_RULES, 5),
+        {
+            **{**KINEMATIC, "shield": True, "conditions": nb.Conditions(rays=360)},
+            "changes": {"shield": {"least_width": 0.02}},
+        },
+    ),
+}
 CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},
-    "the kinematic model": {"simulator": "kinematic"},
-    "friction 0.5": {"conditions": nb.Conditions(wheel_friction=0.5)},
-    "payload 80 kg": {"conditions": nb.Conditions(payload=80.0)},
-    "noise of 5 cm": {"conditions": nb.Conditions(sensor_noise=0.05)},
+    "the kinematic model": KINEMATIC,
+    **{f"friction {value}": {"conditions": nb.Conditions(wheel_friction=value)} for value in (0.4, 0.6, 0.9)},
+    **{f"payload {value:g} kg": {"conditions": nb.Conditions(payload=value)} for value in (40.0, 80.0)},
+    **{f"noise of {value:g} m": {"conditions": nb.Conditions(sensor_noise=value)} for value in (0.05, 0.2)},
+    **{
+        f"sector {sector} dead": {"conditions": nb.Conditions(dead_sector=sector)} for sector in range(5)
+    },  # the others mirror them
 }
-"""Arguments of `nb.evaluate` for a bare policy; the others are compared with the first of them."""
-CONDITION_COVERS = COVERS[:3]
-DEAD_SECTORS = (0, 1)
-"""Sensors that are dead, one at a time, in the shield."""
+"""Arguments of `nb.evaluate`; drives under the others are compared with those under the first, bare and in a shield."""
+CONDITION_COVERS = ("cover_10", "cover_20")
+CONDITION_WORLDS = 50
 STAGE_WORLDS = ("cover_10", "cover_20", *HARD)
-PARTS = ("ablations", "covers", "hard", "kinematic", "shield", "conditions", "learning")
-"""Methods of `Results`, in the order in which they are called."""
+STAGES_COUNT = 100
+"""Validation worlds of each kind along a training."""
+GAP_WORLDS = ("cover_10", "aisles")
+GAP_COUNT = 100
+SIDES = (("kinematic", "bullet"), ("mujoco", "bullet"))
+"""Simulators that headline rows are compared in."""
+FOREIGN = ("double_dqn", "distilled", *RULES)
+"""Shipped policies and rules that drive in worlds of others, where those exist."""
+ABLATIONS: dict[str, tuple[int, dict[str, Any]]] = {
+    "paper": (300, {}),
+    "tuned": (300, {}),
+    "double_dqn": (100, {"only": ("map", "frames")}),  # whose trainings take long
+}
+"""Validation worlds of each kind and further arguments of `nb.ablate`, by preset; seeds as the studies say."""
+PARTS = ("ablations", *EVALUATIONS, "conditions", "gap", "barn", "maps", "learning")
+"""In the order in which they are made."""
+NEEDED = {
+    **{name: its.learned for name, its in EVALUATIONS.items()},
+    "conditions": HEADLINE,
+    "gap": HEADLINE,
+    "learning": (*LEARNING_FROM_STEPS, "double_dqn"),
+}
+"""Methods that are trained for a part."""
+PACE = {"kinematic": 0.03, "bullet": 3.0, "mujoco": 6.0}
+"""CPU time of a drive, mean over methods and kinds of worlds [s], as `--estimate` takes it; of order only. What a part
+takes is in hours.json of --out."""
+ABLATION_HOURS = {"paper": 0.01, "tuned": 0.015, "double_dqn": 0.1}
+"""CPU time of a training of an ablation and its test [hours], of order only."""
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
 """Files of a report that go into results/."""
-DOUBLE_DQN_FACTORS = ("map", "frames")
-"""Factors of its ablation, whose trainings take long."""
 ABLATION = ("ablation.md", "ablation.json", "ablation.csv", "ablation.png")
-"""Files of an ablation."""
+BARN = ("barn.md", "results.json", "drives.csv", "bottleneck.png")
+GAP = ("gap.md", "gap.json", "gap.png")
 
 
 @dataclass(frozen=True)
@@ -125,22 +204,32 @@ def draw_learning(trials: Sequence[Trial], path: Path) -> None:
     draw_success(recipes, path)
 
 
-class Results:
-    """The parts of the results, each made by a method of its name."""
+class TimeIsUp(Exception):
+    """Raised between two pieces of work when the time that was given is over."""
 
-    def __init__(self, trials: Sequence[Trial], spread: dict[str, Any], a: argparse.Namespace) -> None:
+
+class Results:
+    """Makes the parts of the results."""
+
+    def __init__(self, trials: Sequence[Trial], a: argparse.Namespace) -> None:
         self.trials = trials
-        self.spread = spread
         self.a = a
+        self.until = time.monotonic() + 3600 * a.hours
+        self.spread: dict[str, Any] = {"executor": a.executor, "workers": a.workers, "on_progress": self.told}
+
+    def told(self, progress: Progress) -> None:
+        """Shows progress, and ends the work when its time is up; what is done is kept."""
+        print(f"\r{progress.what} {progress.done}/{progress.total}", end="", file=sys.stderr, flush=True)
+        if time.monotonic() > self.until:
+            raise TimeIsUp
 
     def scaled(self, number: int) -> int:
         """A number of seeds or worlds."""
         return max(1, round(number * self.a.scale))
 
-    def runs(self, *methods: str, seeds: int | None = None) -> list[str]:
-        """Run folders of methods, of every one if none is named."""
-        found = [t for t in self.trials if not methods or t.method in methods]
-        return [str(trial.run) for trial in found if seeds is None or trial.seed < seeds]
+    def runs(self, methods: Sequence[str], seeds: int | None = None) -> list[str]:
+        """Run folders of methods."""
+        return [str(t.run) for t in self.trials if t.method in methods and (seeds is None or t.seed < seeds)]
 
     def keep(self, name: str, files: Sequence[str]) -> None:
         """Copies files of a report into the results."""
@@ -149,71 +238,125 @@ class Results:
             if (self.a.out / name / file).exists():  # without several covers there is no picture of them
                 shutil.copy(self.a.out / name / file, self.a.results / name / file)
 
-    def evaluate(self, name: str, policies: Sequence[str], worlds: Sequence[str], count: int, **more: Any) -> None:
+    def train(self, part: str) -> None:
+        """Trains what a part needs.
+
+        Raises:
+            UserError: If a training was made by other code.
+        """
+        trials = [trial for trial in self.trials if trial.method in NEEDED.get(part, ())]
+        if not self.a.older:
+            for trial in trials:
+                makers = nb.load_run(trial.run).makers if (trial.run / "config.toml").exists() else []
+                if any(maker["code"] != code_digest(TRAINING) for maker in makers):
+                    raise UserError(f"{trial.run}: was trained by other code; remove it, or take it with --older")
+        executor = make_executor(self.a.executor, self.a.workers)
+        self.told(Progress("training", 0, len(trials)))
+        for done, outcome in enumerate(executor.map(train, trials), 1):
+            if outcome.error:
+                raise UserError(f"{outcome.task.run}: {outcome.error.message}")
+            self.told(Progress("training", done, len(trials)))
+
+    def make(self, part: str) -> None:
+        """Makes a part, and adds its CPU time to what is known of earlier sessions."""
+        before = _cpu_time()
+        try:
+            self.train(part)
+            self.evaluate(part, EVALUATIONS[part]) if part in EVALUATIONS else getattr(self, part)()
+        finally:
+            file = self.a.out / "hours.json"
+            hours = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+            hours[part] = hours.get(part, 0.0) + (_cpu_time() - before) / 3600
+            file.write_text(json.dumps(hours, indent=1) + "\n", encoding="utf-8")
+        print(f"\r{part}: in {self.a.results}; {hours[part]:.2f} CPU hours on this machine", flush=True)
+
+    def evaluate(self, name: str, its: Evaluation) -> None:
         """Drives policies through test worlds."""
         nb.evaluate(
-            policies,
-            worlds=worlds,
+            [*self.runs(its.learned, its.seeds), *its.rules],
+            worlds=its.worlds,
             split="test",
-            n_worlds=self.scaled(count),
+            n_worlds=self.scaled(its.count),
             out=self.a.out / name,
-            **{"physics": self.a.physics, **self.spread, **more},
+            **{"physics": self.a.physics, **self.spread, **its.more},
         )
         self.keep(name, KEPT)
 
-    def ablate(self, name: str, preset: str, seeds: int, **more: Any) -> None:
-        """Trains and tests the variants of a preset."""
-        nb.ablate(preset, seeds=self.scaled(seeds), out=self.a.out / name, **self.spread, **more)
-        self.keep(name, ABLATION)
-
     def ablations(self) -> None:
         """What each choice of a preset is worth."""
-        self.ablate("ablation", "paper", self.a.ablation_seeds)
-        self.ablate("ablation-tuned", "tuned", 3)
-        self.ablate("ablation-double_dqn", "double_dqn", 2, n_worlds=self.scaled(100), only=DOUBLE_DQN_FACTORS)
-
-    def covers(self) -> None:
-        """Everything in contact physics, by cover."""
-        self.evaluate("covers", [*self.runs(), *RULES], COVERS, self.a.worlds)
-
-    def hard(self) -> None:
-        """The same through worlds that need more than reflexes."""
-        self.evaluate("hard", [*self.runs(seeds=HARD_SEEDS), *RULES], HARD, self.a.worlds)
-
-    def kinematic(self) -> None:
-        """The same through more worlds of all kinds, in the kinematic model."""
-        everyone, worlds = [*self.runs(), *RULES], (*COVERS, *HARD)
-        self.evaluate("kinematic", everyone, worlds, self.a.kinematic_worlds, simulator="kinematic")
-
-    def shield(self) -> None:
-        """What learning is worth where a shield makes almost anything succeed."""
-        policies = [*self.runs("double_dqn"), *SHIELDED_RULES]
-        self.evaluate("shield", policies, (*COVERS, *HARD), self.a.shield_worlds, shield=True)
+        for preset, (worlds, more) in ABLATIONS.items():
+            name = "ablation" if preset == "paper" else f"ablation-{preset}"
+            seeds, n_worlds = self.scaled(STUDIES[preset].seeds), self.scaled(worlds)
+            nb.ablate(preset, seeds=seeds, n_worlds=n_worlds, out=self.a.out / name, **self.spread, **more)
+            self.keep(name, ABLATION)
 
     def conditions(self) -> None:
-        """What conditions cost that nothing was trained with."""
-        bare = self.runs("tuned", "double_dqn", seeds=5)
-        found = {condition: self._under(condition, bare, **more) for condition, more in CONDITIONS.items()}
-        for sector in DEAD_SECTORS:
-            condition, dead = f"sector {sector} dead", nb.Conditions(dead_sector=sector)
-            found[condition] = self._under(condition, self.runs("double_dqn"), conditions=dead, shield=True)
+        """What conditions cost that nothing was trained with, bare and in a shield."""
+        found: dict[str, Drives] = {}
+        for condition, more in CONDITIONS.items():
+            results = nb.evaluate(
+                self.runs(HEADLINE, 5),
+                worlds=CONDITION_COVERS,
+                split="test",
+                n_worlds=self.scaled(CONDITION_WORLDS),
+                shield=True,
+                out=self.a.out / "conditions" / condition.replace(" ", "_"),
+                **{"physics": self.a.physics, **self.spread, **more},
+            )
+            found[condition] = {
+                (row["method"], row["policy"], row["world"], row["world_seed"]): row["ending"] == "goal"
+                for row in results.episodes
+            }
         folder = self.a.results / "conditions"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "conditions.md").write_text(conditions_markdown(found), encoding="utf-8")
 
-    def _under(self, condition: str, runs: Sequence[str], **more: Any) -> "Drives":
-        results = nb.evaluate(
-            runs,
-            worlds=CONDITION_COVERS,
+    def gap(self) -> None:
+        """The same drives in two simulators; each comparison is made whole or not at all."""
+        for first, second in SIDES:
+            for world in GAP_WORLDS:
+                for method in (*HEADLINE, *HEADLINE_RULES):
+                    name = f"gap/{first}-{second}/{world}-{method}"
+                    done = self.a.out / name / "gap.json"
+                    made = json.loads(done.read_text(encoding="utf-8")) if done.exists() else {}
+                    if made.get("made_by", {}).get("code") != code_digest(TRAINING):
+                        nb.gap(
+                            self.runs([method], 5) or [method],
+                            **{"against": first, "simulator": second, "physics": self.a.physics, "world": world},
+                            split="test",
+                            n_worlds=self.scaled(GAP_COUNT),
+                            faults=False,
+                            out=self.a.out / name,
+                            **self.spread,
+                        )
+                    self.keep(name, GAP)
+
+    def barn(self) -> None:
+        """Shipped policies and rules through the worlds of the BARN challenge."""
+        if not self.a.barn:
+            print("barn: left out; --barn names its folder")
+            return
+        policies = [name for name in FOREIGN if name in assets.policies() or name in RULES]
+        nb.barn(self.a.barn, policies, simulator="kinematic", shield=True, out=self.a.out / "barn", **self.spread)
+        self.keep("barn", BARN)
+
+    def maps(self) -> None:
+        """Shipped policies and rules through a folder of maps."""
+        if not self.a.maps:
+            print("maps: left out; --maps names their folder")
+            return
+        policies = [name for name in FOREIGN if name in assets.policies() or name in RULES]
+        nb.evaluate(
+            policies,
+            worlds=[self.a.maps],
             split="test",
-            n_worlds=self.scaled(self.a.condition_worlds),
-            out=self.a.out / "conditions" / condition.replace(" ", "_"),
-            **{"physics": self.a.physics, **self.spread, **more},
+            n_worlds=self.scaled(100),
+            shield=True,
+            simulator="kinematic",
+            out=self.a.out / "maps",
+            **self.spread,
         )
-        return {
-            (row["method"], row["policy"], row["world"], row["world_seed"]): row["ending"] == "goal"
-            for row in results.episodes
-        }
+        self.keep("maps", KEPT)
 
     def learning(self) -> None:
         """How fast methods come to succeed: during training, and on validation worlds."""
@@ -226,7 +369,7 @@ class Results:
             results = nb.evaluate(
                 policies,
                 worlds=STAGE_WORLDS,
-                n_worlds=self.scaled(self.a.stage_worlds),
+                n_worlds=self.scaled(STAGES_COUNT),
                 simulator="kinematic",
                 out=self.a.out / "stages",
                 **self.spread,
@@ -235,6 +378,46 @@ class Results:
             learned = results.evaluation.policies[0].episodes
             rows += [{**row, "episodes": learned, "title": titles.get(row["world"])} for row in results.rows]
         draw_stages(rows, len(trials), self.a.results / "double_dqn.png")
+
+
+def _cpu_time() -> float:
+    """CPU time of this process and of its workers that have ended [s]; of those of Ray nothing is known."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(its.ru_utime + its.ru_stime for its in used)
+
+
+def estimated_hours(part: str, scale: float) -> float:
+    """CPU hours of a part from nothing, without its trainings."""
+    if part in EVALUATIONS:
+        simulator = EVALUATIONS[part].more.get("simulator", "bullet")
+        return EVALUATIONS[part].drives(scale) * PACE[simulator] / 3600
+    if part == "conditions":
+        drives = len(CONDITIONS) * len(CONDITION_COVERS) * 2 * len(HEADLINE) * 5 * CONDITION_WORLDS
+        return drives * scale**2 * PACE["bullet"] / 3600
+    if part == "gap":
+        drives = len(GAP_WORLDS) * (len(HEADLINE) * 5 + len(HEADLINE_RULES)) * GAP_COUNT
+        return drives * scale**2 * sum(PACE[side] for sides in SIDES for side in sides) / 3600
+    if part == "ablations":
+        trainings = {
+            preset: STUDIES[preset].seeds
+            * (1 + sum(len(f.variants) - 1 for f in STUDIES[preset].factors if f.name in more.get("only", (f.name,))))
+            for preset, (_, more) in ABLATIONS.items()
+        }
+        return sum(scale * count * ABLATION_HOURS[preset] for preset, count in trainings.items())
+    drives = {"barn": 300 * 2 * len(FOREIGN), "maps": 200 * len(FOREIGN), "learning": 5 * 10 * 5 * STAGES_COUNT}[part]
+    return drives * scale * PACE["kinematic"] / 3600
+
+
+def estimate(a: argparse.Namespace, trials: Sequence[Trial]) -> None:
+    """Prints the CPU hours of each part from nothing, and what is there already."""
+    needed = {method for part in a.only for method in NEEDED.get(part, ())}
+    missing = [trial for trial in trials if trial.method in needed and not (trial.run / "learning_curve.png").exists()]
+    hours = {"trainings that are missing": sum(METHODS[trial.method].hours for trial in missing)}
+    hours |= {part: estimated_hours(part, a.scale) for part in a.only}
+    file = a.out / "hours.json"
+    spent = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    for name, its in {**hours, "together": sum(hours.values())}.items():
+        print(f"{name:<28}{its:9.2f} CPU hours" + (f", {spent[name]:.2f} spent so far" if name in spent else ""))
 
 
 Drives = dict[tuple[str, str, str, int], bool]
@@ -307,34 +490,35 @@ def main() -> None:
     """Does what is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="some parts")
+    parser.add_argument("--estimate", action="store_true", help="say how many CPU hours it takes, and do nothing")
+    parser.add_argument(
+        "--hours", type=float, default=float("inf"), help="stop after so many hours, to be gone on with"
+    )
     parser.add_argument("--scale", type=float, default=1.0, help="of the numbers of seeds and worlds")
-    parser.add_argument("--worlds", type=int, default=25, help="test worlds of each kind in contact physics")
-    parser.add_argument("--kinematic-worlds", type=int, default=300, help="and in the kinematic model")
-    parser.add_argument("--shield-worlds", type=int, default=50, help="and in the shield")
-    parser.add_argument("--condition-worlds", type=int, default=25, help="and under each condition")
-    parser.add_argument("--stage-worlds", type=int, default=25, help="validation worlds along a training")
-    parser.add_argument("--ablation-seeds", type=int, default=10, help="trainings of each alternative of the ablation")
+    parser.add_argument("--older", action="store_true", help="take trainings that were made by other code")
+    parser.add_argument("--barn", help="folder of the BARN worlds")
+    parser.add_argument("--maps", help="folder of maps")
     parser.add_argument("--physics", default="fast", help="of the test")
     parser.add_argument("--executor", choices=get_args(ExecutorKind), default="processes", help="where it runs")
     parser.add_argument("--workers", type=int, default=2, help="trainings and drives at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/results"), help="where runs and drives are kept")
     parser.add_argument("--results", type=Path, default=Path("results"), help="where the report goes")
     a = parser.parse_args()
-    try:
-        executor = make_executor(a.executor, a.workers)
-    except UserError as error:
-        parser.error(str(error))
-    a.out.mkdir(parents=True, exist_ok=True)
     counts = {name: max(1, round(method.seeds * a.scale)) for name, method in METHODS.items()}
     trials = [Trial(name, seed, a.out) for name, count in counts.items() for seed in range(count)]
-    for outcome in track(executor.map(train, trials), "training", total=len(trials)):
-        if outcome.error:
-            sys.exit(f"{outcome.task.run}: {outcome.error.message}")
-    a.results.mkdir(exist_ok=True)
-    results = Results(trials, {"executor": a.executor, "workers": a.workers}, a)
-    for part in a.only:
-        getattr(results, part)()
-    print(f"results: {a.results}")
+    if a.estimate:
+        estimate(a, trials)
+        return
+    for folder in (a.out, a.results):
+        folder.mkdir(parents=True, exist_ok=True)
+    results = Results(trials, a)
+    try:
+        for part in a.only:
+            results.make(part)
+    except UserError as error:
+        parser.error(str(error))
+    except TimeIsUp:
+        print("\rthe time is up; the same command goes on")
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "contact physics (PyBullet, `fast`), 25 test worlds of each kind": {"physics": "fast", "n_worlds": 25},
 }
 WHAT = {
+    "distilled": "a network that learned what a search over several manoeuvres says, on a map of what it has seen",
     "double_dqn": "decides every step by a dueling network over 24 readings and a map of what it has seen",
     "paper": "the paper's 8-6-5 network with the numbers that the paper states",
     "literal": "the paper's 8-6-5 network, the text read by the letter",

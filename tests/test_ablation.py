@@ -13,7 +13,7 @@ from nnql_bullet.config import merged, to_values
 from nnql_bullet.evaluation.ablation import Budget, Counts, entries, task_of
 from nnql_bullet.evaluation.studies import STUDIES, Factor, Study, Variant
 from nnql_bullet.presets import load_config
-from nnql_bullet.reports.ablation import decision
+from nnql_bullet.reports.ablation import ablation_markdown, decision
 
 RunCli = Callable[..., tuple[int, str, str]]
 Snapshot = Callable[[Path], dict[str, bytes]]
@@ -85,50 +85,54 @@ def trainings(*goals: tuple[int, int]) -> list[list[Counts]]:
 
 class TestEntries:
     RESULTS = {  # noqa: RUF012
-        ("c", "a"): trainings((90, 70), (92, 74), (88, 60), (91, 71), (90, 75)),
-        ("c", "b"): trainings((80, 60), (83, 62), (80, 50), (79, 60), (82, 61)),
-        ("c", "d"): trainings((91, 69), (90, 76), (88, 61), (92, 69), (90, 76)),
+        ("c", "a"): trainings((90, 70), (92, 74), (88, 60), (91, 71), (90, 75), (89, 72), (91, 70), (90, 73)),
+        ("c", "b"): trainings((80, 60), (83, 62), (80, 50), (79, 60), (82, 61), (81, 60), (80, 61), (79, 62)),
+        ("c", "d"): trainings((91, 69), (90, 76), (88, 61), (92, 69), (90, 76), (88, 73), (92, 68), (90, 73)),
+    }
+    BETTER = {  # noqa: RUF012
+        **RESULTS,
+        ("c", "d"): trainings((95, 90), (96, 88), (97, 90), (95, 85), (94, 88), (95, 86), (96, 87), (95, 89)),
     }
 
     def test_success_is_the_interquartile_mean_over_seeds(self) -> None:
         found = {entry.variant.label: entry for entry in entries(MINE, self.RESULTS)}
-        success = found["a"].success["paper"]
-        assert success is not None
-        assert success.value == pytest.approx((90 + 90 + 91) / 300)
-        assert found["a"].by_seed["cover_10"] == (0.7, 0.74, 0.6, 0.71, 0.75)
+        assert found["a"].success["paper"].value == pytest.approx((90 + 90 + 90 + 91) / 400)
+        assert found["a"].by_seed["cover_10"] == (0.7, 0.74, 0.6, 0.71, 0.75, 0.72, 0.7, 0.73)
 
     def test_differences_are_paired_by_seed_over_both_tiers(self) -> None:
         found = {entry.variant.label: entry.difference for entry in entries(MINE, self.RESULTS)}
-        paired = [
-            (80 + 60 - 160) / 2,
-            (83 + 62 - 166) / 2,
-            (80 + 50 - 148) / 2,
-            (79 + 60 - 162) / 2,
-            (82 + 61 - 165) / 2,
-        ]
+        base, its = ([[t.goal for t in one] for one in self.RESULTS["c", label]] for label in "ab")
+        paired = [(sum(mine) - sum(other)) / 200 for mine, other in zip(its, base, strict=True)]
         assert found["a"] == (0.0, 0.0, 0.0)
-        assert found["b"].value == pytest.approx(np.mean(paired) / 100)
-        assert min(paired) / 100 <= found["b"].low <= found["b"].value <= found["b"].high <= max(paired) / 100
+        assert found["b"].value == pytest.approx(np.mean(paired))
+        assert min(paired) <= found["b"].low <= found["b"].value <= found["b"].high <= max(paired)
 
-    def test_verdicts_say_whether_the_interval_leaves_zero_out(self) -> None:
+    def test_verdicts_follow_from_the_corrected_p(self) -> None:
         found = entries(MINE, self.RESULTS)
         assert [entry.verdict for entry in found] == ["default", "worse", "undecided"]
-        better = {**self.RESULTS, ("c", "d"): trainings((95, 90), (96, 88), (97, 90), (95, 85), (94, 88))}
-        assert [entry.verdict for entry in entries(MINE, better)] == ["default", "worse", "better"]
+        assert (found[1].p_value, found[1].corrected) == (2 / 2**8, 2 * 2 / 2**8)  # all eight seeds agree
+        assert 0 < found[1].detectable < 0.05
+        assert [entry.verdict for entry in entries(MINE, self.BETTER)] == ["default", "worse", "better"]
+
+    def test_too_few_seeds_for_the_study_carry_no_verdict(self) -> None:
+        for seeds, verdict in ((1, "exploratory"), (6, "exploratory"), (7, "better")):  # two comparisons need seven
+            few = {key: its[:seeds] for key, its in self.BETTER.items()}
+            found = entries(MINE, few)
+            assert found[2].verdict == verdict
+            said = ablation_markdown(MINE, found, BUDGET) + decision(FACTOR, found)
+            if verdict == "exploratory":
+                assert "too few seeds for a verdict" in said
+                assert " is better than" not in said
+                assert found[2].detectable == np.inf
+        alone = replace(MINE, factors=(replace(FACTOR, variants=FACTOR.variants[:2]),))
+        assert entries(alone, {key: its[:6] for key, its in self.RESULTS.items()})[1].verdict == "worse"
 
     def test_what_it_decides_is_said_in_words(self) -> None:
         found = entries(MINE, self.RESULTS)
         assert decision(FACTOR, found) == "a; nothing is better, and the evidence does not tell it from d"
         worse = {**self.RESULTS, ("c", "d"): self.RESULTS["c", "b"]}
         assert decision(FACTOR, entries(MINE, worse)) == "a, and every variant is worse"
-        better = {**self.RESULTS, ("c", "d"): trainings((95, 90), (96, 88), (97, 90), (95, 85), (94, 88))}
-        assert decision(FACTOR, entries(MINE, better)).startswith("d is better than a by +")
-
-    def test_a_single_seed_decides_nothing_and_says_so_by_an_interval_of_no_width(self) -> None:
-        one = {key: its[:1] for key, its in self.RESULTS.items()}
-        for entry in entries(MINE, one):
-            assert set(entry.success.values()) == {None}
-            assert entry.difference.low == entry.difference.high == entry.difference.value
+        assert decision(FACTOR, entries(MINE, self.BETTER)).startswith("d is better than a by +")
 
 
 SMALL = ("--only", "encoding,reward", "--seeds", 2, "--episodes", 4, "--vehicles", 4, "--worlds", 5)

@@ -12,7 +12,10 @@ from nnql_bullet.mapping.body_map import (
     FREE,
     LOCAL,
     OCCUPIED,
+    PASSED,
+    PASSED_THIN,
     SIDE,
+    TRIED,
     UNSEEN,
     add_scans,
     cost_at,
@@ -97,9 +100,33 @@ def test_scans_tell_what_is_free_what_is_occupied_and_what_was_never_seen():
     a, b = int(3.03 / CELL) - corner[0], -corner[1]
     assert cells[a, b] == OCCUPIED
     assert (a + corner[0] + offsets[a, b, 0] / 256) * CELL == pytest.approx(3.03, abs=CELL / 128)
-    assert (cells[-corner[0] : a - 2, b] == FREE).all()
+    assert (cells[-corner[0] + 2 : a - 2, b] == FREE).all()
     assert (cells[a + 1 :, b] == UNSEEN).all()
     assert cells[a - 3, b + 3] == UNSEEN
+
+
+def test_where_a_vehicle_stays_its_way_costs_more_with_every_decision():
+    corner = -np.full(2, SIDE // 2)
+    costs = []
+    for times in (1, 5, 9):
+        cells, offsets, _ = scanned([10.0, 10.0, 10.0, 10.0], times)
+        left = costs_to_go(cost_factors(cells, offsets), corner, np.zeros(2), np.array([3.0, 0.0]), CELL)
+        costs.append(cost_at(left, corner, 0.0, 0.0, CELL, np.inf))
+    assert costs[0] > 3.0 / CELL
+    assert costs[2] - costs[1] == pytest.approx(costs[1] - costs[0], rel=0.05)
+    assert costs[1] - costs[0] > 2 * TRIED
+
+
+def test_a_point_alone_stays_longer_than_one_of_a_side():
+    """A ray that passes it near by would hardly have met it, if it is a thin pole."""
+    for beside, stays in ((False, True), (True, False)):
+        first = np.zeros((1, SIDE, SIDE), np.int8), np.zeros((1, SIDE, SIDE, 2), np.uint8), np.zeros((1, 2), np.int64)
+        scanned([10.0, 10.0, 10.0, 10.0], 1, *first)
+        a, b = 10 - first[2][0, 0], -first[2][0, 1]
+        first[0][0, a, b : b + 1 + beside] = OCCUPIED
+        first[1][0, a, b] = 128, 256 * (PASSED_THIN + PASSED) / 2
+        cells, _, _ = scanned([10.0, 10.0, 10.0, 10.0], 2, *first)
+        assert (cells[a, b] == OCCUPIED) == stays
 
 
 def test_only_a_ray_that_would_have_met_a_point_clears_it():

@@ -18,8 +18,9 @@ from nnql_bullet.cli import main
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.c99 import Cost, Operations, c_files
+from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import Contract, contract_of
+from nnql_bullet.exports.cost import Cost, Operations
 from nnql_bullet.exports.folder import write_export
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
@@ -305,7 +306,7 @@ class TestContract:
             ("random", "c", "kind 'random'"),
             ("double_dqn", "c", "kind 'double_dqn'"),
             ("vfh", "onnx", "kind 'vfh'"),
-            (load_policy("straight", {"shield": {}}), "c", "shield"),
+            (load_policy("straight", {"shield": {}}), "c", "--with-shield"),
             (LoadedPolicy("sb3", Experiment(load_config("sb3_dqn", {})), 1), "onnx", "kind 'sb3_dqn'"),
             (type("Mine", (), {"act": lambda self, observations: None})(), "c", "object of your own"),
         ],

@@ -28,7 +28,8 @@ def set_out(vehicle, boxes):
     navigation = Navigation(KinematicSimulator(vehicle, drive, MANOEUVRES, 1), TaskOptions())
     navigation.reset(dict.fromkeys(range(MANOEUVRES), world))
     foresight = Foresight(vehicle, drive)
-    look = foresight.look(foresight.nothing(MANOEUVRES), navigation.observation)
+    o = navigation.observation
+    look = foresight.ahead(foresight.look(foresight.nothing(MANOEUVRES), o), o)
     return navigation, foresight, look
 
 
@@ -77,3 +78,26 @@ def test_a_pose_costs_with_every_visit_until_another_is_better(vehicle):
     assert np.diff(worth[:, stay]) == pytest.approx([worth[1, stay] - worth[0, stay]] * 2)
     assert worth[1, stay] < worth[0, stay] - 0.1
     assert worth[:, leave] == pytest.approx([worth[0, leave]] * 3)
+
+
+def test_a_network_takes_what_meets_nothing_and_at_the_worst_what_meets_it_last(vehicle):
+    x, y = World.load("paper").start
+    _, foresight, look = set_out(vehicle, [(x + 2.5, y + 2.5, 0.5, 8.0), (x, y + 4.5, 8.0, 0.5)])
+    free = look.foreseen[0, :, LASTS] == 1.0
+    assert free.any() and not free.all()
+    worst_first = np.broadcast_to(np.where(free, 0.0, 5.0), (MANOEUVRES, MANOEUVRES))
+    assert free[foresight.chosen(look, worst_first, 0.0)].all()
+    all_meet = look.foreseen.copy()
+    all_meet[..., LASTS] = np.minimum(np.linspace(0.1, 0.9, MANOEUVRES), 0.8)
+    chosen = foresight.chosen(replace(look, foreseen=all_meet), np.tile(-np.arange(24.0), (MANOEUVRES, 1)), 0.0)
+    assert (all_meet[0, chosen, LASTS] == 0.8).all()
+
+
+@pytest.mark.parametrize(("side", "slower"), [(0.04, True), (0.6, False)])
+def test_near_something_thin_it_drives_slowly(vehicle, side, slower):
+    """Where rays meet one thin thing, they may miss another."""
+    x, y = World.load("paper").start
+    navigation, foresight, look = set_out(vehicle, [(x + 0.2, y + 2.2, side, side)])
+    for caution, expected in ((0.0, False), (SearchOptions().caution, slower)):
+        scores, _ = foresight.searched(look, navigation.observation, SearchOptions(caution=caution))
+        assert (scores[0].argmax() >= STOP) == expected

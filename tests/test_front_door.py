@@ -420,7 +420,7 @@ def test_a_recording_is_saved_loaded_and_drawn(here: Path) -> None:
     recording.save("drive.npz")
     assert nb.Recording.load("drive.npz").summary == recording.summary
     recording.plot("drive.png")
-    recording.render("drive.gif", size=(160, 90), fps=5, end=1.0, renderer="tiny")
+    recording.render("drive.gif", size=(160, 90), fps=5, end=1.0, renderer="raster")
     assert (Path("drive.png").read_bytes()[:4], Path("drive.gif").read_bytes()[:3]) == (b"\x89PNG", b"GIF")
     with pytest.raises(nb.UserError, match="fps: must be between 1 and 240"):
         recording.render("drive.mp4", fps=0)

@@ -339,7 +339,7 @@ class TestPictures:
                 pass
             shown = env.render().astype(int)
         nb.drive("straight", world="cover_20", seed=seed, simulator="kinematic").save(tmp_path / "drive.npz")
-        film = studio_of(Film(tmp_path / "drive.npz", "top", *SIZE, "tiny"))
+        film = studio_of(Film(tmp_path / "drive.npz", "top", *SIZE, "raster"))
         drawn = film.frame(Timeline(nb.Recording.load(tmp_path / "drive.npz")).duration).astype(int)
         title = (slice(0, 60), slice(0, 160))  # says another policy
         shown[title] = drawn[title] = 0

@@ -26,7 +26,10 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 
 Cli = Callable[..., tuple[int, str, str]]
 
-DRIVES = {"train": (), "drive": (), "evaluate": ("straight",), "gap": ("straight",), "ablate": (), "render": ("vfh",)}
+DRIVES = {
+    **{"train": (), "drive": (), "evaluate": ("straight",), "gap": ("straight",), "barn": ("BARN", "straight")},
+    **{"ablate": (), "render": ("vfh",)},
+}
 """Verbs that drive, and arguments without which they are not called."""
 GIVEN = {
     "--robot tricycle": {"robot": "tricycle"},

@@ -29,17 +29,17 @@ from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
 from nnql_bullet.render.film import Film, frame_times, frames, studio_of
 from nnql_bullet.render.painter import Painter, tint
-from nnql_bullet.render.renderers import best_renderer
+from nnql_bullet.render.raster import RasterRenderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
-from nnql_bullet.render.solids import BulletRenderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import write_pictures, write_video
+from nnql_bullet.render.window import Window
 from nnql_bullet.rollout import run_episode
 from nnql_bullet.run_config import RunConfig
-from nnql_bullet.sim.bullet import bullet
-from nnql_bullet.sim.bullet_scene import BulletScene, _one_visual_per_link
+from nnql_bullet.sim.bullet import bullet, load_text
+from nnql_bullet.sim.bullet_scene import _one_visual_per_link
+from nnql_bullet.sim.c_library import silenced
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.sim.scene_trial import works
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import deck_load, loaded
@@ -47,8 +47,6 @@ from nnql_bullet.vehicle.spec import VehicleSpec
 from nnql_bullet.worlds.spec import Patrol, WorldSpec
 
 SIZE = 320, 180
-NEEDS_EGL = pytest.mark.skipif(not works("egl"), reason="EGL is not installed (Debian: libegl1)")
-RENDERERS = ["tiny", pytest.param("egl", marks=NEEDS_EGL)]
 Run = Callable[..., tuple[int, str, str]]
 
 
@@ -89,19 +87,6 @@ def circles(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> Recordi
     patrol = Patrol(OrientedBox(10.0, 30.0, 0.5, 0.5), (30.0, 30.0), 1.0, 0.25)
     world = world_of(side=40.0, start=Pose(20.0, 15.0, 3.0), target=(3.0, 36.0))
     return record(vehicle, replace(world, patrols=(patrol,)), 2, max_steps=20)
-
-
-@pytest.fixture
-def renderer_of() -> Iterator[Callable[..., BulletRenderer]]:
-    made: list[BulletRenderer] = []
-
-    def make(recording: Recording, kind: str) -> BulletRenderer:
-        made.append(BulletRenderer(recording, kind))  # type: ignore[arg-type]
-        return made[-1]
-
-    yield make
-    for renderer in made:
-        renderer.close()
 
 
 def camera_over(x: float, y: float, up: float = 20.0) -> Camera:
@@ -189,12 +174,9 @@ def test_every_camera_keeps_the_vehicle_in_the_picture(name: str, circles: Recor
 # Solid things
 
 
-@pytest.mark.parametrize("kind", RENDERERS)
-def test_the_vehicle_is_drawn_where_its_pose_says(
-    kind: str, circles: Recording, renderer_of: Callable[..., BulletRenderer]
-) -> None:
+def test_the_vehicle_is_drawn_where_its_pose_says(circles: Recording) -> None:
     """From above it covers the union of its footprint and of its wheels, which stick out."""
-    timeline, renderer = Timeline(circles), renderer_of(circles, kind)
+    timeline, renderer = Timeline(circles), RasterRenderer(circles)
     for time in (0.0, 2.2, 6.1):
         moment = timeline.at(time)
         camera = camera_over(moment.pose.x, moment.pose.y, 6.0)
@@ -207,31 +189,44 @@ def test_the_vehicle_is_drawn_where_its_pose_says(
         assert (left.min(), left.max()) == (pytest.approx(-0.325, abs=0.06), pytest.approx(0.325, abs=0.06))
 
 
-def test_the_engine_says_that_those_pixels_are_the_vehicle(
-    circles: Recording, renderer_of: Callable[..., BulletRenderer]
-) -> None:
-    """Its segmentation mask against the depths that pictures are made of."""
-    timeline, renderer = Timeline(circles), renderer_of(circles, "tiny")
-    moment = timeline.at(2.2)
-    camera = camera_over(moment.pose.x, moment.pose.y, 12.0)
-    solids = renderer.draw(moment, camera)
-    view, lens = camera.view.T.ravel().tolist(), camera.projection.T.ravel().tolist()
-    client = renderer.scene.client
-    _, _, _, _, mask = bullet.getCameraImage(
-        *SIZE, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client
-    )
-    bodies = np.reshape(mask, SIZE[::-1])
-    vehicle = bullet.getNumBodies(client) - 1
-    assert ((bodies == vehicle) == (solids.depths < 1.0)).all()
-    assert (bodies == vehicle).sum() > 250
+@pytest.mark.parametrize("name", ["chase", "orbit"])
+def test_pybullet_sees_the_same_bodies(name: str, drive: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its window's scene by TinyRenderer: which pixels are of a box or of the vehicle, and their depths."""
+    monkeypatch.setattr(bullet, "GUI", bullet.DIRECT)
+    window, timeline = Window(drive), Timeline(drive)
+    client = window._scene.client
+    bodies = len(drive.obstacles) + len(drive.world.walls) + 1  # then come the ground and the target
+    for time in (1.0, 6.0):
+        moment = timeline.at(time)
+        camera = PATHS[name](timeline, *SIZE)(moment)
+        window.show(time)
+        view, lens = camera.view.T.ravel().tolist(), camera.projection.T.ravel().tolist()
+        tiny = bullet.getCameraImage(*SIZE, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client)
+        theirs, mask = (np.reshape(tiny[k], SIZE[::-1]) for k in (3, 4))
+        ours = RasterRenderer(drive).draw(moment, camera).depths
+        solid = (mask >= 0) & (mask < bodies)
+        edges = (mask != np.roll(mask, 1, axis=0)) | (mask != np.roll(mask, 1, axis=1))
+        assert np.sum(solid != (ours < 1.0)) < 0.7 * np.sum(edges)
+        both = solid & (ours < 1.0)
+        assert both.sum() > 1000
+        assert np.quantile(np.abs(theirs - ours)[both], 0.9) < 5e-3  # half a pixel apart
+    window.close()
 
 
-@pytest.mark.parametrize("kind", RENDERERS)
-def test_depths_lead_back_to_the_surfaces(
-    kind: str, drive: Recording, renderer_of: Callable[..., BulletRenderer]
-) -> None:
+def test_triangles_that_meet_leave_no_gap_and_nothing_is_lost_beside_the_camera(drive: Recording) -> None:
+    """Between two walls of the arena, close to one of them, the whole lower part of the picture is a wall."""
+    wall = max(drive.world.walls, key=lambda wall: wall.x)
+    eye = wall.x - wall.half_length - wall.half_width - 0.5, 20.0, 0.5
+    camera = Camera(eye, (wall.x, 22.0, 0.5), radians(60), *SIZE, near=0.05, far=100.0)
+    solids = RasterRenderer(drive).draw(Timeline(drive).at(0.0), camera)
+    assert (solids.depths[SIZE[1] // 2, :] < 1.0).all()
+    rows = np.flatnonzero(solids.depths[:, SIZE[0] // 2] < 1.0)
+    assert (np.diff(rows) == 1).all()
+
+
+def test_depths_lead_back_to_the_surfaces(drive: Recording) -> None:
     """Every pixel of a solid thing is, in the world, on a box or on the vehicle."""
-    timeline, renderer = Timeline(drive), renderer_of(drive, kind)
+    timeline, renderer = Timeline(drive), RasterRenderer(drive)
     moment = timeline.at(3.0)
     camera = PATHS["chase"](timeline, *SIZE)(moment)
     depths, eye = renderer.draw(moment, camera).depths.astype(np.float64), shading.eye_of(camera)
@@ -251,34 +246,13 @@ def test_depths_lead_back_to_the_surfaces(
     assert (np.array(off) < 0.02 + 3 * pixel[::37]).all()
 
 
-@NEEDS_EGL
-def test_pictures_look_alike_by_either_renderer(drive: Recording, renderer_of: Callable[..., BulletRenderer]) -> None:
-    timeline = Timeline(drive)
-    moment = timeline.at(3.0)
-    camera = PATHS["chase"](timeline, *SIZE)(moment)
-    tiny, egl = (
-        Painter(timeline, renderer_of(drive, kind)).paint(moment, camera)[0].astype(int) for kind in ("tiny", "egl")
-    )
-    assert np.abs(tiny - egl).mean() < 2.0
-    assert np.quantile(np.abs(tiny - egl), 0.95) <= 12
-
-
-@pytest.mark.parametrize(("egl", "small", "large"), [(True, "tiny", "egl"), (False, "tiny", "tiny")])
-def test_the_best_renderer_depends_on_what_works_and_on_the_size(
-    egl: bool, small: str, large: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("nnql_bullet.render.renderers.works", lambda kind: egl)
-    assert (best_renderer(640, 360), best_renderer(1280, 720)) == (small, large)
-
-
 def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
     world = world_of(side=40.0, start=Pose(5.0, 10.0, 0.0), target=(36.0, 36.0))
     nearest = []
     for carried in (vehicle, loaded(vehicle, deck_load(vehicle, 40.0))):
         recording = record(carried, world, 0, max_steps=2)
-        renderer = BulletRenderer(recording, "tiny")
+        renderer = RasterRenderer(recording)
         depths = renderer.draw(Timeline(recording).at(0.0), camera_over(5.35, 10.0, 6.0)).depths
-        renderer.close()
         nearest.append(2 * 1.0 * 11.0 / (12.0 - (2 * depths.min() - 1) * 10.0))
     mast, cube = 6.0 - np.array(nearest)
     assert (mast, cube) == (pytest.approx(0.635, abs=0.005), pytest.approx(0.75, abs=0.005))
@@ -288,7 +262,7 @@ def test_a_recording_without_the_look_of_the_vehicle_is_refused(drive: Recording
     about = {**drive.about, "vehicle": {k: v for k, v in drive.about["vehicle"].items() if k != "urdf"}}
     old = replace(drive, about=about)
     with pytest.raises(UserError, match="record it again"):
-        BulletRenderer(old, "tiny")
+        RasterRenderer(old)
 
 
 # Ground and light
@@ -318,12 +292,9 @@ def test_a_line_of_the_path_covers_its_area() -> None:
     assert area == pytest.approx(np.hypot(3.0, 2.0) * 0.2 + pi * 0.1**2, rel=0.03)
 
 
-@pytest.mark.parametrize("kind", RENDERERS)
-def test_the_ground_shows_target_path_and_sectors_at_their_places(
-    kind: str, circles: Recording, renderer_of: Callable[..., BulletRenderer]
-) -> None:
+def test_the_ground_shows_target_path_and_sectors_at_their_places(circles: Recording) -> None:
     timeline = Timeline(circles)
-    painter = Painter(timeline, renderer_of(circles, kind))
+    painter = Painter(timeline, RasterRenderer(circles))
     moment = timeline.at(5.0)  # round once in 4 s: opposite to where it was at 3 s
 
     def colour_at(x: float, y: float) -> NDArray[np.int64]:
@@ -351,11 +322,11 @@ def test_tints_go_from_red_over_yellow_to_green() -> None:
     assert np.abs(np.diff(steps, axis=0)).max() < 1.0  # without a jump
 
 
-def test_a_film_may_go_back_in_time(drive: Recording, renderer_of: Callable[..., BulletRenderer]) -> None:
+def test_a_film_may_go_back_in_time(drive: Recording) -> None:
     """What is painted depends on the instant alone, not on what was painted before."""
     timeline = Timeline(drive)
     path = PATHS["top"](timeline, *SIZE)
-    first, second = (Painter(timeline, renderer_of(drive, "tiny")) for _ in range(2))
+    first, second = (Painter(timeline, RasterRenderer(drive)) for _ in range(2))
     for time in (6.0, 2.0):
         painted, _ = first.paint(timeline.at(time), path(timeline.at(time)))
     fresh, _ = second.paint(timeline.at(2.0), path(timeline.at(2.0)))
@@ -371,7 +342,7 @@ def has(picture: NDArray[np.uint8], colour: str) -> int:
 
 
 def test_the_overlay_tells_values_states_and_the_ending(drive_file: Path) -> None:
-    studio = studio_of(Film(drive_file, "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(drive_file, "chase", 640, 360, "raster"))
     recording = load_recording(drive_file)
     asked = int(np.flatnonzero(np.isfinite(recording.q_values).all(axis=1))[0])
     before, during = studio.frame(0.1), studio.frame(float(recording.state_time[asked]) + 0.2)
@@ -389,7 +360,7 @@ def test_the_overlay_tells_values_states_and_the_ending(drive_file: Path) -> Non
 
 
 def test_readings_are_not_written_over_what_hides_their_place(drive_file: Path) -> None:
-    studio = studio_of(Film(drive_file, "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(drive_file, "chase", 640, 360, "raster"))
     timeline = Timeline(load_recording(drive_file))
     moment = timeline.at(timeline.duration)
     camera = PATHS["chase"](timeline, 640, 360)(moment)
@@ -406,7 +377,7 @@ def test_a_sensor_off_the_middle_is_where_it_is(
     ahead, left, yaw = 1.0, 2.5, drive.state_pose[0, 2]
     vehicle = {**drive.about["vehicle"], "sensor": [ahead, left, 0.4]}
     replace(drive, about={**drive.about, "vehicle": vehicle}).save(tmp_path / "aside.npz")
-    studio = studio_of(Film(tmp_path / "aside.npz", "chase", 640, 360, "tiny"))
+    studio = studio_of(Film(tmp_path / "aside.npz", "chase", 640, 360, "raster"))
     moment = studio._timeline.at(0.0)
     sensor = drive.state_pose[0, :2] + (ahead * cos(yaw) - left * sin(yaw), ahead * sin(yaw) + left * cos(yaw))
     assert studio._painter._ground(moment).scan == pytest.approx((*sensor, yaw))
@@ -441,7 +412,7 @@ def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
     drive.save(alone)
     decided = np.arange(len(drive.action)) >= 4
     replace(drive, overridden=decided, action=np.where(decided, drive.action + STOP, drive.action)).save(overridden)
-    one, other = (studio_of(Film(path, "chase", 640, 360, "tiny")) for path in (alone, overridden))
+    one, other = (studio_of(Film(path, "chase", 640, 360, "raster")) for path in (alone, overridden))
     assert (one.frame(1.9) == other.frame(1.9)).all()
     rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
     assert rows.min() > 200
@@ -460,7 +431,7 @@ def test_a_film_has_as_many_frames_as_time_and_speed_say(speed: float, count: in
 
 
 def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    film, times = Film(drive_file, "split", 160, 90, "tiny"), frame_times(0.0, 3.0, 10.0, 1.0, hold=0.2)
+    film, times = Film(drive_file, "split", 160, 90, "raster"), frame_times(0.0, 3.0, 10.0, 1.0, hold=0.2)
     monkeypatch.setattr("nnql_bullet.render.film.PIECE", 4 * 160 * 90 * 3)
     alone = np.stack(list(frames(film, times, InlineExecutor())))
     shared = np.stack(list(frames(film, times, ProcessExecutor(2))))
@@ -471,7 +442,7 @@ def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkey
 
 
 def test_frames_that_cannot_be_drawn_are_told(tmp_path: Path) -> None:
-    film = Film(tmp_path / "gone.npz", "chase", 160, 90, "tiny")
+    film = Film(tmp_path / "gone.npz", "chase", 160, 90, "raster")
     with pytest.raises(WorkFailed, match=r"frame 1: .*gone\.npz"):
         list(frames(film, [0.0], InlineExecutor()))
 
@@ -558,7 +529,7 @@ def test_a_sheet_shows_start_end_and_the_closest_passes(drive: Recording) -> Non
 
 
 def test_render_leaves_a_whole_video(run_cli: Run, drive_file: Path, tmp_path: Path) -> None:
-    options = "--size", "160x90", "--fps", "10", "--end", "2", "--renderer", "tiny", "--workers", "1"
+    options = "--size", "160x90", "--fps", "10", "--end", "2", "--renderer", "raster", "--workers", "1"
     code, out, err = run_cli("render", drive_file, *options, "--out", tmp_path / "a.mp4", "--sheet", tmp_path / "s.png")
     assert (code, out) == (0, f"video: {tmp_path / 'a.mp4'}\nsheet: {tmp_path / 's.png'}\n")
     assert "36/36" in err
@@ -567,7 +538,7 @@ def test_render_leaves_a_whole_video(run_cli: Run, drive_file: Path, tmp_path: P
 
 
 def test_frames_alone_make_no_video(run_cli: Run, drive_file: Path, tmp_path: Path) -> None:
-    options = "--size", "160x90", "--fps", "2", "--end", "1", "--renderer", "tiny", "--workers", "1"
+    options = "--size", "160x90", "--fps", "2", "--end", "1", "--renderer", "raster", "--workers", "1"
     before = set(drive_file.parent.iterdir())
     code, out, _ = run_cli("render", drive_file, *options, "--frames", tmp_path / "f")
     assert (code, out) == (0, f"frames: {tmp_path / 'f'}\n")
@@ -579,7 +550,7 @@ def test_a_policy_is_driven_first(
     run_cli: Run, tmp_path: Path, small_world: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    options = "--size", "64x64", "--fps", "1", "--speed", "10", "--renderer", "tiny", "--workers", "1"
+    options = "--size", "64x64", "--fps", "1", "--speed", "10", "--renderer", "raster", "--workers", "1"
     code, out, _ = run_cli("render", "hand_rule", "--world", small_world, "--seed", 3, *options)
     folder = Path("runs/hand_rule/drives/small-3")
     assert (code, out) == (0, f"video: {folder / 'trajectory.mp4'}\n")
@@ -686,15 +657,16 @@ def test_the_window_gives_every_part_of_the_vehicle_its_colour(vehicle: VehicleS
     """A link for every visual shape, where it was: the picture is the same as of the robot as it is."""
     text = vehicle.urdf.read_text()
     split = _one_visual_per_link(text)
+    camera = Camera((2.0, -1.5, 1.5), (0.3, 0.0, 0.1), radians(40), *SIZE, near=0.5, far=10.0)
+    view, lens = camera.view.T.ravel().tolist(), camera.projection.T.ravel().tolist()
     pictures = []
     for urdf in (text, split):
-        scene = BulletScene("tiny")
-        body, joints = scene.add_robot(urdf)
-        scene.place(body, 0.0, 0.0, 0.125, 0.3)
-        scene.turn(body, joints["swivel"], 0.5)
-        camera = Camera((2.0, -1.5, 1.5), (0.3, 0.0, 0.1), radians(40), *SIZE, near=0.5, far=10.0)
-        pictures.append(scene.picture(camera.view, camera.projection, *SIZE)[:2])
-        scene.close()
+        client = bullet.connect(bullet.DIRECT)
+        with silenced():
+            load_text(urdf, client, useFixedBase=True)
+        tiny = bullet.getCameraImage(*SIZE, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client)
+        pictures.append([np.asarray(part, np.float64) for part in tiny[2:4]])
+        bullet.disconnect(client)
     assert (pictures[0][0] == pictures[1][0]).all()
     assert np.allclose(pictures[0][1], pictures[1][1], atol=1e-6)
     assert split.count("<link") == split.count("<visual") > 10

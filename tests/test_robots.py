@@ -382,11 +382,12 @@ def test_the_pose_is_that_of_the_axle_however_the_inertia_lies(
     held.close()
 
 
-def test_a_vehicle_is_drawn_at_its_pose_however_its_inertia_lies(robot: Write) -> None:
+def test_a_vehicle_is_drawn_at_its_pose_however_its_inertia_lies(robot: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     vehicle = load_vehicle(
         robot([('ixx="2.76577" ixy="0"', 'ixx="2.76577" ixy="0.5"'), (COM, COM.replace("12 0", "12 0.01"))])
     )
-    scene = BulletScene("tiny")
+    monkeypatch.setattr(bullet, "GUI", bullet.DIRECT)
+    scene = BulletScene()
     body, joints = scene.add_robot(urdf_text(vehicle))
     scene.place(body, 3.0, 4.0, 0.125, 0.7)
     left = LinkState(

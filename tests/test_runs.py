@@ -31,7 +31,7 @@ UNDER_WAY = "under_way/"
 """What begins like this in a checkpoint is not learned: it says where a training has come to."""
 
 FILES = {"checkpoint.safetensors", "config.toml", "episodes.csv", "learning_curve.png", "policy.safetensors"}
-FILES |= {"README.md", "sources.json"}  # the second as the world is a file
+FILES |= {"README.md", "made_by.json", "sources.json"}  # the second as the world is a file
 
 
 def weights(folder: Path, name: str = "checkpoint.safetensors") -> dict[str, NDArray[np.float64]]:

@@ -25,7 +25,7 @@ def scanned(*discs: Circle) -> RecentScans:
 
 
 def free(scans: RecentScans, x: float, y: float, width: float) -> bool:
-    return bool(shown_free(x, y, 0.0, 0.0, 0.0, width / 2, scans, 0, SENSOR, FIRST))
+    return bool(shown_free(x, y, 0.0, 0.0, 0.0, width / 2, scans, 0, len(scans.rays), SENSOR, FIRST))
 
 
 def met_by_any_ray(x: float, y: float, width: float) -> bool:

@@ -1,4 +1,4 @@
-"""The velocities of what two scans show: against boxes that are moved by a known velocity."""
+"""The velocities of what three scans show: against boxes that are moved by a known velocity."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ PERIOD, FASTEST, RANGE = 0.5, 1.2, 10.0
 def found(speed, direction, moved, away=3.0):
     """What is found of a box ahead, in the fixed frame, and how many points move, beside one that stands."""
     angles = VehicleSpec.load("tricycle").sensor.angles
-    poses, scans = np.stack([np.zeros(3), moved]), []
-    for k in range(2):
+    poses, scans = np.stack([np.zeros(3), moved / 2, moved]), []
+    for k in range(3):
         way = k * PERIOD * speed
         box = OrientedBox(away + way * np.cos(direction), way * np.sin(direction), 0.6, 0.6, direction)
         shapes = as_rows((box, OrientedBox(-3.0, 0.0, 0.6, 0.6, 0.3)))
-        scans.append(ray_distances((poses[k, 0], poses[k, 1]), poses[k, 2] + angles, shapes, RANGE)[None])
-    place, before = poses[1:], poses[:1]
-    v = velocities(scans[1], scans[0], place, before, np.zeros(2), angles, RANGE, PERIOD, FASTEST, 1.0)[0]
+        scans.append(ray_distances((poses[k, 0], poses[k, 1]), poses[k, 2] + angles, shapes, RANGE))
+    now, before = scans[2][None], np.stack(scans[1::-1])[None]
+    v = velocities(now, before, poses[None, 2], poses[None, 1::-1], np.zeros(2), angles, RANGE, PERIOD, FASTEST, 1.0)[0]
     c, s = np.cos(moved[2]), np.sin(moved[2])
     v = v @ np.array([[c, s], [-s, c]])
     ahead = np.cos(moved[2] + angles) > 0.0
@@ -30,11 +30,12 @@ def found(speed, direction, moved, away=3.0):
 
 @pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (0.5, 0.1, 0.4)])
 @pytest.mark.parametrize("speed", [0.6, 1.0])
-def test_an_obstacle_that_comes_nearer_has_its_velocity(speed, moved):
-    v = found(speed, np.pi, np.array(moved))
+@pytest.mark.parametrize("direction", [np.pi, np.pi / 2, -2.0, 0.3], ids=["comes", "crosses", "nears", "leaves"])
+def test_an_obstacle_that_moves_has_its_velocity(direction, speed, moved):
+    v = found(speed, direction, np.array(moved))
     assert len(v) > 2
     assert (v == v[0]).all()
-    assert v[0] == pytest.approx([-speed, 0.0], abs=0.25)
+    assert v[0] == pytest.approx([speed * np.cos(direction), speed * np.sin(direction)], abs=0.3)
 
 
 @pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (0.5, 0.1, 0.4)])

@@ -25,8 +25,8 @@ from nnql_bullet.mapping import body_map, foresight
 from nnql_bullet.mapping.body_map import FARTHER, SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
-from nnql_bullet.mapping.search import searched
-from nnql_bullet.mapping.velocities import velocities
+from nnql_bullet.mapping.search import KEPT, searched
+from nnql_bullet.mapping.velocities import PAST, velocities
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.types import Bytes, NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -44,13 +44,11 @@ TRAIL = 32
 """Decisions for which a vehicle remembers its poses."""
 FASTEST = 0.6
 """Largest speed of an obstacle, over the drive's."""
-MOST_PROGRESS = 2.0
-"""Upper bound on the progress of one decision, over the length scale [m]. More is new knowledge of the map."""
 MIRRORED_MANOEUVRES = (np.arange(0, MANOEUVRES, ACTIONS)[:, None] + MIRRORED_ACTIONS).ravel()
 """The mirror image of each manoeuvre (24,)."""
 PHI = COLUMNS + 1
 """Numbers about each manoeuvre: what is foreseen of it, and its turn."""
-CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 8
+CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 9
 """Numbers about the vehicle and its surroundings."""
 WIDTH = CONTEXT + MANOEUVRES * PHI
 _ODD = 2
@@ -78,6 +76,11 @@ class SearchOptions:
     """What it is worth to keep to the plan [m]."""
     room_weight: NonNegative = 1.0
     """Length of way that each metre of clearance is worth that lacks, at every manoeuvre."""
+    haste: NonNegative = 1.5
+    """What the drive's speed costs where there is no clearance at all, at every manoeuvre, as a share of the way that
+    it covers; half the speed costs a quarter."""
+    caution: NonNegative = 1.3
+    """The same near something thin, whatever the clearance: there may be more that the rays miss."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +101,8 @@ class Memory:
     """Cells of the maps (n, SIDE, SIDE)."""
     offsets: body_map.Offsets
     """Places of points in their cells (n, SIDE, SIDE, 2)."""
-    rays: Array
-    """The last scans (n, rays) [m]."""
+    scans: Array
+    """The last scans, the newest first (n, PAST, rays) [m]; NaN for a ray that tells nothing, and for no scan."""
     planned: NDArray[np.int64]
     """Manoeuvres that were to come next; -1 for none (n,)."""
     frames: Bytes
@@ -112,20 +115,19 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """The memory of vehicles with their present observation entered, and what they foresee."""
+    """The memory of vehicles with their present observation entered, and what is known of the ways."""
 
     memory: Memory
-    progress: Array
-    """Distance by which the last decision shortened the way to the target (n,) [m]."""
-    foreseen: Array
-    """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS)."""
-
     moving: Array
     """Velocities of the points of the scans in the vehicle frame (n, seen rays, 2) [m/s]."""
-    targets: Array
-    """Places of the targets, in the frame of the maps (n, 2) [m]."""
+    factors: body_map.Lengths
+    """Cost factors of the maps, see `body_map.ways_to` (n, SIDE, SIDE)."""
+    left: body_map.Lengths
+    """Costs of the ways to the targets likewise (n, SIDE, SIDE)."""
     turns: Array
     """Heading changes of the manoeuvres (n, 24) [rad]."""
+    foreseen: Array | None = None
+    """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS); None where no network is to see it."""
 
     @property
     def stacked(self) -> Bytes:
@@ -162,7 +164,7 @@ class Foresight:
         parts = [
             *(k * SECTORS + mirrored_rays(SECTORS) for k in range(SCANS)),
             *(SCANS * SECTORS + k * BEARINGS + mirrored_directions(BEARINGS) for k in range(3)),
-            np.arange(CONTEXT - 8, CONTEXT),
+            np.arange(CONTEXT - 9, CONTEXT),
             CONTEXT + (MIRRORED_MANOEUVRES[:, None] * PHI + np.arange(PHI)).ravel(),
         ]
         self._mirrored = np.concatenate(parts)
@@ -180,18 +182,17 @@ class Foresight:
             corners=np.zeros((size, 2), np.int64),
             cells=np.zeros((size, SIDE, SIDE), np.int8),
             offsets=np.zeros((size, SIDE, SIDE, 2), np.uint8),
-            rays=np.zeros((size, self._sensor.rays)),
+            scans=np.full((size, PAST, self._sensor.rays), np.nan),
             planned=np.full(size, -1),
             frames=np.zeros((size, WIDTH), np.uint8),
         )
 
     def look(self, memory: Memory, observations: Observation) -> Look:
-        """Enters the observations of n vehicles into a copy of their memory, and looks ahead."""
+        """Enters the observations of n vehicles into a copy of their memory."""
         o, new, mover = observations, memory.age == 0, self._mover
         first = first_poses(o.landmark_distance, o.landmark_bearing)
         later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
         poses = np.where(new[:, None], first, later)
-        before = np.where(new[:, None], poses, memory.poses)
         trails = np.where(new[:, None, None], np.inf, np.roll(memory.trails, 1, axis=1))
         trails[:, 0] = poses
         corners, cells, offsets = memory.corners.copy(), memory.cells.copy(), memory.offsets.copy()
@@ -200,20 +201,16 @@ class Foresight:
         body_map.add_scans(
             cells, offsets, corners, poses, rays, mover.sensor, mover.angles, mover.sensor_range, mover.cell
         )
-        scans = np.where(self._sensor.seen, o.ray_distances, np.nan)
-        scans_before = np.where(self._sensor.seen & ~new[:, None], memory.rays, np.nan)
+        scan = np.where(self._sensor.seen, o.ray_distances, np.nan)
+        scans = np.where(new[:, None, None], np.nan, memory.scans)
         moving = velocities(
-            *(scans, scans_before, poses, before),
+            *(scan, scans, poses, memory.trails[:, :PAST]),
             *(mover.sensor, self._sensor.angles, mover.sensor_range, mover.period),
             *(FASTEST * self._drive.speed, self._scale),
         )[:, self._seen]
         targets = places_of(poses, o.target_distance, o.target_bearing)
         turns = heading_change(np.arange(MANOEUVRES), o.target_bearing[:, None])
-        foreseen, around, ways, progress = foresee(
-            *(cells, offsets, corners, poses, before[:, :2], targets, rays, moving),
-            *(o.speed, o.yaw_rate, turns, self._goals, mover),
-        )
-        frame = self._frame(o, memory, new, foreseen, around, ways, turns)
+        factors, left = body_map.ways_to(cells, offsets, corners, poses, targets, mover.cell)
         seen = replace(
             memory,
             planned=np.where(new, -1, memory.planned),
@@ -222,18 +219,27 @@ class Foresight:
             corners=corners,
             cells=cells,
             offsets=offsets,
-            rays=o.ray_distances,
-            frames=frame,
+            scans=np.concatenate([scan[:, None], scans[:, :-1]], axis=1),
         )
-        most = MOST_PROGRESS * self._scale
-        return Look(seen, np.clip(progress, -most, most) / self._scale, foreseen, moving, targets, turns)
+        return Look(seen, moving, factors, left, turns)
+
+    def ahead(self, look: Look, observations: Observation) -> Look:
+        """Returns a look with what a network sees: what is foreseen of every manoeuvre, and the surroundings."""
+        o, m = observations, look.memory
+        rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
+        foreseen, around, ways, thin = foresee(
+            *(m.cells, m.offsets, m.corners, m.poses, m.trails, look.factors, look.left, rays, look.moving),
+            *(o.speed, o.yaw_rate, look.turns, self._goals, self._mover),
+        )
+        frames = self._frame(o, m, m.age == 0, foreseen, around, ways, thin, look.turns)
+        return replace(look, memory=replace(m, frames=frames), foreseen=foreseen)
 
     def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
         """Scores the manoeuvres by a search over several in a row (n, 24) [m]; says what follows the best (n,).
 
         What is planned to follow the last manoeuvre has an advantage, without which plans take turns.
         """
-        m, scale = look.memory, self._scale
+        m, scale, pace = look.memory, self._scale, self._drive.speed * self._drive.decision_period
         rays = np.ascontiguousarray(observations.ray_distances[:, self._seen])
         scores, then = searched(
             m.cells,
@@ -241,7 +247,8 @@ class Foresight:
             m.corners,
             m.poses,
             m.trails,
-            look.targets,
+            look.factors,
+            look.left,
             rays,
             look.moving,
             observations.speed,
@@ -253,12 +260,32 @@ class Foresight:
             o.depth,
             o.width,
             o.room * scale,
+            o.room * max(scale, pace),
             o.room_weight,
+            o.haste * pace / self._drive.speed**2,
+            o.caution * pace / self._drive.speed**2,
             o.margin * scale,
             o.constancy * scale,
             self._mover,
         )
         return scores / scale, then
+
+    def chosen(self, look: Look, values: Array, margin: float) -> NDArray[np.int64]:
+        """The best manoeuvres by values (n, 24), of those that meet nothing; if all do, the one that does so last (n,).
+
+        Args:
+            look: What is foreseen.
+            values: Their values.
+            margin: Clearance below which a manoeuvre is a last resort, over the length scale [m].
+        """
+        if look.foreseen is None:
+            raise ValueError("nothing is foreseen: ask `ahead` first")
+        clear = look.foreseen[..., foresight.ROOM : foresight.STOP_ROOM + 1].min(axis=-1)
+        least = np.minimum(margin * self._scale, KEPT * clear.max(axis=-1))
+        lasts = look.foreseen[..., foresight.LASTS]
+        meets = (lasts < 1.0) | (clear < least[:, None])
+        worst = np.ptp(values) + 1.0
+        return np.asarray(np.where(meets, values - worst * (2.0 + 100.0 * (1.0 - lasts)), values).argmax(axis=-1))
 
     def after(
         self,
@@ -290,6 +317,7 @@ class Foresight:
         foreseen: Array,
         around: Array,
         ways: Array,
+        thin: NDArray[np.bool_],
         turns: Array,
     ) -> Bytes:
         """What a network sees (n, WIDTH)."""
@@ -308,6 +336,7 @@ class Foresight:
             2 * (ways - away) / (20.0 * scale) - 1,
             1 - 2 * away / (5.0 * scale),
             self._drive.speed / scale / 2 - 1,
+            np.where(thin, 1.0, -1.0),
             np.cos(o.target_bearing),
             np.sin(o.target_bearing),
             o.yaw_rate / limits.yaw_rate,
@@ -318,6 +347,7 @@ class Foresight:
         phi[..., foresight.LASTS] = 2 * phi[..., foresight.LASTS] - 1
         phi[..., foresight.WAY : foresight.WAY_AHEAD + 1] /= most
         phi[..., foresight.UNKNOWN] = 2 * phi[..., foresight.UNKNOWN] - 1
+        phi[..., foresight.VISITS] = 2 * phi[..., foresight.VISITS] / foresight.MOST_VISITS - 1
         phi[..., COLUMNS] /= np.pi / 3
         rest = [
             probes.reshape(n, -1),

@@ -8,7 +8,7 @@ from nnql_bullet.runs import PolicyLike, load_policy
 
 
 @checked
-def export(policy: PolicyLike, *, to: Form, out: Path | str | None = None) -> Export:
+def export(policy: PolicyLike, *, to: Form, with_shield: bool = False, out: Path | str | None = None) -> Export:
     """Exports a policy into a folder: artefact, observation contract, test vectors, example and README.
 
     Example:
@@ -19,14 +19,18 @@ def export(policy: PolicyLike, *, to: Form, out: Path | str | None = None) -> Ex
 
     Args:
         policy: A run folder, a policy file, the name of a shipped policy or of a rule, or what `load_policy` returned.
-        to: "c" is C99 that needs no library but math.h; "onnx" is a graph for ONNX Runtime.
+        to: "c" is C99 that needs no library but math.h; "onnx" is a graph for ONNX Runtime; "st" is Structured Text of
+            IEC 61131-3, plain and as PLCopen XML.
+        with_shield: Whether the policy is exported in its shield, or in the usual one if it has none; to C and
+            Structured Text. It does all that the shield does but lead the vehicle.
         out: Folder to write, which must be new or empty; by default runs/export/ and the policy's name.
 
     Raises:
         UserError: If the policy cannot be exported so, the folder has files in it, or a library is missing.
     """
     loaded = load_policy(policy)
-    return write_export(loaded, to, Path(out) if out is not None else default_folder(loaded.name, to))
+    folder = Path(out) if out is not None else default_folder(loaded.name, to)
+    return write_export(loaded, to, folder, with_shield)
 
 
 def default_folder(name: str, to: Form) -> Path:

@@ -14,9 +14,10 @@ def export(
     policy: Annotated[Path, tyro.conf.arg(metavar="POLICY")],
     /,
     to: Form,
+    with_shield: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
 ) -> int:
-    """Export a policy for another machine, as C99 or ONNX, with its contract and test vectors.
+    """Export a policy for another machine, as C99, ONNX or Structured Text, with its contract and test vectors.
 
     Writes a folder: the artefact, what goes in and out of it (JSON schema and tables), what it decided in recorded
     drives, an example and a README. A policy that cannot be exported so is refused.
@@ -25,11 +26,13 @@ def export(
 
         nnql-bullet export paper --to c --out paper-c
         nnql-bullet export runs/first --to onnx
+        nnql-bullet export paper --to st --with-shield
 
     Args:
         policy: What `drive` takes: a run folder, a policy file, a shipped policy, a rule.
-        to: C99 that needs no library but math.h, or a graph for ONNX Runtime.
+        to: C99 that needs no library but math.h, a graph for ONNX Runtime, or Structured Text of IEC 61131-3.
+        with_shield: Export it in its shield, or in the usual one, to C or Structured Text.
         out: Folder to write, new or empty; default runs/export and the policy's name.
     """
-    say(api.export(policy, to=to, out=out).text())
+    say(api.export(policy, to=to, with_shield=with_shield, out=out).text())
     return 0

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -33,7 +33,7 @@ def render(
     speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0,
     begin: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
     end: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
-    renderer: Literal["auto"] | RendererName = "auto",
+    renderer: RendererName = "raster",
     format: VideoFormat | None = None,
     frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     sheet: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None,
@@ -64,8 +64,8 @@ def render(
         speed: Factor by which the video is faster than the drive.
         begin: Where in the drive to begin [s].
         end: Where to end [s]; default with the drive.
-        renderer: auto takes egl where it works and pictures are large, else tiny. vtk is finer and much slower, for
-            papers; it needs the extra: pip install 'nnql-bullet[render]'.
+        renderer: vtk has finer light and shadows, for papers, and is much slower; it needs the extra:
+            pip install 'nnql-bullet[render]'.
         format: Default by the name given with --out, else mp4.
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
+from math import inf, nan
 from typing import Literal
 
 import numpy as np
@@ -16,14 +17,22 @@ import numpy as np
 from nnql_bullet.config import merged, parse, to_values
 from nnql_bullet.evaluation.parts import part_name
 from nnql_bullet.evaluation.splits import split_seeds
-from nnql_bullet.evaluation.statistics import Estimate, mean_interval, success_over_seeds
+from nnql_bullet.evaluation.statistics import (
+    LEVEL,
+    Estimate,
+    centre_interval,
+    detectable_effect,
+    holm,
+    least_seeds,
+    over_seeds,
+    sign_test,
+)
 from nnql_bullet.evaluation.studies import Factor, Study, Variant
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import RunConfig, SimulatorName, changed
-from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.sources import files_digest
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.training.selection import Candidates, finalists, keep, most_goals
@@ -31,7 +40,8 @@ from nnql_bullet.training.selection import Candidates, finalists, keep, most_goa
 CONTACT_VEHICLES = 8
 """Number of vehicles in a test in contact physics; it limits memory."""
 
-Verdict = Literal["default", "better", "worse", "undecided"]
+Verdict = Literal["default", "better", "worse", "undecided", "exploratory"]
+"""What a variant is beside the default; "exploratory" where too few seeds were trained for any verdict."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +67,7 @@ class AblationTask:
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
+        return part_name(__name__, "ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +139,20 @@ class Entry:
 
     factor: Factor
     variant: Variant
-    success: dict[str, Estimate | None]
-    """Inter-quartile mean of success over seeds in each tier, with its interval; None with a single seed."""
+    success: dict[str, Estimate]
+    """Inter-quartile mean of success over seeds in each tier, with its interval over seeds."""
     by_seed: dict[str, tuple[float, ...]]
     """Success of each training seed in each tier."""
     difference: Estimate
-    """Difference of success from the default, paired: mean over seeds and tiers, with a bootstrap interval."""
+    """Difference of success from the default, paired: mean over seeds and tiers, with its exact interval."""
     verdict: Verdict
+    p_value: float
+    """p of the exact paired test over seeds; NaN for the default."""
+    corrected: float
+    """That p after Holm's correction over the study; NaN for the default."""
+    detectable: float
+    """True difference that such a study would find in 80 % of repetitions, at the level of its strictest comparison;
+    infinite where it is too small for any verdict, NaN for the default."""
 
 
 def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Counts]]]) -> list[Entry]:
@@ -145,47 +162,55 @@ def entries(study: Study, results: Mapping[tuple[str, str], Sequence[Sequence[Co
         study: The study.
         results: Counts of each training seed in each tier, by the names of factor and variant.
     """
+    return compared(study, {place: _scores(trainings) for place, trainings in results.items()})
+
+
+def compared(study: Study, scores: Mapping[tuple[str, str], Array]) -> list[Entry]:
+    """Compares every variant of a study with the default of its factor.
+
+    Args:
+        study: The study.
+        scores: Success of each training seed in each tier (tiers, seeds), by the names of factor and variant.
+    """
+    pairs = [(factor, variant) for factor in study.factors for variant in factor.variants]
+    defaults = {factor.name: scores[factor.name, variant.label] for factor, variant in pairs if not variant.changes}
+    differences = [
+        (scores[factor.name, variant.label] - defaults[factor.name]).mean(axis=0) for factor, variant in pairs
+    ]
+    p_values = [
+        sign_test(its) if variant.changes else nan for (_, variant), its in zip(pairs, differences, strict=True)
+    ]
+    corrected = holm(p_values)
+    comparisons, seeds = len(pairs) - len(study.factors), len(differences[0])
+    enough = seeds >= least_seeds(comparisons)
+    effect = detectable_effect(seeds, LEVEL / comparisons) if enough else inf
     found = []
-    for factor in study.factors:
-        (default,) = [variant for variant in factor.variants if not variant.changes]
-        base = _scores(results[factor.name, default.label])
-        for variant in factor.variants:
-            scores = _scores(results[factor.name, variant.label])
-            difference = _difference(scores - base)
-            found.append(
-                Entry(
-                    factor=factor,
-                    variant=variant,
-                    success={
-                        world: success_over_seeds([row], rng(0, Stream.BOOTSTRAP))
-                        for world, row in zip(study.tiers, scores, strict=True)
-                    },
-                    by_seed={world: tuple(row.tolist()) for world, row in zip(study.tiers, scores, strict=True)},
-                    difference=difference,
-                    verdict=_verdict(variant is default, difference),
-                )
+    for (factor, variant), its, p_value, p in zip(pairs, differences, p_values, corrected, strict=True):
+        scored, value = dict(zip(study.tiers, scores[factor.name, variant.label], strict=True)), float(its.mean())
+        found.append(
+            Entry(
+                factor=factor,
+                variant=variant,
+                success={world: over_seeds(row) for world, row in scored.items()},
+                by_seed={world: tuple(row.tolist()) for world, row in scored.items()},
+                difference=Estimate(value, *centre_interval(its)) if variant.changes else Estimate(0.0, 0.0, 0.0),
+                verdict=_verdict(value, p, enough) if variant.changes else "default",
+                p_value=p_value,
+                corrected=p,
+                detectable=(effect * float(np.std(its, ddof=1)) if enough else inf) if variant.changes else nan,
             )
+        )
     return found
+
+
+def _verdict(difference: float, corrected: float, enough: bool) -> Verdict:
+    if not enough:
+        return "exploratory"
+    if corrected > LEVEL:
+        return "undecided"
+    return "better" if difference > 0 else "worse"
 
 
 def _scores(trainings: Sequence[Sequence[Counts]]) -> Array:
     """Computes the success of each training seed in each tier (tiers, seeds)."""
     return np.array([[t.goal / t.drives for t in its] for its in trainings]).T
-
-
-def _difference(differences: Array) -> Estimate:
-    """Estimates the mean of paired differences (tiers, seeds), with a bootstrap interval over seeds."""
-    by_seed = differences.mean(axis=0)
-    value = float(by_seed.mean())
-    if len(by_seed) < 2 or np.ptp(by_seed) == 0:
-        return Estimate(value, value, value)
-    low, high = mean_interval(by_seed, rng(0, Stream.BOOTSTRAP))
-    return Estimate(value, float(low), float(high))
-
-
-def _verdict(is_default: bool, difference: Estimate) -> Verdict:
-    if is_default:
-        return "default"
-    if difference.low > 0:
-        return "better"
-    return "worse" if difference.high < 0 else "undecided"

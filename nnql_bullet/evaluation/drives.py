@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from nnql_bullet import __version__, assets
+from nnql_bullet import assets
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.commands import flags
 from nnql_bullet.errors import UserError
@@ -19,6 +19,7 @@ from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, Draws, check_frozen, load_frozen
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file, real
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
 from nnql_bullet.runs import load_policy
@@ -278,7 +279,7 @@ class DriveTask(_BlockTask):
             *(["plan"] if setting.plan else []),
             *(its for its in setting.keys if its[0] != "robot"),
         )
-        return part_name("drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
+        return part_name(__name__, "drives", policy.fingerprint, *how, *where, *self.tier.part(self.first))
 
 
 def drive_tasks(policies: Sequence[Policy], tiers: Sequence[Tier], setting: Setting) -> list[DriveTask]:
@@ -323,7 +324,7 @@ class SurveyTask(_BlockTask):
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name("survey", self.policy.vehicle_width, *self.tier.part(self.first))
+        return part_name(__name__, "survey", self.policy.vehicle_width, *self.tier.part(self.first))
 
 
 def survey(task: SurveyTask) -> list[Difficulty]:
@@ -373,7 +374,7 @@ def film(task: FilmTask) -> Recording:
     run_episode(experiment.navigation, world, experiment.policy, watcher=recorder)
     config = experiment.config
     return recorder.recording(
-        policy=task.policy.name, simulator=config.simulator, physics=config.physics, version=__version__
+        policy=task.policy.name, simulator=config.simulator, physics=config.physics, made_by=made_by()
     )
 
 

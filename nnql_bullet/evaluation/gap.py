@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nnql_bullet import __version__
 from nnql_bullet.evaluation.causes import Explanation, apart, explain, parting
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import Draws
 from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode
 from nnql_bullet.run_config import Conditions, SimulatorName, asked_title
@@ -169,7 +169,7 @@ def _drive(experiment: Experiment, seed: int) -> tuple[EpisodeSummary, Recording
     recorder = Recorder(experiment.vehicle)
     summary = run_episode(experiment.navigation, experiment.world(seed), experiment.policy, watcher=recorder)
     c = experiment.config
-    return summary, recorder.recording(simulator=c.simulator, physics=c.physics, version=__version__)
+    return summary, recorder.recording(simulator=c.simulator, physics=c.physics, made_by=made_by())
 
 
 @dataclass(frozen=True, slots=True)

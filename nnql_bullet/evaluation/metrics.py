@@ -1,18 +1,24 @@
 """Computes metrics of drives: outcomes with intervals, quality of the drives, and tests between methods."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from statistics import fmean
 
 import numpy as np
 
 from nnql_bullet.evaluation.drives import Refused, Tier
 from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import Draws
-from nnql_bullet.evaluation.statistics import Estimate, mcnemar, proportion, success_over_seeds
+from nnql_bullet.evaluation.statistics import (
+    Estimate,
+    crossed_sums,
+    mcnemar,
+    percentile_interval,
+    proportion,
+    success_of_seeds,
+)
+from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import EpisodeSummary
-from nnql_bullet.seeding import Stream, rng
 from nnql_bullet.setting import Setting
 from nnql_bullet.task import ENDINGS
 from nnql_bullet.text import shell_line
@@ -81,11 +87,20 @@ class Evaluation:
         Copies of a drive do not count. Of drives through equal worlds the first of each seed does; and only the first
         of all if they are equal to the last bit, unless the policy draws random numbers.
         """
-        drives: dict[str, list[EpisodeSummary]] = {}
-        for world, summary in zip(tier.worlds, self.drives[policy.name, tier.name], strict=True):
-            drives.setdefault(world.digest, []).append(replace(summary, world_seed=0))
-        alike = {digest for digest, its in drives.items() if all(one == its[0] for one in its)}
-        fixed = alike if policy.name not in self.random else set()
+        summaries = self.drives[policy.name, tier.name]
+        places: dict[str, list[int]] = {}
+        for place, world in enumerate(tier.worlds):
+            places.setdefault(world.digest, []).append(place)
+
+        def are_copies(its: Sequence[int]) -> bool:
+            drives = [replace(summaries[place], world_seed=0) for place in its]
+            return all(drive == drives[0] for drive in drives)
+
+        fixed = {
+            digest
+            for digest, its in places.items()
+            if len(its) > 1 and policy.name not in self.random and are_copies(its)
+        }
         first: dict[tuple[str, int], int] = {}
         for place, world in enumerate(tier.worlds):
             first.setdefault((world.digest, -1 if world.digest in fixed else world.seed), place)
@@ -106,7 +121,8 @@ class Row:
     outcomes: dict[str, Estimate]
     """Proportion of each ending, over all drives."""
     over_seeds: Estimate | None
-    """Inter-quartile mean of success over training seeds; None for a single seed."""
+    """Inter-quartile mean of success over training seeds, with its interval over seeds and worlds; None for a single
+    seed."""
     by_seed: tuple[float, ...]
     """Success of each policy."""
     spl: float
@@ -127,7 +143,9 @@ class Row:
     non_safe: float
     """Share of decisions made in non-safe states."""
     overridden: float
-    """Share of decisions that a shield replaced."""
+    """Share of all decisions that a shield replaced; a few long drives may make most of it."""
+    overridden_by_drive: float
+    """Share of a drive's decisions that a shield replaced, mean over all drives."""
     stops: float
     """Share of decisions to stop or to turn on the spot."""
     reverses: float
@@ -136,6 +154,9 @@ class Row:
     """Time at a standstill in a drive, mean over all drives [s]."""
     waypoints: float
     """Number of way points that were reached, mean over all drives."""
+    intervals: dict[str, tuple[float, float]]
+    """95 % intervals of the quantities above, by their names: of a bootstrap over training seeds and worlds, crossed.
+    NaN where too few drives arrive for one, or all are equal."""
 
 
 def rows(evaluation: Evaluation) -> list[Row]:
@@ -145,39 +166,120 @@ def rows(evaluation: Evaluation) -> list[Row]:
 
 
 def _row(e: Evaluation, method: str, world: str, tiers: Sequence[Tier]) -> Row:
-    policies = e.of_method(method)
-    drives = [
-        (e.drives[policy.name, tier.name][place], e.difficulties[tier.name][place].shortest_path)
-        for tier in tiers
-        for policy in policies
-        for place in e.counted(policy, tier)
-    ]
-    summaries = [summary for summary, _ in drives]
-    endings, steps = [summary.ending for summary in summaries], sum(summary.steps for summary in summaries)
-    arrived = [(summary, shortest) for summary, shortest in drives if summary.ending == "goal"]
-    scores = [np.array([_success(e, policy, tier) for policy in policies]) for tier in tiers]
+    policies, drives = e.of_method(method), _drives(e, method, tiers)
+    endings = [drive.summary.ending for its in drives for drive in its]
+    count, goals = _tables(drives, _each), _tables(drives, _arrived)
+    quantities = {name: _estimate(drives, *parts) for name, parts in QUANTITIES.items()}
+    shares = [its.sum(axis=1) / all_.sum(axis=1) for its, all_ in zip(goals, count, strict=True)]
     return Row(
         method=method,
         world=world,
         policies=len(policies),
-        drives=len(drives),
+        drives=len(endings),
         outcomes={ending: proportion(endings.count(ending), len(endings)) for ending in ENDINGS},
-        over_seeds=success_over_seeds(scores, rng(0, Stream.BOOTSTRAP)),
-        by_seed=tuple(np.mean(scores, axis=0).tolist()),
-        spl=sum(_directness(summary.path_length, shortest) for summary, shortest in arrived) / len(drives),
-        path_ratio=_mean([summary.path_length / shortest for summary, shortest in arrived]),
-        time=_mean([summary.duration for summary, _ in arrived]),
-        clearance=_mean([summary.clearance for summary, _ in arrived]),
-        mean_clearance=_mean([summary.mean_clearance for summary in summaries]),
-        lateral_acceleration=_mean([summary.lateral_acceleration for summary in summaries]),
-        heading_error=_mean([summary.heading_error for summary in summaries]),
-        non_safe=sum(summary.non_safe_steps for summary in summaries) / steps,
-        overridden=sum(summary.overridden_steps for summary in summaries) / steps,
-        stops=sum(summary.stop_steps for summary in summaries) / steps,
-        reverses=sum(summary.reverse_steps for summary in summaries) / steps,
-        standing=_mean([summary.standing_time for summary in summaries]),
-        waypoints=_mean([len(summary.waypoint_times) for summary in summaries]),
+        over_seeds=success_of_seeds(goals, count),
+        by_seed=tuple(np.mean(shares, axis=0).tolist()),
+        **{name: estimate.value for name, estimate in quantities.items()},
+        intervals={name: (estimate.low, estimate.high) for name, estimate in quantities.items()},
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """A drive that counts."""
+
+    task: int
+    """Number of its tier in the row."""
+    seed: int
+    """Number of its policy in the method."""
+    world: int
+    """Number of its world among the different ones of the tier."""
+    summary: EpisodeSummary
+    shortest: float
+    """Length of the shortest path [m]."""
+
+    @property
+    def arrived(self) -> float:
+        """1 if it reached the target, else 0."""
+        return float(self.summary.ending == "goal")
+
+    @property
+    def directness(self) -> float:
+        """The shortest over the driven path if it arrived: 1 if it drove no farther than that."""
+        driven = self.summary.path_length
+        return self.arrived * (self.shortest / driven if driven > self.shortest else 1.0)
+
+
+_Quantity = Callable[[_Drive], float]
+
+
+def _each(_: _Drive) -> float:
+    return 1.0
+
+
+def _arrived(drive: _Drive) -> float:
+    return drive.arrived
+
+
+def _steps(drive: _Drive) -> float:
+    return drive.summary.steps
+
+
+QUANTITIES: dict[str, tuple[_Quantity, _Quantity]] = {
+    "spl": (lambda d: d.directness, _each),
+    "path_ratio": (lambda d: d.arrived * d.summary.path_length / d.shortest, _arrived),
+    "time": (lambda d: d.arrived * d.summary.duration, _arrived),
+    "clearance": (lambda d: d.arrived * d.summary.clearance, _arrived),
+    "mean_clearance": (lambda d: d.summary.mean_clearance, _each),
+    "lateral_acceleration": (lambda d: d.summary.lateral_acceleration, _each),
+    "heading_error": (lambda d: d.summary.heading_error, _each),
+    "non_safe": (lambda d: d.summary.non_safe_steps, _steps),
+    "overridden": (lambda d: d.summary.overridden_steps, _steps),
+    "overridden_by_drive": (lambda d: d.summary.overridden_steps / max(d.summary.steps, 1), _each),
+    "stops": (lambda d: d.summary.stop_steps, _steps),
+    "reverses": (lambda d: d.summary.reverse_steps, _steps),
+    "standing": (lambda d: d.summary.standing_time, _each),
+    "waypoints": (lambda d: len(d.summary.waypoint_times), _each),
+}
+"""Quantities of a row, each the sum of the first over the sum of the second over its drives."""
+
+
+def _drives(e: Evaluation, method: str, tiers: Sequence[Tier]) -> list[list[_Drive]]:
+    """The drives that count of a method in each tier."""
+    found: list[list[_Drive]] = []
+    for task, tier in enumerate(tiers):
+        numbers = {digest: number for number, digest in enumerate(dict.fromkeys(w.digest for w in tier.worlds))}
+        lengths = [difficulty.shortest_path for difficulty in e.difficulties[tier.name]]
+        found.append(
+            [
+                _Drive(task, seed, numbers[tier.worlds[place].digest], summaries[place], lengths[place])
+                for seed, policy in enumerate(e.of_method(method))
+                for summaries in [e.drives[policy.name, tier.name]]
+                for place in e.counted(policy, tier)
+            ]
+        )
+    return found
+
+
+def _tables(drives: Sequence[Sequence[_Drive]], quantity: _Quantity) -> list[Array]:
+    """Sums a quantity of each seed in each world: of each tier a table (seeds, worlds)."""
+    tables = []
+    for its in drives:
+        worlds = 1 + max([drive.world for drive in its])
+        sums = np.bincount([drive.seed * worlds + drive.world for drive in its], [quantity(drive) for drive in its])
+        tables.append(np.asarray(sums, np.float64).reshape(-1, worlds))
+    return tables
+
+
+def _estimate(drives: Sequence[Sequence[_Drive]], above: _Quantity, below: _Quantity) -> Estimate:
+    """Estimates a ratio of sums over drives."""
+    tops, bottoms = _tables(drives, above), _tables(drives, below)
+    top, bottom = sum(table.sum() for table in tops), sum(table.sum() for table in bottoms)
+    if not bottom:
+        return Estimate(float("nan"), float("nan"), float("nan"))
+    with np.errstate(invalid="ignore"):  # no drive of a resample arrives
+        draws = crossed_sums(tops).sum(axis=(1, 2)) / crossed_sums(bottoms).sum(axis=(1, 2))
+    return Estimate(float(top / bottom), *percentile_interval(draws))
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,26 +335,11 @@ def quarters(evaluation: Evaluation, tier: Tier) -> list[tuple[float, float, fro
     return [(*widths[part[[0, -1]]].tolist(), frozenset(digests[part].tolist())) for part in parts]
 
 
-def _success(e: Evaluation, policy: Policy, tier: Tier) -> float:
-    summaries = e.drives[policy.name, tier.name]
-    return fmean(summaries[place].ending == "goal" for place in e.counted(policy, tier))
-
-
-def _directness(driven: float, shortest: float) -> float:
-    """The shortest over the driven path of a drive that arrived: 1 if it drove no farther than that."""
-    return shortest / driven if driven > shortest else 1.0
-
-
-def _mean(values: Sequence[float]) -> float:
-    return fmean(values) if values else float("nan")
-
-
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Test of two methods in the worlds of one tier or of all tiers.
 
     The policies of both methods are paired in order; a single policy is paired with every policy of the other method.
-    Drives of several policies through one world are not independent, so p is too small for several pairs.
     """
 
     world: str
@@ -263,25 +350,42 @@ class Comparison:
     """Number of pairs in which only the first method reached the target."""
     only_second: int
     """Number of pairs in which only the second method reached the target."""
-    p_value: float
-    """p of McNemar's exact test."""
+    difference: Estimate
+    """Mean success of the second method over seeds, tiers and worlds less that of the first, with its interval of a
+    bootstrap over seeds and worlds, crossed."""
+    p_value: float | None
+    """p of McNemar's exact test; None unless both methods are single policies, as drives of several policies through
+    one world are not independent."""
 
 
 def comparisons(evaluation: Evaluation) -> list[Comparison]:
     """Tests every method against every other, in every tier and in all of them together."""
     e, found = evaluation, []
+    counted = {(policy.name, tier.name): set(e.counted(policy, tier)) for policy in e.policies for tier in e.tiers}
     for world, tiers in e.groups:
+        means = {method: _mean_success(e, method, tiers) for method in e.methods}
         for first, second in combinations(e.methods, 2):
             pairs = [
                 tuple(e.drives[policy.name, tier.name][place].ending == "goal" for policy in pair)
                 for tier in tiers
                 for pair in _paired(e.of_method(first), e.of_method(second))
-                for place in sorted({place for policy in pair for place in e.counted(policy, tier)})
+                for place in sorted(counted[pair[0].name, tier.name] | counted[pair[1].name, tier.name])
             ]
             only_first, only_second = pairs.count((True, False)), pairs.count((False, True))
-            p_value = mcnemar(only_first, only_second)
-            found.append(Comparison(world, first, second, len(pairs), only_first, only_second, p_value))
+            (a, draws_a), (b, draws_b) = means[first], means[second]
+            difference = Estimate(b - a, *percentile_interval(draws_b - draws_a))
+            single = len(e.of_method(first)) == len(e.of_method(second)) == 1
+            p_value = mcnemar(only_first, only_second) if single else None
+            found.append(Comparison(world, first, second, len(pairs), only_first, only_second, difference, p_value))
     return found
+
+
+def _mean_success(e: Evaluation, method: str, tiers: Sequence[Tier]) -> tuple[float, Array]:
+    """Mean success over seeds and tiers, and its resamples, which are drawn in the same worlds for all methods."""
+    drives = _drives(e, method, tiers)
+    goals, count = _tables(drives, _arrived), _tables(drives, _each)
+    shares = [its.sum(axis=1) / all_.sum(axis=1) for its, all_ in zip(goals, count, strict=True)]
+    return float(np.mean(shares)), (crossed_sums(goals) / crossed_sums(count)).mean(axis=(1, 2))
 
 
 def _paired(first: Sequence[Policy], second: Sequence[Policy]) -> list[tuple[Policy, Policy]]:

@@ -9,10 +9,10 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from nnql_bullet import __version__
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import Executor
 from nnql_bullet.files import read_json, write_text
+from nnql_bullet.provenance import code_digest, libraries
 from nnql_bullet.work import OnProgress, run_all
 
 R = TypeVar("R")
@@ -23,7 +23,7 @@ class Piece(Protocol):
 
     @property
     def part(self) -> str:
-        """Name of the result, a hash of everything it depends on; a result with an empty name is not kept."""
+        """Name of the result, a hash of everything it depends on (`part_name`); one with an empty name is not kept."""
 
     @property
     def size(self) -> int:
@@ -33,9 +33,16 @@ class Piece(Protocol):
 P = TypeVar("P", bound=Piece)
 
 
-def part_name(*depends: object) -> str:
-    """Hashes everything that a result depends on, with the version of the program."""
-    return hashlib.sha256(" ".join(map(str, (__version__, *depends))).encode()).hexdigest()[:24]
+def part_name(module: str, *depends: object) -> str:
+    """Hashes everything that a result depends on, so that a result of other code is not found and is made anew.
+
+    Args:
+        module: Name of the module whose code makes the result; the digest of its code and the versions of the libraries
+            go in.
+        depends: What else it depends on: configuration, weights, worlds, robot.
+    """
+    made_with = code_digest(module), *sorted(libraries().items())
+    return hashlib.sha256(" ".join(map(str, (*made_with, *depends))).encode()).hexdigest()[:24]
 
 
 class Parts:

@@ -368,7 +368,7 @@ STUDIES = {
             tiers={"paper": "5 % cover", "cover_10": "10 % cover"},
             factors=_PAPER,
             episodes=paper.EPISODES,
-            seeds=10,
+            seeds=12,
             not_varied=(
                 "linear outputs (targets reach -0.6, which no sigmoid does); what belongs to the vehicle and its task, "
                 "as the turn toward the target within its limits, its size, the start heading, the target's radius, "
@@ -381,7 +381,7 @@ STUDIES = {
             tiers={"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover"},
             factors=_TUNED,
             episodes=paper.EPISODES,
-            seeds=5,
+            seeds=12,
         ),
         Study(
             preset="double_dqn",
@@ -396,7 +396,7 @@ STUDIES = {
             },
             factors=_DOUBLE_DQN,
             episodes=4000,
-            seeds=2,
+            seeds=8,
             base=_agent(schedule_episodes=4000),
         ),
     )

@@ -1,7 +1,7 @@
 """Policies in C99: readable source of fixed sizes, in single precision, and the operations of a decision."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import ceil, floor, hypot, pi, radians
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from nnql_bullet.env import MOST_YAW_RATE, TOWARD_TARGET
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
+from nnql_bullet.exports.cost import FRAME, Cost, Operations
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
 from nnql_bullet.vehicle.scale import length_scale, scaled
@@ -35,46 +36,7 @@ MOST_ROWS = 65_536
 TEMPLATES = Path(__file__).with_name("templates")
 
 
-@dataclass(frozen=True, slots=True)
-class Operations:
-    """Arithmetic of a decision in the worst case: operations on numbers in single precision."""
-
-    additions: int = 0
-    """Also subtractions and changes of sign."""
-    multiplications: int = 0
-    divisions: int = 0
-    comparisons: int = 0
-    """Also smaller or larger of two, and absolute values."""
-    functions: int = 0
-    """Calls of exponential, root, rounding and trigonometric functions."""
-
-    def __add__(self, other: "Operations") -> "Operations":
-        return Operations(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    def __rmul__(self, times: int) -> "Operations":
-        return Operations(*(times * getattr(self, f.name) for f in fields(self)))
-
-    def text(self) -> str:
-        """In words."""
-        return ", ".join(f"{getattr(self, f.name)} {f.name}" for f in fields(self))
-
-
 _N = Operations
-FRAME = 128
-"""Stack that a call takes beside its arrays, generously: variables, saved registers, return address [bytes]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """What a decision takes in the worst case."""
-
-    operations: Operations
-    stack: int
-    """Of its deepest calls together [bytes]."""
-
-    def text(self) -> str:
-        """In words."""
-        return f"{self.operations.text()}; {self.stack} bytes of stack"
 
 
 @dataclass(frozen=True, slots=True)

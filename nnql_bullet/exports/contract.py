@@ -16,10 +16,14 @@ from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
-from nnql_bullet.env import ACTIONS, MOST_YAW_RATE, STOP, Observation, as_numbers
+from nnql_bullet.env import ACTIONS, MANOEUVRES, MOST_YAW_RATE, REVERSE, SLOW, STOP, Observation, as_numbers
 from nnql_bullet.errors import UserError
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.runs import LoadedPolicy
+from nnql_bullet.shield.alone import FASTEST, Memory, Setting, memory_of, setting_of
+from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
+from nnql_bullet.shield.prediction import Predictor
 from nnql_bullet.vehicle.scale import length_scale
 
 STOPPED = STOP
@@ -47,6 +51,8 @@ class Signal:
     """Whether it is a whole number."""
     silent: str = ""
     """What to do when what measures it is silent."""
+    stored: str = ""
+    """Its type in C where it is remembered, if it is neither a `float` nor, for a whole number, an `unsigned char`."""
 
     def schema(self, rate: float) -> dict[str, Any]:
         """JSON schema of a value at so many decisions per second."""
@@ -74,6 +80,8 @@ class Contract:
     outputs: tuple[Signal, ...]
     memory: tuple[Signal, ...] = ()
     """What it remembers from one decision to the next; all zero when a drive begins."""
+    shielded: bool = False
+    """Whether it decides in its shield."""
 
     @property
     def distances(self) -> int:
@@ -83,6 +91,8 @@ class Contract:
     @property
     def statuses(self) -> tuple[str, ...]:
         """What a decision says of its input, by number."""
+        if self.shielded:
+            return (*STATUSES, "BAD_SPEED")
         return (*STATUSES, "BAD_MAP") if self.kind == DoubleDqnOptions.kind else STATUSES
 
     @property
@@ -115,6 +125,8 @@ class Contract:
         for title, signals in (("Inputs", self.inputs), ("Outputs", self.outputs), ("Memory", self.memory)):
             rows = [_row(place, signal) for place, signal in enumerate(signals)]
             parts += [f"## {title}, in this order", "\n".join([head, *rows])] if rows else []
+        if self.shielded:
+            parts += ["## The shield", _SHIELD]
         statuses = ", ".join(f"{number} {name}" for number, name in enumerate(self.statuses))
         parts += [
             "## Bad input",
@@ -129,7 +141,8 @@ class Contract:
         """The inputs of n vehicles, up to the yaw rate, as a machine with single precision has them (n, numbers)."""
         o = observations
         distances = o.ray_distances if self.by_rays else o.readings
-        return np.concatenate([distances.astype(np.float32), as_numbers(o)[:, -3:]], axis=-1)
+        speed = [o.speed.astype(np.float32)[:, None]] if self.shielded else []
+        return np.concatenate([distances.astype(np.float32), as_numbers(o)[:, -3:], *speed], axis=-1)
 
 
 def _row(place: int, signal: Signal) -> str:
@@ -153,16 +166,17 @@ def contract_of(policy: LoadedPolicy) -> Contract:
     """
     experiment = policy.experiment
     config, vehicle, agent = experiment.config, experiment.vehicle, experiment.agent
-    options, sensor = config.agent, vehicle.sensor
+    options, sensor, shielded = config.agent, vehicle.sensor, config.shield is not None
     if isinstance(agent, Custom):
         raise UserError(f"{policy.name}: an object of your own cannot be exported; export a trained policy or a rule")
-    if config.shield is not None:
+    if config.shield is not None and config.shield.recovers:
         raise UserError(
-            f"{policy.name}: drives in a shield, and shields are not exported; without it, it is another policy"
+            f"{policy.name}: drives in a shield that leads it through a map, which is not exported; export it with "
+            "--with-shield, which leaves that out, or load it without a shield"
         )
     if experiment.task.hysteresis:
         raise UserError(f"{policy.name}: 'task.hysteresis' is not exported; train a policy without it")
-    by_rays = isinstance(options, BY_RAYS)
+    by_rays = shielded or isinstance(options, BY_RAYS)
     how = "nearest" if config.task.sector_reading == "nearest" else "middle"
     seen = (
         f"distances of the {sensor.rays} rays, evenly spaced counter-clockwise; ray 0 points to "
@@ -175,14 +189,19 @@ def contract_of(policy: LoadedPolicy) -> Contract:
     rule = isinstance(agent, TurnChooser) or isinstance(options, HandRuleOptions)
     thresholds = ", ".join(f"{one:g}" for one in experiment.task.thresholds)
     outputs = [
-        Signal("action", _actions(), low=0, high=STOPPED, whole=True),
+        Signal("action", _actions(shielded), low=0, high=MANOEUVRES - 1 if shielded else STOPPED, whole=True),
         Signal("heading_change", "change of heading that is asked for, left is positive", "rad", low=-pi, high=pi),
         Signal("speed_share", "share of the drive's speed: 1, or 0 for a stop", low=0, high=1),
     ]
-    if rule:
+    if shielded:
+        outputs[-1] = Signal(
+            "speed_share", "share of the drive's speed, negative backwards, 0 for a stop", low=-1, high=1
+        )
+        outputs.append(Signal("overridden", "1 if the shield replaced the policy's action", low=0, high=1, whole=True))
+    elif rule:
         about = f"1 if no sector reads less than its threshold ({thresholds} m), else 0"
         outputs.append(Signal("safe", about, low=0, high=1, whole=True))
-    if isinstance(agent, TurnChooser):
+    if isinstance(agent, TurnChooser) and not shielded:
         about = "Q-values of the five turns; the action is the largest if `safe` is 0; 0 on bad input"
         outputs.append(Signal("values", about, count=len(paper.TURNS)))
     memory: tuple[Signal, ...] = ()
@@ -193,7 +212,13 @@ def contract_of(policy: LoadedPolicy) -> Contract:
             Signal("blocked", "whether each direction is blocked", count=BINS, low=0, high=1, whole=True),
         )
     mapped: tuple[Signal, ...] = ()
-    if isinstance(options, DoubleDqnOptions):
+    most_yaw_rate = MOST_YAW_RATE
+    if shielded:
+        setting, empty = shield_of(experiment)
+        fastest, most_yaw_rate, memory = FASTEST * setting.speed, setting.most_yaw_rate, _memory_signals(empty)
+        about = "measured speed along the vehicle, negative backwards"
+        mapped = (Signal("speed", about, "m/s", low=-fastest, high=fastest, silent=stop),)
+    elif isinstance(options, DoubleDqnOptions):
         outputs.append(Signal("values", "Q-values of the six actions; the action is the largest", count=ACTIONS))
         scale = f"in metres of the shipped vehicle, which are {length_scale(vehicle.footprint):g} of this one's"
         places = len(grid_map.REACHES) * grid_map.BEARINGS if options.grid_map else 0
@@ -230,17 +255,63 @@ def contract_of(policy: LoadedPolicy) -> Contract:
                 high=WIDEST_BEARING,
                 silent=stop,
             ),
-            Signal("yaw_rate", "left is positive", "rad/s", low=-MOST_YAW_RATE, high=MOST_YAW_RATE, silent=stop),
+            Signal("yaw_rate", "left is positive", "rad/s", low=-most_yaw_rate, high=most_yaw_rate, silent=stop),
             *mapped,
         ),
         outputs=tuple(outputs),
         memory=memory,
+        shielded=shielded,
     )
 
 
-def _actions() -> str:
+_SHIELD = (
+    "The policy drives in its shield, which takes its action only where the vehicle can stop after it. That shield "
+    "does all that the program's own does with `shield.recovers` off: it leads no vehicle that gets no nearer to its "
+    "target through a map of what it has seen, because that search ends when it ends. The target has to stay from the "
+    "first decision to the last, because the vehicle localizes itself by it: a point that moves on along a plan is not "
+    "such a target. A vehicle has a memory of its own."
+)
+
+
+def shield_of(experiment: Experiment) -> tuple[Setting, Memory]:
+    """What the decisions of an experiment's shield depend on, and an empty memory of it."""
+    vehicle, drive = experiment.vehicle, experiment.config.drive
+    lengths = lengths_of(experiment.config.shield or ShieldOptions(), vehicle, drive)
+    setting = setting_of(Predictor(lengths, vehicle, drive), vehicle.sensor, experiment.task)
+    return setting, memory_of(setting)
+
+
+def _memory_signals(memory: Memory) -> tuple[Signal, ...]:
+    """What is remembered, as the contract tells it."""
+    about = {
+        "numbers": "whether it has begun; numbers of scans, points remembered, points that move and points; side to "
+        "which it turns on the spot, decisions to do so, and whether it backs out",
+        "moved": "where it expects to be at the next decision, from here: x, y [m], yaw [rad]",
+        "target": "the target at the last decision: x, y",
+        "evidence": "evidence against the sensor of each sector",
+        "points": "points of the last scan: x, y each",
+        "rays": "the last scan; -1 for a blind ray",
+        "standing": "points remembered: x, y [m], and scans since each was seen",
+        "scans": "recent scans, the newest first",
+        "poses": "poses at these scans",
+        "strayed": "possible errors of these poses",
+        "cloud": "points of obstacles now",
+        "closing": "speed at which each may come nearer [m/s]",
+        "moving": "whether each ray met something that moves",
+    }
+    kinds = {"f": "double", "i": "int", "b": "unsigned char"}
+    return tuple(
+        Signal(name, about.get(name, "room to work in"), count=its.size, stored=kinds[its.dtype.kind])
+        for name, its in zip(memory._fields, memory, strict=True)
+    )
+
+
+def _actions(shielded: bool = False) -> str:
     turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
-    return f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most, {STOPPED} stop"
+    told = f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most"
+    if not shielded:
+        return f"{told}, {STOPPED} stop"
+    return f"{told}; {STOP} more while braking to a stand, {REVERSE} more backwards, {SLOW} more slowly"
 
 
 def encoding_of(options: NnqlOptions | GeneticOptions) -> str:

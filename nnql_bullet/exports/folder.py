@@ -13,12 +13,19 @@ from nnql_bullet.exports.c99 import EXAMPLE, HEADER, SOURCE, c_files, rendered
 from nnql_bullet.exports.contract import Contract, contract_of
 from nnql_bullet.exports.onnx_graph import EXAMPLE as ONNX_EXAMPLE
 from nnql_bullet.exports.onnx_graph import MODEL, OPSET, onnx_model
+from nnql_bullet.exports.shielded import HEADER as SHIELD_HEADER
+from nnql_bullet.exports.shielded import SOURCE as SHIELD_SOURCE
+from nnql_bullet.exports.shielded import in_shield, shield_files, without_shield
+from nnql_bullet.exports.structured_text import EXAMPLE as ST_EXAMPLE
+from nnql_bullet.exports.structured_text import SOURCE as ST_SOURCE
+from nnql_bullet.exports.structured_text import XML as ST_XML
+from nnql_bullet.exports.structured_text import block_name, st_files
 from nnql_bullet.exports.vectors import recorded_drives, vectors_of
 from nnql_bullet.files import staged, write_atomically, write_text
 from nnql_bullet.locks import LOCK, locked
 from nnql_bullet.runs import LoadedPolicy
 
-Form = Literal["c", "onnx"]
+Form = Literal["c", "onnx", "st"]
 INDEX, SCHEMA, TABLES, VECTORS, README = (
     "export.json",
     "contract.schema.json",
@@ -54,12 +61,20 @@ class Export:
         return "\n".join([*lines, *([f"a decision: {self.cost}"] if self.cost else []), f"{self.decisions} vectors"])
 
 
-def write_export(policy: LoadedPolicy, form: Form, folder: Path) -> Export:
+def write_export(policy: LoadedPolicy, form: Form, folder: Path, with_shield: bool = False) -> Export:
     """Writes a policy into a new folder, or an empty one.
+
+    Args:
+        policy: The policy.
+        form: What it is written as.
+        folder: Where.
+        with_shield: Whether it is written in its shield, or in the usual one.
 
     Raises:
         UserError: If the policy cannot be exported so, or the folder has files in it.
     """
+    if with_shield:
+        policy = in_shield(policy)
     contract = contract_of(policy)
     artefact = _FORMS[form](policy, contract)
     with locked(folder):
@@ -95,22 +110,50 @@ _Artefact = tuple[Callable[[Path], None], dict[str, str], str, str, str]
 
 
 def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
-    files, cost = c_files(contract, policy.experiment)
+    alone = without_shield(policy)
+    files, cost = c_files(contract_of(alone), alone.experiment)
+    about = {SOURCE: "the policy", HEADER: "its interface", EXAMPLE: "a main program that calls it"}
+    if contract.shielded:
+        more, cost = shield_files(contract, policy.experiment, cost)
+        files |= more
+        about |= {SHIELD_SOURCE: "the shield, which calls the policy", SHIELD_HEADER: "the interface of both"}
+    sources = " ".join(its for its in files if its.endswith(".c"))
+    precision = "double precision in the shield, single in the policy" if contract.shielded else "single precision"
 
     def write(folder: Path) -> None:
         for name, text in files.items():
             write_text(folder / name, text)
 
-    about = {SOURCE: "the policy", HEADER: "its interface", EXAMPLE: "a main program that calls it"}
     usage = (
-        f"    cc -std=c99 -O2 -o example {EXAMPLE} {SOURCE} -lm && ./example\n\n"
-        "No allocation, no recursion, fixed sizes, no library but math.h; arithmetic in single precision. A decision\n"
+        f"    cc -std=c99 -O2 -o example {sources} -lm && ./example\n\n"
+        f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}. A decision\n"
         f"takes at most: {cost.text()}. Compile\nwith `-fstack-usage` to see what your compiler makes of that."
     )
     return write, about, "C99", usage, cost.text()
 
 
+def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
+    files, cost = st_files(contract, policy.experiment)
+
+    def write(folder: Path) -> None:
+        for name, text in files.items():
+            write_text(folder / name, text)
+
+    about = {ST_SOURCE: "the function block and what it calls", ST_XML: "the same as PLCopen XML"}
+    about |= {ST_EXAMPLE: "a program that calls it"}
+    usage = (
+        f"Import `{ST_XML}` into your development system, or compile `{ST_SOURCE}`, and call the function block\n"
+        f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does.\n"
+        "Arrays are fixed, loops are bounded, nothing recurses, and only standard functions are called. It takes the\n"
+        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs.\n"
+        f"A decision takes at most: {cost.operations.text()}."
+    )
+    return write, about, "Structured Text (IEC 61131-3)", usage, cost.operations.text()
+
+
 def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Artefact:
+    if contract.shielded:
+        raise UserError(f"{policy.name}: a shield cannot be written in ONNX; it can in C and Structured Text")
     model = onnx_model(contract, policy.experiment)
     example = rendered(f"{ONNX_EXAMPLE}.j2", {"contract": contract, "model": MODEL})
 
@@ -127,4 +170,8 @@ def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     return write, about, "ONNX", usage, ""
 
 
-_FORMS: dict[Form, Callable[[LoadedPolicy, Contract], _Artefact]] = {"c": _as_c, "onnx": _as_onnx}
+_FORMS: dict[Form, Callable[[LoadedPolicy, Contract], _Artefact]] = {
+    "c": _as_c,
+    "onnx": _as_onnx,
+    "st": _as_st,
+}

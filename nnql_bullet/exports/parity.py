@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.rules.vfh import VfhState
-from nnql_bullet.env import Observation, heading_change
+from nnql_bullet.env import ACTIONS, Observation, heading_change
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy
 from nnql_bullet.exports.vectors import observed
@@ -81,9 +81,14 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     differ = np.flatnonzero(outputs["action"] != actions)
     mine = heading_change(actions[differ], drive.target_bearing[differ])
     same_turn = np.abs(outputs["heading_change"][differ] - mine) < 2 * ROUNDING  # both may be rounded
-    ties = sum(
-        _is_tie(experiment, exported, _rows(drive, k), states[k], int(outputs["action"][k]))
-        for k in differ[~same_turn].tolist()
+    same_turn &= outputs["action"][differ] // ACTIONS == actions[differ] // ACTIONS
+    ties = (
+        0
+        if contract.shielded
+        else sum(
+            _is_tie(experiment, exported, _rows(drive, k), states[k], int(outputs["action"][k]))
+            for k in differ[~same_turn].tolist()
+        )
     )
     error = 0.0
     if values is not None:
@@ -104,10 +109,18 @@ def _outputs(
     if isinstance(exported, OnnxMapPolicy):
         seen = [exported.see(_rows(drive, k), state.memory)[:2] for k, state in enumerate(states)]
         return exported.decide(*(np.concatenate(part) for part in zip(*seen, strict=True)))
-    rows = exported.contract.rows(drive)
+    contract = exported.contract
+    rows = contract.rows(drive)
     if isinstance(exported, OnnxPolicy):
         return exported.decide(rows)
-    memory = exported.initial_state(len(rows))
+    memory = exported.initial_state(1 if contract.shielded else len(rows))
+    if contract.shielded:  # its memory is too much to be told: it remembers by itself
+        found = []
+        for k in range(len(rows)):
+            _, outputs, memory = exported.decide(rows[k : k + 1], memory)
+            found.append(outputs)
+        outputs = np.concatenate(found)
+        return {name: outputs[name] for name in outputs.dtype.names or ()}
     if memory is not None:
         memory["heading"] = wrap_angles(np.array([state.headings[0] for state in states]))
         memory["chosen"] = wrap_angles(np.array([state.chosen[0] for state in states]))

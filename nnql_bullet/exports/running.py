@@ -21,11 +21,15 @@ from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
+from nnql_bullet.exports.shielded import SOURCE as SHIELD
 from nnql_bullet.exports.vectors import map_inputs
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
 FLAGS = ("-std=c99", "-O2")
+
+
+_STORED = {"double": np.float64, "int": np.int32, "unsigned char": np.uint8}
 
 
 def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: str = "cc") -> Path:
@@ -37,7 +41,8 @@ def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: s
     program = shutil.which(compiler)
     if program is None:
         raise UserError(f"there is no C compiler '{compiler}'; install one, or name another")
-    command = [program, *flags, "-shared", "-fPIC", "-o", str(library), str(folder / SOURCE), "-lm"]
+    sources = [str(folder / name) for name in (SOURCE, SHIELD) if (folder / name).exists()]
+    command = [program, *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
     answer = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     if answer.returncode:
         raise UserError(f"{folder / SOURCE}: does not compile: {answer.stderr.strip().partition(chr(10))[0]}")
@@ -46,8 +51,10 @@ def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: s
 
 def _layout(signals: Sequence[Signal], whole: type[np.generic]) -> np.dtype[Any]:
     """How C lays out a structure of these signals."""
-    parts = [(its.name, whole if its.whole else np.float32, (its.count,) if its.count > 1 else ()) for its in signals]
-    return np.dtype(parts, align=True)
+    kinds = [_STORED.get(its.stored, whole if its.whole else np.float32) for its in signals]
+    shapes = [(its.count,) if its.count > 1 else () for its in signals]
+    names = [its.name for its in signals]
+    return np.dtype(list(zip(names, kinds, shapes, strict=True)), align=True)
 
 
 class LibraryPolicy:
@@ -55,7 +62,8 @@ class LibraryPolicy:
 
     def __init__(self, library: Path, contract: Contract) -> None:
         self.contract = contract
-        self._decide = ctypes.CDLL(str(library)).policy_decide
+        functions = ctypes.CDLL(str(library))
+        self._decide = functions.shield_decide if contract.shielded else functions.policy_decide
         self._decide.restype = ctypes.c_int
         self._outputs = _layout(contract.outputs, np.int32)
         self._memory = _layout(contract.memory, np.uint8) if contract.memory else None

@@ -14,7 +14,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
 from nnql_bullet.agents.learning.frames import Memory, Sensed
 from nnql_bullet.agents.learning.options import DoubleDqnOptions
-from nnql_bullet.env import Observation, Transition, heading_change
+from nnql_bullet.env import Observation, Transition, heading_change, speed_scale
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STOPPED, Contract
@@ -37,6 +37,7 @@ BAD = (
     ("target_bearing", 4.0),
     ("yaw_rate", -np.inf),
     ("way", np.nan),
+    ("speed", np.nan),
 )
 """Inputs that are refused, where there are such."""
 _FIELDS = tuple(its.name for its in fields(Observation))
@@ -102,11 +103,12 @@ def _together(observations: Sequence[Observation]) -> Observation:
 
 def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.floating[Any]]) -> Observation:
     """The observation that inputs (n, numbers) stand for."""
-    numbers = rows.astype(np.float64)
-    distances, (away, bearing, yaw_rate) = numbers[:, :-3], numbers[:, -3:].T
+    numbers, d = rows.astype(np.float64), contract.distances
+    distances, (away, bearing, yaw_rate) = numbers[:, :d], numbers[:, d : d + 3].T
+    speed = numbers[:, d + 3] if contract.shielded else np.zeros(len(rows))
     readings = readings_of(distances, task) if contract.by_rays else distances
     properties = np.where(is_safe(readings, task), SAFE, NON_SAFE)
-    return Observation(readings, away, bearing, yaw_rate, np.zeros(len(rows)), properties, distances)
+    return Observation(readings, away, bearing, yaw_rate, speed, properties, distances)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +128,10 @@ class Vectors:
     """(k,)"""
     turns: Array
     """Heading changes (k,) [rad]."""
+    shares: Array
+    """Of the drive's speed (k,)."""
+    overridden: NDArray[np.bool_]
+    """Whether a shield replaced the action (k,)."""
     values: Array
     """Q-values of the turns (k, 5); NaN if it has none."""
     safe: NDArray[np.bool_]
@@ -141,7 +147,8 @@ class Vectors:
         outputs = {signal.name for signal in c.outputs}
         for k in range(len(self.inputs)):
             row = [self.drives[k], self.statuses[k], *self.inputs[k], *self.frames[k]]
-            row += [self.actions[k], np.float32(self.turns[k]), int(self.statuses[k] == 0)]
+            row += [self.actions[k], np.float32(self.turns[k]), f"{self.shares[k]:g}"]
+            row += [int(self.overridden[k])] if "overridden" in outputs else []
             row += [int(self.safe[k])] if "safe" in outputs else []
             row += list(self.values[k].astype(np.float32)) if "values" in outputs else []
             writer.writerow(row)
@@ -161,15 +168,15 @@ def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Obse
         drives: What was seen (steps, ...) in each.
     """
     decided = [_decided(contract, experiment, drive) for drive in drives]
-    inputs, actions, values, frames = (np.concatenate(part) for part in zip(*decided, strict=True))
+    inputs, actions, values, frames, overridden = (np.concatenate(part) for part in zip(*decided, strict=True))
     numbers = np.repeat(np.arange(len(drives)), [len(its[0]) for its in decided])
     ends = np.cumsum([signal.count for signal in contract.inputs])
     places = {signal.name: int(end) - signal.count for signal, end in zip(contract.inputs, ends, strict=True)}
     bad = [(name, value) for name, value in BAD if name in places]
-    refused, nothing = np.repeat(inputs[:1], len(bad), axis=0), np.zeros(len(bad))
+    refused = np.repeat(inputs[:1], len(bad), axis=0)
     for row, (name, value) in zip(refused, bad, strict=True):
         row[places[name]] = value
-    seen = observed(contract, experiment.task, inputs[:, : contract.distances + 3])
+    seen, nothing = observed(contract, experiment.task, inputs), np.zeros(len(bad))
     statuses = [contract.statuses.index(f"BAD_{_STATUS.get(name, name.upper())}") for name, _ in bad]
     return Vectors(
         contract=contract,
@@ -179,6 +186,8 @@ def vectors_of(contract: Contract, experiment: Experiment, drives: Sequence[Obse
         statuses=np.array([0] * len(inputs) + statuses),
         actions=np.concatenate([actions, np.full(len(bad), STOPPED)]),
         turns=np.concatenate([heading_change(actions, seen.target_bearing), nothing]),
+        shares=np.concatenate([speed_scale(actions, experiment.config.drive), nothing]),
+        overridden=np.concatenate([overridden, nothing > 0]),
         values=np.concatenate([values, np.zeros((len(bad), values.shape[1]))]),
         safe=np.concatenate([seen.state_property == SAFE, nothing > 0]),
     )
@@ -190,12 +199,13 @@ _STATUS = {"distances": "DISTANCE", "way": "MAP"}
 
 def _decided(
     contract: Contract, experiment: Experiment, drive: Observation
-) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, NDArray[np.uint8]]:
-    """Inputs (k, numbers), actions (k,), Q-values (k, m) and frames before (k, bytes) of a drive (k, ...)."""
+) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, NDArray[np.uint8], NDArray[np.bool_]]:
+    """Inputs (k, numbers), actions (k,), Q-values (k, m), frames before (k, bytes), overridden (k,) of a drive."""
     policy: Any = experiment.policy
     rows, with_map = contract.rows(drive), isinstance(experiment.config.agent, DoubleDqnOptions)
     maker = frame_maker(experiment) if with_map else None
     state, actions = policy.initial_state(1), np.empty(len(rows), np.int64)
+    overridden = np.zeros(len(rows), np.bool_)
     mapped, values, frames = [], [], []
     for k in range(len(rows)):
         seen = observed(contract, experiment.task, rows[k : k + 1])
@@ -203,14 +213,16 @@ def _decided(
             mapped.append(map_inputs(maker.sense(state.memory, seen), state.memory)[0])
             frames.append(state.memory.frames.reshape(-1))
         (actions[k],), state = policy.act(seen, state)
+        overridden[k] = contract.shielded and policy.overridden(state)[0]
         if maker is not None:
             values.append(policy.values_of(state)[0])
     if maker is not None:
-        return np.concatenate([rows, np.array(mapped)], axis=1), actions, np.array(values), np.array(frames)
+        inputs = np.concatenate([rows, np.array(mapped)], axis=1)
+        return inputs, actions, np.array(values), np.array(frames), overridden
     found = np.full((len(rows), len(paper.TURNS)), np.nan)
     if isinstance(policy, TurnChooser):
         found = policy.values(observed(contract, experiment.task, rows), np.ones(len(rows), np.bool_))
-    return rows, actions, found, np.empty((len(rows), 0), np.uint8)
+    return rows, actions, found, np.empty((len(rows), 0), np.uint8), overridden
 
 
 def map_inputs(sensed: Sensed, memory: Memory) -> NDArray[np.float32]:

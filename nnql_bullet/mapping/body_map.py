@@ -24,9 +24,17 @@ CELLS_ACROSS = 3
 SIDE = 192
 """Number of cells along a side of the map, with the vehicle in its middle; a trap fits into the map."""
 UNSEEN, FREE, OCCUPIED = 0, -1, 2
-"""Values of cells. A ray that passes the point of an occupied cell lowers its value by 1; at 0 it is free."""
+"""Values of cells. A ray that passes the point of an occupied cell lowers its value by 1; at 0 it is free. A free cell
+is less than `FREE` by the number of decisions that the vehicle took there."""
+LEAST = -120
+"""Least value of a cell."""
+TRIED = 2.0
+"""What each of these decisions adds to the cost factor of a way: where a vehicle tries in vain, another way becomes the
+better one (as in learning real-time A*: Korf, "Real-time heuristic search", 1990)."""
 PASSED = CELLS_ACROSS / 9
-"""A ray that passes a point at less than that has shown that nothing is there [cells]; thin poles keep their points."""
+"""A ray that passes a point at less than that has shown that nothing is there [cells]."""
+PASSED_THIN = PASSED / 4
+"""The same of a point without points beside it: it may be a thin pole, which few rays meet [cells]."""
 BEFORE_END = 1.0
 """Length before its end over which a ray shows nothing [cells]."""
 REACH = 3.0
@@ -80,6 +88,7 @@ def add_scans(
         corner_x, corner_y = floor(x) - SIDE // 2, floor(y) - SIDE // 2
         _shift(cells[i], offsets[i], corner_x - corners[i, 0], corner_y - corners[i, 1])
         corners[i, 0], corners[i, 1] = corner_x, corner_y
+        _mark(cells[i], x - corner_x, y - corner_y)
         c, s = np.cos(yaw), np.sin(yaw)
         x += (c * sensor[0] - s * sensor[1]) / cell - corner_x
         y += (s * sensor[0] + c * sensor[1]) / cell - corner_y
@@ -96,6 +105,15 @@ def add_scans(
 
 
 @njit(nogil=True)
+def _mark(cells: Cells, x: float, y: float) -> None:
+    """Notes that the vehicle was at a place [cells], in the cells about it."""
+    for a in range(int(x) - 1, int(x) + 2):
+        for b in range(int(y) - 1, int(y) + 2):
+            if cells[a, b] <= UNSEEN:
+                cells[a, b] = max(min(cells[a, b], FREE) - 1, LEAST)
+
+
+@njit(nogil=True)
 def _pass(cells: Cells, offsets: Offsets, x: float, y: float, direction: float, length: float) -> None:
     """Frees the cells that a ray passes; an occupied one only where the ray would have met its point."""
     c, s = np.cos(direction), np.sin(direction)
@@ -108,8 +126,19 @@ def _pass(cells: Cells, offsets: Offsets, x: float, y: float, direction: float, 
             cells[a, b] = FREE
         elif value > 0:
             dx, dy = a + offsets[a, b, 0] / 256 - x, b + offsets[a, b, 1] / 256 - y
-            if abs(c * dy - s * dx) < PASSED and c * dx + s * dy < length:
+            passed = PASSED_THIN if _is_alone(cells, a, b) else PASSED
+            if abs(c * dy - s * dx) < passed and c * dx + s * dy < length:
                 cells[a, b] = value - 1 if value > 1 else FREE
+
+
+@njit(nogil=True)
+def _is_alone(cells: Cells, a: int, b: int) -> bool:
+    """Whether no cell beside an occupied one is occupied."""
+    count = 0
+    for beside_a in range(max(a - 1, 0), min(a + 2, SIDE)):
+        for beside_b in range(max(b - 1, 0), min(b + 2, SIDE)):
+            count += cells[beside_a, beside_b] > 0
+    return count == 1
 
 
 @njit(nogil=True)
@@ -173,6 +202,8 @@ def cost_factors(cells: Cells, offsets: Offsets) -> Lengths:
                 factors[a, b] = TIGHT
             elif room[a, b] < REACH:
                 factors[a, b] = 1.0 + BESIDE * (1.0 - room[a, b] / REACH)
+            if cells[a, b] < FREE:
+                factors[a, b] += TRIED * (FREE - cells[a, b])
     return factors
 
 
@@ -237,6 +268,18 @@ def costs_to_go(factors: Lengths, corner: NDArray[np.int64], place: Array, targe
                     first[bucket] = count
                     count += 1
     return left
+
+
+@njit(nogil=True)
+def ways_to(
+    cells: Cells, offsets: Offsets, corners: NDArray[np.int64], poses: Array, targets: Array, cell: float
+) -> tuple[Lengths, Lengths]:
+    """Computes `cost_factors` and `costs_to_go` of n maps (n, SIDE, SIDE), for vehicles at poses (n, 3) [m, rad]."""
+    factors, left = np.empty(cells.shape, np.float32), np.empty(cells.shape, np.float32)
+    for i in range(len(cells)):
+        factors[i] = cost_factors(cells[i], offsets[i])
+        left[i] = costs_to_go(factors[i], corners[i], poses[i, :2], targets[i], cell)
+    return factors, left
 
 
 @njit(nogil=True)

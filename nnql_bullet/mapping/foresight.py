@@ -22,18 +22,18 @@ from nnql_bullet.mapping.body_map import (
     Lengths,
     Offsets,
     cost_at,
-    cost_factors,
-    costs_to_go,
     open_until,
 )
 from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile
 
-ROOM, STOP_ROOM, LASTS, WAY, WAY_AHEAD, UNKNOWN = range(6)
+ROOM, STOP_ROOM, LASTS, WAY, WAY_AHEAD, UNKNOWN, VISITS = range(7)
 """Columns of what is foreseen of a manoeuvre: smallest clearance while it is driven, and then to a stand [m], up to
 `MOST_ROOM`; share of all that until the first contact, 1 if there is none; how much longer the way from its end is than
 from here, and from a place as far ahead of its end as the vehicle reaches [m]; share of places under the vehicle that
-were never seen."""
-COLUMNS = 6
+were never seen; and how often the vehicle was at its end lately, up to `MOST_VISITS`."""
+COLUMNS = 7
+MOST_VISITS = 4
+"""Number of visits that is not told from more."""
 MOST_ROOM = 0.6
 """Clearance that is enough, over the length scale [m]."""
 BEARINGS = 24
@@ -46,8 +46,20 @@ _DRIVEN, _STOPPING = 5, 10
 """Number of poses while a manoeuvre is driven, and most while the vehicle then brakes."""
 _NEAR = 3.6
 """Distance up to which points may be met, over the length scale [m]."""
+_MOVING_NEAR = 8.0
+"""The same of points that move [m]."""
 _WAKE = 2.0
 """Distance from a moving point up to which points of the map are the same obstacle [cells]."""
+_ALONE = 0.02, 0.45
+"""A point stands alone if no other is farther than the first from it and nearer than the second, over the length scale
+[m]: what it is of may be wider than it looks."""
+_UNSEEN_EXTENT = 0.08
+"""By so much, likewise [m]."""
+_THICK, _THIN_SIGHT = 0.12, 3.4
+"""It is of something thin if none is farther than this and nearer than the second, likewise [m]; up to that distance
+from the vehicle, for farther away, sides that are seen at a slant look like that."""
+_SAME = 0.15, 0.25
+"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 
 
 State = tuple[float, float, float, float, float]
@@ -85,8 +97,9 @@ def foresee(
     offsets: Offsets,
     corners: NDArray[np.int64],
     poses: Array,
-    before: Array,
-    targets: Array,
+    trails: Array,
+    factors: Lengths,
+    left: Lengths,
     rays: Array,
     moving: Array,
     speeds: Array,
@@ -94,7 +107,7 @@ def foresee(
     turns: Array,
     goals: Array,
     mover: Mover,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Looks ahead for n vehicles.
 
     Args:
@@ -102,8 +115,9 @@ def foresee(
         offsets: See `body_map.add_scans`.
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
-        before: Their places at the decision before (n, 2) [m].
-        targets: Places of the targets (n, 2) [m].
+        trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
+        factors: See `body_map.ways_to` (n, SIDE, SIDE).
+        left: Likewise (n, SIDE, SIDE).
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
@@ -115,28 +129,27 @@ def foresee(
     Returns:
         What is foreseen of the manoeuvres (n, m, COLUMNS); for `BEARINGS`, how much longer the way from `REACHES` is,
         and the distance up to which all is known to be free (n, 3, BEARINGS) [m]; the cost of the way left (n,) [m];
-        and by how much the last decision shortened it (n,) [m].
+        and whether something thin stands near (n,).
     """
     n = len(cells)
     seen, around = np.empty((n, turns.shape[1], COLUMNS)), np.empty((n, 3, BEARINGS))
-    ways, progress = np.empty(n), np.empty(n)
-    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 4)), mover.cell
+    ways, thin = np.empty(n), np.empty(n, np.bool_)
+    points, cell = np.empty((SIDE * SIDE + rays.shape[1], 5)), mover.cell
     for i in range(n):
         corner, pose = corners[i], poses[i]
-        factors = cost_factors(cells[i], offsets[i])
-        left = costs_to_go(factors, corner, pose[:2], targets[i], cell)
-        here = cost_at(left, corner, pose[0], pose[1], cell, np.inf)
+        here = cost_at(left[i], corner, pose[0], pose[1], cell, np.inf)
         most = here + FARTHER
         ways[i] = here * cell
-        progress[i] = (cost_at(left, corner, before[i, 0], before[i, 1], cell, most) - here) * cell
         count = points_near(cells[i], offsets[i], corner, pose, rays[i], moving[i], mover, points)
+        thin[i] = is_thin(points[:count], mover.scale)
         for j in range(turns.shape[1]):
             _drive(
                 cells[i],
                 corner,
                 pose,
-                factors,
-                left,
+                trails[i],
+                factors[i],
+                left[i],
                 here,
                 points[:count],
                 speeds[i],
@@ -151,12 +164,12 @@ def foresee(
             for k in range(2):
                 steps = int(REACHES[k] * mover.scale / cell)
                 around[i, k, j] = FARTHER * cell
-                if open_until(factors, corner, pose[0] / cell, pose[1] / cell, c, s, steps) == steps:
+                if open_until(factors[i], corner, pose[0] / cell, pose[1] / cell, c, s, steps) == steps:
                     way = steps * cell
-                    there = cost_at(left, corner, pose[0] + c * way, pose[1] + s * way, cell, most)
+                    there = cost_at(left[i], corner, pose[0] + c * way, pose[1] + s * way, cell, most)
                     around[i, k, j] = (there - here) * cell
             around[i, 2, j] = _known_free(cells[i], corner, pose, c, s, mover)
-    return seen, around, ways, progress
+    return seen, around, ways, thin
 
 
 @njit(nogil=True)
@@ -172,15 +185,16 @@ def points_near(
 ) -> int:
     """Lists the points of a map and of the last scan near a vehicle, in its frame, into `points`; returns how many.
 
-    Each with its velocity (k, 4) [m, m/s]. What the map holds near a moving point is that, or where it was, and left
-    out.
+    Each with its velocity, and how far it may reach (k, 5) [m, m/s]. What the map holds near a moving point is that, or
+    where it was, and left out.
     """
     most, cell, count = _NEAR * mover.scale, mover.cell, 0
     for j in range(len(rays)):
-        if rays[j] < min(most, mover.sensor_range):
+        moves = moving[j, 0] != 0.0 or moving[j, 1] != 0.0
+        if rays[j] < min(_MOVING_NEAR * mover.scale if moves else most, mover.sensor_range):
             points[count, 0] = mover.sensor[0] + rays[j] * np.cos(mover.angles[j])
             points[count, 1] = mover.sensor[1] + rays[j] * np.sin(mover.angles[j])
-            points[count, 2:] = moving[j]
+            points[count, 2:4] = moving[j]
             count += 1
     movers = points[:count][(points[:count, 2] != 0.0) | (points[:count, 3] != 0.0)]
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -191,14 +205,55 @@ def points_near(
                 dx, dy = (a + offsets[a, b, 0] / 256 - x) * cell, (b + offsets[a, b, 1] / 256 - y) * cell
                 at_x, at_y = c * dx + s * dy, c * dy - s * dx
                 if not _beside(at_x, at_y, movers, _WAKE * cell):
-                    points[count] = at_x, at_y, 0.0, 0.0
+                    points[count] = at_x, at_y, 0.0, 0.0, 0.0
                     count += 1
+    _widen(points[:count], mover.scale)
+    return count
+
+
+@njit(nogil=True)
+def _widen(points: Array, scale: float) -> None:
+    """Writes how far what is seen at each point may reach beyond it, unseen between two rays, into the last column."""
+    least, most = (_ALONE[0] * scale) ** 2, (_ALONE[1] * scale) ** 2
+    for j in range(len(points)):
+        points[j, 4] = _UNSEEN_EXTENT * scale if _is_alone(points, j, least, most) else 0.0
+
+
+@njit(nogil=True)
+def _is_alone(points: Array, j: int, least: float, most: float) -> bool:
+    """Whether no other point is farther from one than the first distance, and nearer than the second, squared [m2]."""
+    for k in range(len(points)):
+        squared = (points[j, 0] - points[k, 0]) ** 2 + (points[j, 1] - points[k, 1]) ** 2
+        if least < squared < most:
+            return False
+    return True
+
+
+@njit(nogil=True)
+def is_thin(points: Array, scale: float) -> bool:
+    """Whether one of the points (k, 5) near a vehicle is of something thinner than the rays are apart."""
+    least, most, sight = (_THICK * scale) ** 2, (_ALONE[1] * scale) ** 2, (_THIN_SIGHT * scale) ** 2
+    for j in range(len(points)):
+        if points[j, 0] ** 2 + points[j, 1] ** 2 < sight and _is_alone(points, j, least, most):
+            return True
+    return False
+
+
+@njit(nogil=True)
+def visits(end: State, trail: Array, pose: Array, scale: float) -> int:
+    """How often a vehicle was at a state's pose (k, 3)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    count = 0
+    for k in range(len(trail)):
+        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
+        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
     return count
 
 
 @njit(nogil=True)
 def _beside(x: float, y: float, points: Array, most: float) -> bool:
-    """Whether a place is less than a distance from one of the points (k, 4) [m]."""
+    """Whether a place is less than a distance from one of the points (k, 5) [m]."""
     found = False
     for k in range(len(points)):
         found = found or (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < most * most
@@ -210,6 +265,7 @@ def _drive(
     cells: Cells,
     corner: NDArray[np.int64],
     pose: Array,
+    trail: Array,
     factors: Lengths,
     left: Lengths,
     here: float,
@@ -240,6 +296,7 @@ def _drive(
     way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
     seen[WAY_AHEAD] = (cost_at(left, corner, x + c * way, y + s * way, cell, most) - here) * cell
     seen[UNKNOWN] = unseen / 8
+    seen[VISITS] = min(visits(driven, trail, pose, mover.scale), MOST_VISITS)
 
 
 @njit(nogil=True)
@@ -263,7 +320,8 @@ def course(
         goal: Speed that is asked for [m/s].
         duration: [s]
         count: Number of poses at which the clearance is computed.
-        points: That may be met, in the frame of the state, where they are now and their velocity (k, 4) [m, m/s].
+        points: That may be met, in the frame of the state, where they are now and their velocity, and how
+            far they reach (k, 5) [m, m/s].
         mover: The vehicle.
         most: Clearance that is enough [m].
     """
@@ -286,16 +344,19 @@ def course(
 
 @njit(nogil=True)
 def _room(x: float, y: float, heading: float, time: float, points: Array, footprint: Array, most: float) -> float:
-    """The clearance of a vehicle at a pose and time from points (k, 4), all in one frame [m]; at most `most`."""
+    """The clearance of a vehicle at a pose and time from points (k, 5), all in one frame [m]; at most `most`."""
     c, s = np.cos(heading), np.sin(heading)
     middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
-    nearest, within = most * most, (most + reach_of(footprint)) ** 2
+    nearest, within = most * most, (most + reach_of(footprint) + _UNSEEN_EXTENT) ** 2
     for r in range(len(points)):
         at_x, at_y = points[r, 0] + time * points[r, 2], points[r, 1] + time * points[r, 3]
         dx, dy = at_x - middle_x, at_y - middle_y
         if dx * dx + dy * dy < within:
             dx, dy = at_x - x, at_y - y
-            nearest = min(nearest, squared_distance(c * dx + s * dy, c * dy - s * dx, footprint))
+            squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
+            if points[r, 4] > 0.0:
+                squared = max(np.sqrt(squared) - points[r, 4], 0.0) ** 2
+            nearest = min(nearest, squared)
     return float(np.sqrt(nearest))
 
 

@@ -47,13 +47,18 @@ def moving_points(points: Array, before: Array, moved: Array, strayed: float, se
         sensor: Origin of the rays in the vehicle frame: x, y [m].
     """
     found = np.zeros(len(points), np.bool_)
-    c, s = np.cos(moved[2]), np.sin(moved[2])
     for k in range(len(points)):
-        if np.isnan(points[k, 0]):
-            continue
-        x, y = moved[0] + c * points[k, 0] - s * points[k, 1], moved[1] + s * points[k, 0] + c * points[k, 1]
-        place, distance = place_among_rays(x, y, sensor, len(before)), np.hypot(x - sensor[0], y - sensor[1])
-        right, left = before[int(place) % len(before)], before[int(place + 1) % len(before)]
-        free = np.minimum(right, left)  # NaN if either is
-        found[k] = distance < free - MOVING_POINT - MOVING_POINT_SHARE * distance - strayed
+        if not np.isnan(points[k, 0]):
+            found[k] = is_moving(points[k, 0], points[k, 1], before, moved, strayed, sensor)
     return found
+
+
+@njit()
+def is_moving(x: float, y: float, before: Array, moved: Array, strayed: float, sensor: Array) -> bool:
+    """Whether the last scan saw free space at a point of a scan [m], see `moving_points`."""
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    x, y = moved[0] + c * x - s * y, moved[1] + s * x + c * y
+    place, distance = place_among_rays(x, y, sensor, len(before)), np.hypot(x - sensor[0], y - sensor[1])
+    right, left = before[int(place) % len(before)], before[int(place + 1) % len(before)]
+    free = np.minimum(right, left)  # NaN if either is
+    return bool(distance < free - MOVING_POINT - MOVING_POINT_SHARE * distance - strayed)

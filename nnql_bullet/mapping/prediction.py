@@ -56,22 +56,28 @@ def scan_clearances(poses: Array, points: Array, footprint: Array) -> Array:
         points: Points of each vehicle's scan, in its present frame (n, r, 2) [m]; NaN for none.
         footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
     """
-    clearances, reach = np.empty(poses.shape[:-1]), reach_of(footprint)
+    clearances = np.empty(poses.shape[:-1])
     for i in range(len(poses)):
         seen = points[i][np.isfinite(points[i, :, 0])]
         for j in range(poses.shape[1]):
             for k in range(poses.shape[2]):
                 x, y, yaw = poses[i, j, k]
-                c, s = np.cos(yaw), np.sin(yaw)
-                middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
-                nearest = within = np.inf  # a point farther from the middle than that is not the nearest
-                for r in range(len(seen)):
-                    dx, dy = seen[r, 0] - middle_x, seen[r, 1] - middle_y
-                    if dx * dx + dy * dy > within:
-                        continue
-                    dx, dy = seen[r, 0] - x, seen[r, 1] - y
-                    squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
-                    if squared < nearest:
-                        nearest, within = squared, (np.sqrt(squared) + reach) ** 2 + ROUNDING
-                clearances[i, j, k] = np.sqrt(nearest)
+                clearances[i, j, k] = clearance_at(x, y, yaw, seen, len(seen), footprint)
     return clearances
+
+
+@njit()
+def clearance_at(x: float, y: float, yaw: float, points: Array, count: int, footprint: Array) -> float:
+    """The distance from the footprint at a pose to the nearest of the first points (r, 2) [m]; infinite without any."""
+    c, s, reach = np.cos(yaw), np.sin(yaw), reach_of(footprint)
+    middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    nearest = within = np.inf  # a point farther from the middle than that is not the nearest
+    for r in range(min(count, len(points))):
+        dx, dy = points[r, 0] - middle_x, points[r, 1] - middle_y
+        if dx * dx + dy * dy > within:
+            continue
+        dx, dy = points[r, 0] - x, points[r, 1] - y
+        squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
+        if squared < nearest:
+            nearest, within = squared, (np.sqrt(squared) + reach) ** 2 + ROUNDING
+    return np.sqrt(nearest)

@@ -16,11 +16,9 @@ from nnql_bullet.mapping.body_map import (
     Lengths,
     Offsets,
     cost_at,
-    cost_factors,
-    costs_to_go,
     open_until,
 )
-from nnql_bullet.mapping.foresight import Mover, State, course, points_near
+from nnql_bullet.mapping.foresight import Mover, State, course, is_thin, points_near, visits
 
 WORST = -30.0
 """Least score, of a manoeuvre that meets something [m]."""
@@ -35,11 +33,9 @@ _EARLIER = 0.1
 """What the way left after every manoeuvre counts beside that in the end: progress at once is better than later."""
 _AGAIN = 0.5
 """What it costs to come back to a pose, each time, over the length scale [m]; without it plans repeat each other."""
-_SAME = 0.15, 0.25
-"""How far from a pose counts as the same: over the length scale [m], and in heading [rad]."""
 _BACKING = 0.1
 """What a manoeuvre backwards costs beside its way [m]."""
-_KEPT = 0.7
+KEPT = 0.7
 """Share of the present clearance that a vehicle keeps where it has less than its margin."""
 _DROPPED = 0.3
 """What a first manoeuvre loses with every level at which nothing that follows it is driven on [m]."""
@@ -54,7 +50,8 @@ def searched(
     corners: NDArray[np.int64],
     poses: Array,
     trails: Array,
-    targets: Array,
+    factors: Lengths,
+    left: Lengths,
     rays: Array,
     moving: Array,
     speeds: Array,
@@ -66,7 +63,10 @@ def searched(
     depth: int,
     width: int,
     room: float,
+    wide: float,
     weight: float,
+    haste: float,
+    caution: float,
     margin: float,
     constancy: float,
     mover: Mover,
@@ -79,7 +79,8 @@ def searched(
         corners: First cells of the maps (n, 2).
         poses: Of the vehicles, in the landmark's frame (n, 3).
         trails: Poses at the last decisions and now, likewise (n, t, 3); infinite for none.
-        targets: Places of the targets (n, 2) [m].
+        factors: See `body_map.ways_to` (n, SIDE, SIDE).
+        left: Likewise (n, SIDE, SIDE).
         rays: Distances of the last scan (n, r) [m].
         moving: Velocities of its points in the vehicle frame (n, r, 2) [m/s].
         speeds: (n,) [m/s]
@@ -91,26 +92,28 @@ def searched(
         depth: Number of manoeuvres in a row.
         width: Number of states that are driven on.
         room: Clearance below which a manoeuvre costs [m].
+        wide: Clearance, not less, from which on the drive's speed costs nothing [m].
         weight: What each metre of clearance costs that lacks.
+        haste: What a manoeuvre costs by its squared speed where there is no clearance at all [s2/m].
+        caution: The same near something thin, whatever the clearance: there may be more that the rays miss [s2/m].
         margin: Clearance below which a manoeuvre counts as meeting something [m].
         constancy: What it is worth to keep to the plan [m].
         mover: The vehicle.
     """
     n, m = turns.shape
     then = np.full(n, -1)
-    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 4))
+    scores, points = np.empty((n, m)), np.empty((cells.shape[1] ** 2 + rays.shape[1], 5))
     most = max(m, width * len(follow))
     states, costs, values = np.empty((2, most, 5)), np.empty((2, most)), np.empty(most)
     roots, seconds = np.empty((2, most), np.int64), np.full((2, most), -1)
     taken, nexts = np.empty(m, np.int64), np.empty(m, np.int64)
     for i in range(n):
-        factors = cost_factors(cells[i], offsets[i])
-        left = costs_to_go(factors, corners[i], poses[i, :2], targets[i], mover.cell)
-        here = cost_at(left, corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
+        here = cost_at(left[i], corners[i], poses[i, 0], poses[i, 1], mover.cell, np.inf)
         count = points_near(cells[i], offsets[i], corners[i], poses[i], rays[i], moving[i], mover, points)
         near = points[:count]
+        doubt = caution if is_thin(near, mover.scale) else 0.0
         _, now, _ = course((0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 1, near, mover, room)
-        least = min(margin, _KEPT * now)
+        least = min(margin, KEPT * now)
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
         costs[0, 0] = 0.0
@@ -127,17 +130,18 @@ def searched(
                 start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
                 for k in range(m if level == 0 else len(follow)):
                     action = k if level == 0 else follow[k]
+                    turn, goal = turns[i, action], goals[action]
                     end, cost, lasts = _tried(
-                        start, time, turns[i, action], goals[action], poses_each, near, room, weight, least, mover
+                        start, time, turn, goal, poses_each, near, room, wide, weight, haste, doubt, least, mover
                     )
                     if lasts < 1.0:
                         if level == 0:
                             scores[i, k] = WORST + 10.0 * lasts
                         continue
-                    value = _way(end, left, factors, corners[i], poses[i], here, mover)
+                    value = _way(end, left[i], factors[i], corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
                         cost += _BACKING
-                    cost += _AGAIN * mover.scale * _visits(end, trails[i], poses[i], mover.scale)
+                    cost += _AGAIN * mover.scale * visits(end, trails[i], poses[i], mover.scale)
                     states[new, made] = end
                     costs[new, made] = costs[old, j] + cost + _EARLIER * value
                     roots[new, made] = k if level == 0 else roots[old, j]
@@ -167,18 +171,6 @@ def searched(
 
 
 @njit(nogil=True)
-def _visits(end: State, trail: Array, pose: Array, scale: float) -> int:
-    """How often a vehicle was at a state's pose (k, 3)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
-    count = 0
-    for k in range(len(trail)):
-        near = (trail[k, 0] - x) ** 2 + (trail[k, 1] - y) ** 2 < (_SAME[0] * scale) ** 2
-        count += near and np.cos(trail[k, 2] - pose[2] - end[2]) > np.cos(_SAME[1])
-    return count
-
-
-@njit(nogil=True)
 def _tried(
     start: State,
     time: float,
@@ -187,20 +179,31 @@ def _tried(
     poses: int,
     points: Array,
     room: float,
+    wide: float,
     weight: float,
+    haste: float,
+    doubt: float,
     least: float,
     mover: Mover,
 ) -> tuple[State, float, float]:
-    """Drives a manoeuvre, then to a stand: its end, what lacks in room, and how long it meets nothing (0 to 1)."""
-    end, driven, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, room)
-    if driven < least:
-        return end, 0.0, lasts / (poses + _STOPPING)
+    """Drives a manoeuvre, then to a stand: its end, what it costs, and how good it is as a last resort (0 to 1).
+
+    That is 1 for one that is none. Of the others those without a contact are the better, then those that meet something
+    later.
+    """
+    end, clear, lasts = course(start, time, turn, goal, mover.period, poses, points, mover, wide)
+    if lasts < poses:
+        return end, 0.0, 0.5 * lasts / (poses + _STOPPING)
     stop = abs(end[3]) / mover.acceleration
-    count = _STOPPING if stop > 0.0 else 0
-    _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, count, points, mover, room)
-    if then < least:
-        return end, 0.0, (poses + more) / (poses + _STOPPING + 1)
-    return end, weight * (room - min(driven, then)), 1.0
+    if stop > 0.0:
+        _, then, more = course(end, time + mover.period, 0.0, 0.0, stop, _STOPPING, points, mover, wide)
+        if more < _STOPPING:
+            return end, 0.0, 0.5 * (poses + more) / (poses + _STOPPING)
+        clear = min(clear, then)
+    if clear < least:
+        return end, 0.0, 0.5 + 0.49 * clear / least
+    cost = weight * max(room - clear, 0.0)
+    return end, cost + max(haste * (1.0 - clear / wide), doubt) * end[3] ** 2, 1.0
 
 
 @njit(nogil=True)

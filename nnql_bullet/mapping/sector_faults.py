@@ -27,7 +27,9 @@ def silent_sectors(distances: Array, sensor_range: float) -> NDArray[np.bool_]:
     """Marks the sectors (8,) in which no ray of a scan (rays,) [m] is shorter than the range [m]."""
     silent, rays = np.empty(paper.SECTORS, np.bool_), len(distances)
     for sector in range(paper.SECTORS):
-        silent[sector] = distances[first_ray(sector, rays) : first_ray(sector + 1, rays)].min() >= sensor_range
+        silent[sector] = True
+        for ray in range(first_ray(sector, rays), min(first_ray(sector + 1, rays), rays)):
+            silent[sector] = silent[sector] and distances[ray] >= sensor_range
     return silent
 
 
@@ -45,7 +47,8 @@ def contradictions(distances: Array, expected: Array, sensor: Array, sensor_rang
     """
     silent, against = silent_sectors(distances, sensor_range), np.zeros(paper.SECTORS)
     near, rays = NEAR * sensor_range, len(distances)
-    for x, y in expected:
+    for k in range(len(expected)):
+        x, y = expected[k, 0], expected[k, 1]
         if np.hypot(x - sensor[0], y - sensor[1]) < near:
             place = place_among_rays(x, y, sensor, rays)
             sector = _sector_of(int(place), rays)
@@ -70,10 +73,10 @@ def borders(distances: Array, sector: int) -> tuple[float, float]:
 @njit()
 def _sector_of(ray: int, rays: int) -> int:
     """Finds the sector that a ray is in."""
-    sector = 0
-    while ray >= first_ray(sector + 1, rays):
-        sector += 1
-    return sector
+    for sector in range(paper.SECTORS - 1):
+        if ray < first_ray(sector + 1, rays):
+            return sector
+    return paper.SECTORS - 1
 
 
 @njit()
@@ -93,13 +96,17 @@ def completed(
         The distances (rays,) [m], and the remembered point of each ray in a dead sector (rays, 2) [m].
     """
     rays = len(distances)
-    whole, remembered = distances.copy(), np.full((rays, 2), np.nan)
+    whole, remembered = np.empty(rays), np.full((rays, 2), np.nan)
+    for ray in range(rays):
+        whole[ray] = distances[ray]
     for sector in range(paper.SECTORS):
         if dead[sector]:
             right, left = borders(distances, sector)
-            whole[first_ray(sector, rays) : first_ray(sector + 1, rays)] = min(right, left)
+            for ray in range(first_ray(sector, rays), min(first_ray(sector + 1, rays), rays)):
+                whole[ray] = min(right, left)
     nearest = np.full(rays, sensor_range)
-    for x, y in expected:
+    for k in range(len(expected)):
+        x, y = expected[k, 0], expected[k, 1]
         distance = np.hypot(x - sensor[0], y - sensor[1])
         if distance < sensor_range:
             ray = int(np.rint(place_among_rays(x, y, sensor, rays))) % rays

@@ -81,6 +81,7 @@ def shown_free(
     radius: float,
     scans: RecentScans,
     newest: int,
+    known: int,
     sensor: Array,
     first_angle: float,
 ) -> bool:
@@ -95,13 +96,14 @@ def shown_free(
         radius: Of the discs [m].
         scans: The scans.
         newest: Number of the first scan that is asked.
+        known: Number of the scans.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
         first_angle: Of the first ray in the vehicle frame [rad].
     """
     rays, poses, strayed = scans
     count = rays.shape[1]
     step = 2 * np.pi / count
-    for j in range(newest, len(rays)):
+    for j in range(newest, min(known, len(rays))):
         c, s = np.cos(poses[j, 2]), np.sin(poses[j, 2])
         dx, dy = x - poses[j, 0], y - poses[j, 1]
         px, py = c * dx + s * dy - sensor[0], c * dy - s * dx - sensor[1]
@@ -141,45 +143,85 @@ def meets_unseen(
         sensor: Origin of the rays in the vehicle frame: x, y [m].
         first_angle: Of the first ray in the vehicle frame [rad].
     """
+    frames, steps = np.empty((len(path), 4)), len(path)
+    for k in range(steps):
+        frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
+    return comes_near(
+        frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30, 1 << 30
+    )
+
+
+@njit()
+def comes_near(
+    frames: Array,
+    steps: int,
+    footprint: Array,
+    margin: float,
+    width: float,
+    scans: RecentScans,
+    known: int,
+    sensor: Array,
+    first_angle: float,
+    most_along: int,
+    most_across: int,
+) -> bool:
+    """`meets_unseen` of poses as frames: x, y, cosine and sine of the heading (k, 4).
+
+    Args:
+        frames: Poses of the vehicle, in its present frame, and room for more.
+        steps: Number of them.
+        footprint: See `meets_unseen`.
+        margin: See `meets_unseen`.
+        width: See `meets_unseen`.
+        scans: See `meets_unseen`, and room for more.
+        known: Number of them.
+        sensor: See `meets_unseen`.
+        first_angle: See `meets_unseen`.
+        most_along: Bound on the cells along a ray.
+        most_across: Bound on the cells across it.
+    """
     rays = scans.rays
     count, radius = rays.shape[1], width / 2
     step = 2 * np.pi / count
     sine, grown = np.sin(step / 2), radius + margin
     together = radius / sine  # up to where two rays leave no room for a disc between them
-    frames = np.empty((len(path), 4))
-    for k in range(len(path)):
-        frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
     # A circle round the grown footprint at every frame: a ray that leaves it before its gap opens meets nothing.
-    middle_x, middle_y = path[:, 0].mean() - sensor[0], path[:, 1].mean() - sensor[1]
-    away = np.hypot(path[:, 0] - sensor[0] - middle_x, path[:, 1] - sensor[1] - middle_y).max()
-    box = abs(footprint[0]) + footprint[2] + grown, abs(footprint[1]) + footprint[3] + grown
-    circle = middle_x * middle_x + middle_y * middle_y - (away + np.hypot(box[0], box[1])) ** 2
+    middle_x = middle_y = away = 0.0
+    for k in range(min(steps, len(frames))):
+        middle_x, middle_y = middle_x + frames[k, 0], middle_y + frames[k, 1]
+    middle_x, middle_y = middle_x / steps - sensor[0], middle_y / steps - sensor[1]
+    for k in range(min(steps, len(frames))):
+        away = max(away, np.hypot(frames[k, 0] - sensor[0] - middle_x, frames[k, 1] - sensor[1] - middle_y))
+    length, breadth = abs(footprint[0]) + footprint[2] + grown, abs(footprint[1]) + footprint[3] + grown
+    circle = middle_x * middle_x + middle_y * middle_y - (away + np.hypot(length, breadth)) ** 2
     for ray in range(count):
         right, left = rays[0, ray], rays[0, (ray + 1) % count]
-        start = min(together, right, left)
+        start = min(together, min(right, left))
         direction = first_angle + (ray + 0.5) * step
         c, s = np.cos(direction), np.sin(direction)
         towards = c * middle_x + s * middle_y
         if towards * towards < circle or towards + np.sqrt(towards * towards - circle) < start:
             continue
-        near, far = _span(sensor[0], sensor[1], c, s, frames, footprint, grown)
+        near, far = _span(sensor[0], sensor[1], c, s, frames, steps, footprint, grown)
         near = max(near, start)
+        if far <= near:
+            continue
         cells = int(np.ceil((far - near) / radius))
-        for cell in range(cells):
+        for cell in range(min(cells, most_along)):
             end = far - cell * radius
             half_length = min(radius, end - near) / 2
             low = -end * sine + covered_half_width(radius, end - right)
             high = end * sine - covered_half_width(radius, end - left)
             pieces = int(np.ceil((high - low) / radius))
-            for piece in range(pieces):
+            for piece in range(min(pieces, most_across)):
                 half_width = (high - low) / pieces / 2
                 along, across = end - half_length, low + (2 * piece + 1) * half_width
                 x, y = sensor[0] + c * along - s * across, sensor[1] + s * along + c * across
-                if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, sensor, first_angle):
+                if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, known, sensor, first_angle):
                     continue
                 here = np.sqrt(squared_distance(x, y, footprint))
                 least = min(grown, here - CONTACT)
-                for k in range(len(frames)):
+                for k in range(min(steps, len(frames))):
                     dx, dy = x - frames[k, 0], y - frames[k, 1]
                     ahead, beside = frames[k, 2] * dx + frames[k, 3] * dy, frames[k, 2] * dy - frames[k, 3] * dx
                     if least > 0 and squared_distance(ahead, beside, footprint) < least * least:
@@ -188,10 +230,12 @@ def meets_unseen(
 
 
 @njit()
-def _span(x: float, y: float, c: float, s: float, frames: Array, footprint: Array, grown: float) -> tuple[float, float]:
+def _span(
+    x: float, y: float, c: float, s: float, frames: Array, steps: int, footprint: Array, grown: float
+) -> tuple[float, float]:
     """The part of a ray from (x, y) along (c, s) in which it meets a grown footprint at some of the frames [m]."""
     first, last = np.inf, 0.0
-    for k in range(len(frames)):
+    for k in range(min(steps, len(frames))):
         dx, dy = x - frames[k, 0], y - frames[k, 1]
         ahead, beside = frames[k, 2] * dx + frames[k, 3] * dy, frames[k, 2] * dy - frames[k, 3] * dx
         cr, sr = frames[k, 2] * c + frames[k, 3] * s, frames[k, 2] * s - frames[k, 3] * c
@@ -200,12 +244,11 @@ def _span(x: float, y: float, c: float, s: float, frames: Array, footprint: Arra
             (ahead - footprint[0], cr, footprint[2] + grown),
             (beside - footprint[1], sr, footprint[3] + grown),
         ):
-            if abs(towards) < 1e-12:
-                if abs(offset) > half:
-                    leave = -1.0
-                continue
-            one, other = (-half - offset) / towards, (half - offset) / towards
-            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+            if abs(towards) >= 1e-12:
+                one, other = (-half - offset) / towards, (half - offset) / towards
+                enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+            elif abs(offset) > half:
+                leave = -1.0
         if leave > enter:
             first, last = min(first, enter), max(last, leave)
     return first, last
@@ -226,19 +269,27 @@ def missed(
         slack: Distance beside a ray within which it would have met the point [m].
         close: Distance within which a point of the scan replaces a remembered one [m].
     """
-    found, count = np.zeros(len(points), np.bool_), len(rays)
-    step = 2 * np.pi / count
+    found = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
-        x, y = points[k, 0] - sensor[0], points[k, 1] - sensor[1]
-        if x * x + y * y > reach * reach:
-            continue
-        right = np.floor((np.arctan2(y, x) - first_angle) / step)
-        found[k] = True
-        for place in (right, right + 1):
-            angle, distance = first_angle + place * step, rays[int(place) % count]
-            c, s = np.cos(angle), np.sin(angle)
-            along, across = c * x + s * y, abs(c * y - s * x)
-            replaced = (along - distance) ** 2 + across * across < close * close
-            if replaced or (across < slack and along < distance):
-                found[k] = False
+        found[k] = is_missed(points[k, 0], points[k, 1], rays, sensor, first_angle, reach, slack, close)
     return found
+
+
+@njit()
+def is_missed(
+    x: float, y: float, rays: Array, sensor: Array, first_angle: float, reach: float, slack: float, close: float
+) -> bool:
+    """Whether the rays of a scan miss a remembered point [m], see `missed`."""
+    step = 2 * np.pi / len(rays)
+    x, y = x - sensor[0], y - sensor[1]
+    if x * x + y * y > reach * reach:
+        return False
+    right = np.floor((np.arctan2(y, x) - first_angle) / step)
+    for place in (right, right + 1):
+        angle, distance = first_angle + place * step, rays[int(place) % len(rays)]
+        c, s = np.cos(angle), np.sin(angle)
+        along, across = c * x + s * y, abs(c * y - s * x)
+        replaced = (along - distance) ** 2 + across * across < close * close
+        if replaced or (across < slack and along < distance):
+            return False
+    return True

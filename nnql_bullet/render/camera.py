@@ -29,7 +29,7 @@ class Camera:
     width: int
     height: int
     near: float
-    """Near clipping distance [m]; a larger one gives more exact depths, which have 16 bits in EGL."""
+    """Near clipping distance [m]; a larger one gives more exact depths."""
     far: float = 400.0
     """Far clipping distance [m]."""
 

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
@@ -12,7 +11,7 @@ from nnql_bullet.executors import make_executor
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import HOLD, Film, frame_times, frames
-from nnql_bullet.render.renderers import RendererName, best_renderer, check_renderer
+from nnql_bullet.render.renderers import RendererName, check_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.render.video import VideoFormat, check_encoder, write_picture, write_pictures, write_video
@@ -42,7 +41,7 @@ def render(
     begin: float = 0.0,
     end: float | None = None,
     hold: float = HOLD,
-    renderer: Literal["auto"] | RendererName = "auto",
+    renderer: RendererName = "raster",
     kind: VideoFormat | None = None,
     pictures: Path | str | None = None,
     sheet: Path | str | None = None,
@@ -61,7 +60,7 @@ def render(
         begin: Time in the drive at which the video begins [s].
         end: Time in the drive at which the video ends [s]; by default the end of the drive.
         hold: Time for which the video shows the last frame [s].
-        renderer: Renderer of the solid bodies; "auto" chooses the faster of EGL and TinyRenderer.
+        renderer: Renderer of the solid bodies; "vtk" has finer light and shadows, and is much slower.
         kind: Format of the video; by default the suffix of its file decides.
         pictures: Folder for a PNG of each frame; by default none is written.
         sheet: File for a picture of the key moments; by default none is written.
@@ -85,7 +84,7 @@ def render(
         if (count := (last - begin) / speed * fps) > MOST_FRAMES:
             raise UserError(f"a film of {count:.3g} frames is longer than {MOST_FRAMES}; raise speed or lower fps")
         recorded_urdf(loaded.about["vehicle"])  # is refused here if it cannot be drawn
-        film = Film(path, camera, *size, best_renderer(*size) if renderer == "auto" else renderer)
+        film = Film(path, camera, *size, renderer)
         if video or pictures:
             times = frame_times(begin, last, fps, speed, hold)
             _write_film(film, times, video, chosen, fps, pictures, workers, on_progress)
@@ -103,7 +102,7 @@ def render_ending(recording: Path, video: Path, seconds: float, size: tuple[int,
         WorkFailed: If drawing fails.
     """
     times = frame_times(0.0, Timeline(load_recording(recording)).duration, FPS, 1.0)
-    film = Film(recording, "split", *size, best_renderer(*size))
+    film = Film(recording, "split", *size, "raster")
     _write_film(film, times[-round((seconds + HOLD) * FPS) :], video, "mp4", FPS, None, workers, None)
 
 

@@ -13,7 +13,6 @@ from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.render.camera import CameraName
 from nnql_bullet.render.film import Studio
 from nnql_bullet.render.filming import FPS, check_pictures
-from nnql_bullet.render.renderers import best_renderer
 from nnql_bullet.render.window import RATE, Window, check_window
 from nnql_bullet.rollout import Decision
 from nnql_bullet.sim.base import Sample
@@ -26,7 +25,7 @@ RenderMode = Literal["rgb_array", "rgb_array_list", "human"]
 """A picture of now, one of each state since the last time, or a window."""
 
 SIZE = (640, 360)
-"""Default size of pictures [pixels]; TinyRenderer, which works everywhere, draws them as fast as any."""
+"""Default size of pictures [pixels]."""
 INSTANT = 1e-6
 """Time after the start of an episode that stands for its first step before there is one [s]."""
 
@@ -116,7 +115,7 @@ class Live:
     def _drawn(self, times: list[float]) -> list[Bytes]:
         recording = self._recording()
         if self._studio is None:
-            self._studio = Studio(recording, self._camera, *self._size, best_renderer(*self._size))
+            self._studio = Studio(recording, self._camera, *self._size, "raster")
         self._studio.follow(recording)
         return [self._studio.frame(time) for time in times]
 

@@ -84,7 +84,6 @@ class Painter:
         picture = shade(
             solids.colours,
             solids.depths,
-            solids.gain,
             solids.light,
             eye_of(camera),
             self._ground(moment),

@@ -5,13 +5,11 @@ from typing import Literal
 
 from nnql_bullet.errors import UserError
 from nnql_bullet.recording import Recording
-from nnql_bullet.render.solids import BulletRenderer, Renderer
-from nnql_bullet.sim.scene_trial import NO_EGL, works
+from nnql_bullet.render.raster import RasterRenderer
+from nnql_bullet.render.solids import Renderer
 
-RendererName = Literal["tiny", "egl", "vtk"]
+RendererName = Literal["raster", "vtk"]
 
-SMALL = 640 * 360
-"""Number of pixels up to which TinyRenderer is as fast as EGL in software, and needs less memory."""
 NO_VTK = "VTK is not installed; install it with: pip install 'nnql-bullet[render]'"
 
 
@@ -19,10 +17,10 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     """Makes a renderer. VTK is imported only when it is needed.
 
     Raises:
-        UserError: If the renderer does not work on this machine, or the recording has no shapes of the vehicle.
+        UserError: If the renderer is not installed, or the recording has no shapes of the vehicle.
     """
-    if name != "vtk":
-        return BulletRenderer(recording, name)
+    if name == "raster":
+        return RasterRenderer(recording)
     try:
         from nnql_bullet.render.vtk import VtkRenderer
     except ImportError:
@@ -30,25 +28,11 @@ def make_renderer(recording: Recording, name: RendererName) -> Renderer:
     return VtkRenderer(recording)
 
 
-def check_renderer(name: Literal["auto"] | RendererName) -> None:
-    """Checks that a renderer works on this machine.
+def check_renderer(name: RendererName) -> None:
+    """Checks that a renderer is installed.
 
     Raises:
-        UserError: If it does not.
+        UserError: If it is not.
     """
     if name == "vtk" and find_spec("pyvista") is None:
         raise UserError(NO_VTK)
-    if name == "egl" and not works("egl"):
-        raise UserError(NO_EGL)
-
-
-def best_renderer(width: int, height: int) -> RendererName:
-    """Chooses EGL for pictures larger than `SMALL` if it works, else TinyRenderer; VTK where PyBullet is not installed.
-
-    Args:
-        width: Width of the pictures [pixels].
-        height: Height of the pictures [pixels].
-    """
-    if find_spec("pybullet") is None:
-        return "vtk"
-    return "egl" if width * height > SMALL and works("egl") else "tiny"

@@ -25,10 +25,7 @@ FACETS = 96
 
 
 class VtkRenderer:
-    """Draws with VTK without a window.
-
-    Do not use it and PyBullet's EGL by turns in one process, because EGL draws into the current context.
-    """
+    """Draws with VTK without a window."""
 
     lights = True
     samples = SAMPLES
@@ -69,7 +66,7 @@ class VtkRenderer:
         colours, depths = self._picture(camera)
         boxes, parts = with_movers(self._boxes, moment.movers), placed_parts(self._visuals.shapes, frames)
         light = light_in_pixels(depths, eye_of(camera), boxes, parts)
-        return Solids(colours, depths, 1.0, light)
+        return Solids(colours, depths, light)
 
     def close(self) -> None:
         """Frees the resources of VTK."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import pairwise
+from math import isfinite, isnan
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +14,59 @@ from nnql_bullet import __version__
 from nnql_bullet.colours import BOX, COLLISION, GOAL, INK, SAFE, SHADE, TIMEOUT
 from nnql_bullet.config import dotted, merged
 from nnql_bullet.evaluation.ablation import Budget, Entry
+from nnql_bullet.evaluation.statistics import Estimate, least_seeds
 from nnql_bullet.evaluation.studies import Factor, Study
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Picture, Report, Section, table
 from nnql_bullet.reports.drawing import OPEN, finish_axes, legend_below, picture
-from nnql_bullet.reports.tables import csv_text
+from nnql_bullet.reports.tables import csv_text, finite
 
-COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT}
+COLOURS = {"default": INK, "better": GOAL, "worse": COLLISION, "undecided": TIMEOUT, "exploratory": TIMEOUT}
 
 
 def ablation_markdown(study: Study, entries: Sequence[Entry], budget: Budget) -> str:
     """Returns the report as Markdown."""
     variants = table(
-        ("factor", "section", "variant", *study.tiers.values(), "difference, points", "evidence"),
+        ("factor", "section", "variant", *study.tiers.values(), *EVIDENCE),
         [_row(study, entry) for entry in entries],
     )
     lead = (
         f"{about(study, budget)} nnql-bullet {__version__}.",
-        "Success is the inter-quartile mean over training seeds with its bootstrap 95 % interval. The difference is "
-        "that of success over all kinds of worlds, paired by seed, from the default's; a variant is better or worse "
-        "where its 95 % interval leaves zero out. With so many variants, one or two will do so by chance.",
+        how_judged(entries, budget.seeds),
         Picture("ablation.png", "the ablation"),
         variants,
     )
     decisions = "\n".join(f"- {factor.question}: {decision(factor, entries)}" for factor in study.factors)
     not_varied = (f"Not varied: {study.not_varied}.",) if study.not_varied else ()
     return Report(study.title, (Section("", lead), Section("What it decides", (decisions, *not_varied)))).markdown()
+
+
+TESTED = ("difference", "p_value", "corrected", "detectable")
+"""Fields of an entry that are numbers, null in JSON where there is none."""
+EVIDENCE = ("difference, points", "p", "p, corrected", "detectable, points", "evidence")
+"""What is said of a variant beside its success."""
+
+
+def how_judged(entries: Sequence[Entry], seeds: int) -> str:
+    """Describes the test of a study, and what it could have found."""
+    comparisons = sum(entry.verdict != "default" for entry in entries)
+    least = least_seeds(comparisons)
+    text = (
+        "Success is the inter-quartile mean over training seeds. The difference is that of mean success over all kinds "
+        "of worlds from the default's, paired by seed; its p is that of the exact sign-flip test over seeds, corrected "
+        f"by Holm's method for the {comparisons} comparisons of the study. Intervals are exact 95 % intervals over "
+        f"seeds, which need {least_seeds()} of them (Hartigan 1969). "
+    )
+    if seeds < least:
+        return text + (
+            f"This study is exploratory: where all {seeds} pairs of trainings agree, p is {2 ** (1 - seeds):.2g}, so "
+            f"{comparisons} comparisons need {least} seeds for a verdict. It says neither better nor worse."
+        )
+    return text + (
+        "A variant is better or worse where the corrected p is at most 0.05. Detectable is the true difference that "
+        "such a study finds in 80 % of repetitions, given the spread of these differences: a smaller one may well be "
+        "there and stay undecided."
+    )
 
 
 def about(study: Study, budget: Budget) -> str:
@@ -58,9 +87,11 @@ def decision(factor: Factor, entries: Sequence[Entry]) -> str:
     better = [entry for entry in its if entry.verdict == "better"]
     undecided = [entry.variant.label for entry in its if entry.verdict == "undecided"]
     stated = " (stated by the paper, so it stays)" if factor.stated else ""
+    if any(entry.verdict == "exploratory" for entry in its):
+        return f"{default}; too few seeds for a verdict{stated}"
     if better:
         best = max(better, key=lambda entry: entry.difference.value)
-        return f"{best.variant.label} is better than {default} by {_points(best)} points{stated}"
+        return f"{best.variant.label} is better than {default} by {_points(best.difference)} points{stated}"
     if undecided:
         return f"{default}; nothing is better, and the evidence does not tell it from {_listed(undecided)}{stated}"
     return f"{default}, and every variant is worse"
@@ -70,32 +101,35 @@ def _listed(labels: Sequence[str]) -> str:
     return " or ".join(labels) if len(labels) < 3 else f"{', '.join(labels[:-1])} or {labels[-1]}"
 
 
-def _points(entry: Entry) -> str:
-    return " to ".join(f"{100 * number:+.1f}" for number in entry.difference[1:])
+def _points(difference: Estimate) -> str:
+    """A difference in points, with its interval if there is one."""
+    value, low, high = (f"{100 * number:+.1f}" for number in difference)
+    return value if isnan(difference.low) else f"{value} ({low} to {high})"
 
 
 def _row(study: Study, entry: Entry) -> tuple[object, ...]:
     stated = ", stated" if entry.factor.stated else ""
+    tested = (
+        _points(entry.difference),
+        f"{entry.p_value:.2g}",
+        f"{entry.corrected:.2g}",
+        f"{100 * entry.detectable:.1f}" if isfinite(entry.detectable) else "none",
+    )
     return (
         entry.factor.question,
         f"{entry.factor.section}{stated}",
         entry.variant.label,
-        *(shown(entry, world) for world in study.tiers),
-        "" if entry.verdict == "default" else f"{100 * entry.difference.value:+.1f} ({_points(entry)})",
+        *(entry.success[world] for world in study.tiers),
+        *(("",) * len(tested) if entry.verdict == "default" else tested),
         entry.verdict,
     )
-
-
-def shown(entry: Entry, world: str) -> str:
-    """Formats success in a tier [%]."""
-    interval = entry.success[world]
-    return str(interval) if interval else f"{100 * entry.by_seed[world][0]:.1f}"
 
 
 def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> dict[str, Any]:
     """Returns the ablation as plain values, for JSON."""
     return {
         "version": __version__,
+        "made_by": made_by(),
         **asdict(budget),
         "preset": study.preset,
         "tiers": dict(study.tiers),
@@ -108,9 +142,9 @@ def ablation_values(study: Study, entries: Sequence[Entry], budget: Budget) -> d
                 "stated": entry.factor.stated,
                 "variant": entry.variant.label,
                 "changes": entry.variant.changes,
-                "success": {world: interval and list(interval) for world, interval in entry.success.items()},
+                "success": finite(entry.success),
                 "by_seed": entry.by_seed,
-                "difference": list(entry.difference),
+                **finite({name: getattr(entry, name) for name in TESTED}),
                 "verdict": entry.verdict,
             }
             for entry in entries
@@ -153,9 +187,9 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
                 seeds = 100 * np.array(entry.by_seed[world])
                 axes.plot(seeds, np.full(len(seeds), place), "o", color=BOX, ms=3.0, mew=0, zorder=2)
                 interval = entry.success[world]
-                if interval:
+                if not isnan(interval.low):
                     axes.plot([100 * interval.low, 100 * interval.high], [place] * 2, color=colour, lw=1.8, zorder=3)
-                    axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
+                axes.plot(100 * interval.value, place, "D", color=colour, ms=5, mew=0, zorder=4)
                 if entry.verdict == "default":
                     axes.axhspan(place - 0.42, place + 0.42, color=SHADE, lw=0, zorder=0)
             axes.set(xlim=(-2, 102), ylim=(places[-1] - 0.8, 1.6), xlabel="success [%]")
@@ -169,10 +203,13 @@ def draw_ablation(study: Study, entries: Sequence[Entry], budget: Budget, path: 
                 -0.02, places[first] + 1.0, title, transform=x, fontsize=9, va="center", ha="right", color=SAFE
             )
         handles = [
-            Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict) for verdict, colour in COLOURS.items()
+            Line2D([], [], color=colour, marker="D", ms=5, lw=1.8, label=verdict)
+            for verdict, colour in COLOURS.items()
+            if any(entry.verdict == verdict for entry in entries)
         ]
         handles.append(Line2D([], [], color=BOX, marker="o", ls="", ms=4, label="one training seed"))
         legend_below(figure, 5, handles)
         asked = f"; {study.asked}" if study.asked else ""
-        title = f"trainings of each: {budget.seeds}; inter-quartile mean, 95 % interval; * the paper states it{asked}"
+        ends = ", 95 % interval" if budget.seeds >= least_seeds() else ""
+        title = f"trainings of each: {budget.seeds}; inter-quartile mean{ends}; * the paper states it{asked}"
         figure.suptitle(title, fontsize=10, color=INK)

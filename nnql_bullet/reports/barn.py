@@ -13,6 +13,7 @@ from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.barn import CLIPPINGS, SPEED, TIME, Barn, BarnRow
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.document import Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
@@ -125,6 +126,7 @@ def barn_values(barn: Barn, films: Sequence[FilmTask]) -> dict[str, Any]:
     surveyed = zip(tier.worlds, e.difficulties[tier.name], strict=True)
     return {
         "version": __version__,
+        "made_by": made_by(),
         "command": barn.command,
         "protocol": {"text": protocol(barn), "time": TIME, "speed": SPEED, "source": PAPER},
         "clippings": [{"name": its.name, **asdict(its)} for its in CLIPPINGS],

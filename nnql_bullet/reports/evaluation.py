@@ -16,6 +16,7 @@ from nnql_bullet.colours import INK, LINES
 from nnql_bullet.evaluation.drives import FilmTask
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Comparison, Evaluation, Quarter, Row, by_bottleneck
 from nnql_bullet.evaluation.statistics import Estimate
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.document import Commands, Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
@@ -72,34 +73,41 @@ def quality_row(row: Row, title: str) -> tuple[str, ...]:
         row.method,
         title,
         *(str(row.outcomes[ending]) for ending in ENDINGS),
-        f"{row.spl:.3f}",
-        *(_or_none(row.path_ratio, ".3f"), _or_none(row.time, ".1f"), _or_none(row.clearance, ".2f")),
-        f"{row.mean_clearance:.2f}",
-        f"{row.lateral_acceleration:.2f}",
-        f"{100 * row.non_safe:.1f}",
+        *(quantity(row, "spl", ".3f"), quantity(row, "path_ratio", ".3f"), quantity(row, "time", ".1f")),
+        *(quantity(row, "clearance", ".2f"), quantity(row, "mean_clearance", ".2f")),
+        *(quantity(row, "lateral_acceleration", ".2f"), quantity(row, "non_safe", ".1f", 100)),
     )
+
+
+def quantity(row: Row, name: str, form: str, times: float = 1.0) -> str:
+    """Formats a quantity of a row with its interval, if there is one."""
+    value, interval = times * getattr(row, name), [times * end for end in row.intervals[name]]
+    if not isfinite(value):
+        return "-"
+    return f"{value:{form}} ({interval[0]:{form}}-{interval[1]:{form}})" if isfinite(interval[0]) else f"{value:{form}}"
 
 
 def _shield_section(rows: Sequence[Row], named: Mapping[str, str]) -> Section:
     """Returns the section that compares methods with a shield to the same methods without it."""
     header = (
-        *("method", "worlds", "goal %", "collision %"),
-        *("decisions overridden %", "stops %", "reversing %", "standing [s]", "time [s]"),
+        *("method", "worlds", "goal %", "collision %", "overridden in a drive %", "of all decisions %"),
+        *("stops %", "reversing %", "standing [s]", "time [s]"),
     )
+    shares = ("overridden_by_drive", "overridden", "stops", "reverses")
     cells = [
         (
             *(row.method, named[row.world]),
             *(row.outcomes[ending] for ending in ("goal", "collision")),
-            *(f"{100 * row.overridden:.1f}", f"{100 * row.stops:.1f}", f"{100 * row.reverses:.1f}"),
-            f"{row.standing:.1f}",
-            _or_none(row.time, ".1f"),
+            *(quantity(row, name, ".1f", 100) for name in shares),
+            *(quantity(row, name, ".1f") for name in ("standing", "time")),
         )
         for row in rows
     ]
     caption = (
-        "Decisions that it took in its agent's place, and among them those to brake, to stand or to turn on the spot, "
-        "and those to reverse; time that a drive stands, mean over all, and to the target, mean over the drives that "
-        "arrive."
+        "Decisions that it took in its agent's place: their share of a drive's decisions, mean over drives, and of all "
+        "decisions together, of which a few long drives may make the most. Among all decisions those to brake, to "
+        "stand or to turn on the spot, and those to reverse; time that a drive stands, mean over all, and to the "
+        "target, mean over the drives that arrive. Intervals as in the section Quality."
     )
     return Section("The shield", (table(header, cells, caption),))
 
@@ -109,8 +117,8 @@ def _or_none(value: float, form: str) -> str:
 
 
 ABOUT_INTERVALS = (
-    "Success in percent: with several training seeds the inter-quartile mean over them and its stratified bootstrap "
-    "95 % interval, else the share of drives and its Wilson 95 % interval."
+    "Success in percent: with several training seeds the inter-quartile mean over them and the 95 % interval of a "
+    "bootstrap that draws seeds and worlds anew, crossed; else the share of drives and its Wilson 95 % interval."
 )
 
 
@@ -136,7 +144,8 @@ def evaluation_report(
         [quality_row(row, named[row.world]) for row in rows],
         "Outcomes are over all drives, with Wilson intervals. SPL is success weighted by path length (arXiv "
         "1807.06757), against the shortest path of a disc as wide as the vehicle; path ratio, time and clearance are "
-        "means over the drives that arrive, the rest over all.",
+        "means over the drives that arrive, the rest over all; their 95 % intervals are of a bootstrap that draws "
+        "training seeds and worlds anew, crossed.",
     )
     methods = table(
         ("method", "agent", "what it does", "seeds", "training episodes", "numbers learned"),
@@ -190,16 +199,26 @@ def _bottleneck_section(quarters: Sequence[Quarter], methods: Sequence[str], nam
 def _comparison_section(e: Evaluation, comparisons: Sequence[Comparison], named: Mapping[str, str]) -> Section:
     first = e.methods[0]
     cells = [
-        (named[c.world], c.second, c.pairs, c.only_first, c.only_second, f"{c.p_value:.2g}")
+        (
+            *(named[c.world], c.second, _points(c.difference)),
+            *(c.pairs, c.only_first, c.only_second, "-" if c.p_value is None else f"{c.p_value:.2g}"),
+        )
         for c in comparisons
         if c.first == first
     ]
     caption = (
-        f"Pairs of drives through the same world that {first} alone survived, or the other alone; McNemar's exact "
-        "test. Drives of several policies through one world are not independent: with several seeds p is too small."
+        f"How much more often a method arrives than {first}, in points, with the 95 % interval of a bootstrap that "
+        f"draws training seeds and worlds anew, crossed; pairs of drives through the same world in which {first} alone "
+        "arrived, or the other alone; and p of McNemar's exact test of two single policies. Drives of several policies "
+        "through one world are not independent, so there is no such test of them."
     )
-    header = ("worlds", "method", "pairs", f"only {first} arrives", "only it arrives", "p")
+    header = ("worlds", "method", "difference, points", "pairs", f"only {first} arrives", "only it arrives", "p")
     return Section(f"Against {first}", (table(header, cells, caption),))
+
+
+def _points(difference: Estimate) -> str:
+    value, low, high = (f"{100 * number:+.1f}" for number in difference)
+    return f"{value} ({low} to {high})" if isfinite(difference.low) else value
 
 
 def _failure_section(films: Sequence[FilmTask]) -> Section:
@@ -279,6 +298,7 @@ def evaluation_values(
     e = evaluation
     return {
         "version": __version__,
+        "made_by": made_by(),
         "command": e.command,
         "split": e.draws.split,
         "seeds": [e.draws.seeds.start, e.draws.seeds.stop],
@@ -307,9 +327,16 @@ def evaluation_values(
             for tier in e.tiers
         ],
         "refused": [asdict(its) for its in e.refused],
-        "rows": [finite(asdict(row)) for row in rows],
+        "drives": {
+            policy.name: {
+                tier.name: "".join(summary.ending[0] for summary in e.drives[policy.name, tier.name])
+                for tier in e.tiers
+            }
+            for policy in e.policies
+        },
+        "rows": [finite(asdict(row)) | {"intervals": finite(row.intervals)} for row in rows],
         "by_bottleneck": [asdict(quarter) for quarter in by_bottleneck(e)],
-        "comparisons": [asdict(comparison) for comparison in comparisons],
+        "comparisons": [finite(asdict(comparison)) for comparison in comparisons],
         "report": asdict(evaluation_report(evaluation, rows, comparisons, films)),
         "failures": [
             {
@@ -337,11 +364,13 @@ def method_records(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def _flat(row: Row) -> dict[str, Any]:
     plain = finite(asdict(row))
-    outcomes, over_seeds = plain.pop("outcomes"), plain.pop("over_seeds")
+    outcomes, over_seeds, intervals = (plain.pop(name) for name in ("outcomes", "over_seeds", "intervals"))
     plain["by_seed"] = " ".join(map(str, row.by_seed))
     for name, interval in (*outcomes.items(), ("over_seeds", over_seeds)):
         for part, value in zip(("", "_low", "_high"), interval or (None,) * 3, strict=True):
             plain[name + part] = value
+    for name, ends in finite(intervals).items():
+        plain[f"{name}_low"], plain[f"{name}_high"] = ends
     return plain
 
 

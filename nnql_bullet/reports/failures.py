@@ -33,6 +33,7 @@ from nnql_bullet.evaluation.failures import (
 )
 from nnql_bullet.evaluation.replays import Failures, Replay, earlier_alike
 from nnql_bullet.geometry import Array
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import RECORDINGS, Recording
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, Table, table
 from nnql_bullet.reports.drawing import (
@@ -210,6 +211,7 @@ def failures_values(found: Failures) -> dict[str, Any]:
     """Returns the failures as plain values, for JSON."""
     return {
         "version": __version__,
+        "made_by": made_by(),
         "evaluation": found.evaluation.command,
         "most": found.most,
         "failures": len(found.evaluation.failed),

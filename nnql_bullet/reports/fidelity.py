@@ -13,6 +13,7 @@ from nnql_bullet.colours import ACTIONS, COLLISION, GOAL, INK, NON_SAFE, REFEREN
 from nnql_bullet.fidelity.actions import WatchedTurn, tightest
 from nnql_bullet.fidelity.probe import Bench, Measurement, Probe
 from nnql_bullet.geometry import Array
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Picture, Report, Section, table
 from nnql_bullet.reports.drawing import OPEN, POWERS, finish_axes, picture
 from nnql_bullet.reports.tables import finite
@@ -169,6 +170,7 @@ def fidelity_values(fidelity: Fidelity) -> dict[str, Any]:
     f = fidelity
     return {
         "version": __version__,
+        "made_by": made_by(),
         "vehicle": f.bench.vehicle.name,
         "engine": f.bench.engine,
         "physics": f.bench.physics,

@@ -27,6 +27,7 @@ from nnql_bullet.evaluation.gap import (
 )
 from nnql_bullet.evaluation.statistics import proportion
 from nnql_bullet.geometry import Array
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import load_recording
 from nnql_bullet.reports.document import Block, Commands, Picture, Report, Section, table
 from nnql_bullet.reports.drawing import (
@@ -139,6 +140,7 @@ def gap_values(gap: Gap) -> dict[str, Any]:
     d = divergence(gap.pairs)
     return {
         "version": __version__,
+        "made_by": made_by(),
         "command": gap.command,
         "runs": list(gap.runs),
         "policies": [{"path": run, "fingerprint": its} for run, its in zip(gap.runs, gap.fingerprints, strict=True)],

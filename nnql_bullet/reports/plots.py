@@ -9,7 +9,7 @@ from matplotlib.patches import Polygon
 
 from nnql_bullet import colours, paper
 from nnql_bullet.colours import BOX, INK, LINES, NON_SAFE, SAFE, TEMPERATURE, VEHICLE
-from nnql_bullet.evaluation.statistics import mean_interval
+from nnql_bullet.evaluation.statistics import least_seeds, mean_interval
 from nnql_bullet.geometry import Array, Pose, as_rows, clearance_at, moved
 from nnql_bullet.recording import Recording
 from nnql_bullet.reports.drawing import (
@@ -105,7 +105,7 @@ def draw_learning_curve(
 def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]], path: Path, window: int = 50) -> None:
     """Draws success while training: a line for each run, and the mean over the runs of a recipe.
 
-    With three runs or more, a band is the bootstrap 95 % interval of that mean over training seeds.
+    With six runs or more, a band is the bootstrap 95 % interval of that mean over training seeds.
 
     Args:
         recipes: Episodes of runs that differ by their training seed only, by run name, by recipe name; not empty.
@@ -131,7 +131,7 @@ def draw_success(recipes: Mapping[str, Mapping[str, Sequence[TrainingEpisode]]],
                 axes.plot(
                     np.arange(1, shortest + 1), mean, color=colour, lw=2.2, label=f"{recipe}: mean of {len(curves)}"
                 )
-            if len(curves) > 2:
+            if len(curves) >= least_seeds():
                 places = np.arange(window // 4, shortest, max(1, shortest // BAND_PLACES))
                 low, high = mean_interval(
                     np.array([curve[places] for curve in curves.values()]), rng(0, Stream.BOOTSTRAP)

@@ -31,5 +31,11 @@ def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Replaces NaN and infinity, which JSON lacks, by None."""
-    return {name: None if isinstance(v, float) and not isfinite(v) else v for name, v in values.items()}
+    """Replaces NaN and infinity, which JSON lacks, by None, also in tuples."""
+    return {name: _finite(value) for name, value in values.items()}
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not isfinite(value) else value

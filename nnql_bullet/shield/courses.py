@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
-from nnql_bullet.vehicle.profiles import sample_profile, sample_ramp, turn_profile
+from nnql_bullet.vehicle.profiles import profile_at, ramp_at, turn_profile
 
 
 @njit()
@@ -38,20 +38,39 @@ def drives(
         x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s].
     """
     count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
-    times: Array = np.arange(1.0, count + 1.0) * (duration / count)
-    course, headings, rates, speeds = np.empty((count, 5)), np.empty(count), np.empty(count), np.empty(count)
+    course = np.empty((count, 5))
+    fill_drive(course, yaw_rate, speed, turn, goal, duration, max_rate, yaw_acceleration, acceleration, slides)
+    return course
+
+
+@njit()
+def fill_drive(
+    course: Array,
+    yaw_rate: float,
+    speed: float,
+    turn: float,
+    goal: float,
+    duration: float,
+    max_rate: float,
+    yaw_acceleration: float,
+    acceleration: float,
+    slides: bool,
+) -> int:
+    """Writes what `drives` predicts into the first rows of an array (k, 5), as far as there is room; tells how many."""
+    count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
     peak, rise, hold, fall = turn_profile(yaw_rate, turn, max_rate, yaw_acceleration)
-    sample_profile(yaw_rate, peak, rise, hold, fall, times, rates, headings)
     kept = rise + hold + fall if slides else 0.0
-    sample_ramp(speed, goal, acceleration, np.maximum(times - kept, 0.0), speeds)
     x = y = heading = 0.0
     before = speed
-    for k in range(count):
-        length, middle = (before + speeds[k]) / 2 * (duration / count), (heading + headings[k]) / 2
+    for k in range(min(count, len(course))):
+        time = (k + 1.0) * (duration / count)
+        rate, after = profile_at(yaw_rate, peak, rise, hold, fall, time)
+        now = ramp_at(speed, goal, acceleration, max(time - kept, 0.0))
+        length, middle = (before + now) / 2 * (duration / count), (heading + after) / 2
         x, y = x + length * np.cos(middle), y + length * np.sin(middle)
-        before, heading = speeds[k], headings[k]
-        course[k] = x, y, headings[k], rates[k], speeds[k]
-    return course
+        before, heading = now, after
+        course[k] = x, y, heading, rate, now
+    return min(count, len(course))
 
 
 @njit()
@@ -68,17 +87,36 @@ def then_stops(
         deceleration: That the vehicle reaches when it brakes [m/s2].
         slides: See `drives`.
     """
-    x, y, yaw, rate, speed = driven[-1]
-    brakes, turns = abs(speed) / deceleration, sum(turn_profile(rate, turn, max_rate, yaw_acceleration)[1:])
-    stop = turns + brakes if slides else max(turns, brakes)
-    then = drives(rate, speed, turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides)
-    c, s = np.cos(yaw), np.sin(yaw)
+    last = len(driven) - 1
+    stop = time_to_stop(driven[last, 3], driven[last, 4], turn, max_rate, yaw_acceleration, deceleration, slides)
+    then = drives(driven[last, 3], driven[last, 4], turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides)
     poses = np.empty((len(driven) + len(then), 3))
-    poses[: len(driven)] = driven[:, :3]
-    for k in range(len(then)):
-        ahead, left = then[k, 0], then[k, 1]
-        poses[len(driven) + k] = x + c * ahead - s * left, y + s * ahead + c * left, yaw + then[k, 2]
+    join(poses, driven, len(driven), then, len(then))
     return poses
+
+
+@njit()
+def time_to_stop(
+    rate: float, speed: float, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float, slides: bool
+) -> float:
+    """Time until a vehicle that brakes stands and no longer turns [s], see `then_stops`."""
+    _, rise, hold, fall = turn_profile(rate, turn, max_rate, yaw_acceleration)
+    brakes, turns = abs(speed) / deceleration, rise + hold + fall
+    return turns + brakes if slides else max(turns, brakes)
+
+
+@njit()
+def join(poses: Array, first: Array, count: int, then: Array, more: int) -> int:
+    """Writes the poses on a course (k, 5) and on one that begins at its end into an array (m, 3); tells how many."""
+    end = min(count, len(first)) - 1
+    x, y, yaw = first[end, 0], first[end, 1], first[end, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    for k in range(min(count, len(first))):
+        poses[k] = first[k, 0], first[k, 1], first[k, 2]
+    for k in range(min(more, len(then))):
+        ahead, left = then[k, 0], then[k, 1]
+        poses[count + k] = x + c * ahead - s * left, y + s * ahead + c * left, yaw + then[k, 2]
+    return count + min(more, len(then))
 
 
 @njit()
@@ -110,42 +148,83 @@ def clear_courses(
         look_ahead: Distance over which a course has to be clear [m].
         turning_circle: Radius about the axle that is free where the vehicle can turn round [m].
     """
-    n, m, steps = poses.shape[:3]
+    n, m = poses.shape[:2]
     clear = np.zeros((n, m), np.bool_)
     for i in range(n):
         for j in range(m):
-            ahead = turns = False
-            for k in range(steps):
-                if not _keeps_distance(poses[i, j, k], points[i], closing[i], times[k], footprint, margins[i]):
-                    break
-                ahead = ahead or distances[i, k] >= look_ahead
-                turns = turns or (distances[i, k] >= stops[i] and _has_room(poses[i, j, k], points[i], turning_circle))
-                if ahead and turns:
-                    clear[i, j] = True
-                    break
+            clear[i, j] = is_clear(
+                poses[i, j],
+                distances[i],
+                points[i],
+                closing[i],
+                points.shape[1],
+                times,
+                footprint,
+                margins[i],
+                stops[i],
+                look_ahead,
+                turning_circle,
+            )
     return clear
 
 
 @njit()
-def _keeps_distance(pose: Array, points: Array, closing: Array, time: float, footprint: Array, margin: float) -> bool:
+def is_clear(
+    poses: Array,
+    distances: Array,
+    points: Array,
+    closing: Array,
+    count: int,
+    times: Array,
+    footprint: Array,
+    margin: float,
+    stop: float,
+    look_ahead: float,
+    turning_circle: float,
+) -> bool:
+    """Whether a course (k, 3) stays clear of the first points (r, 2) for as long as it has to, see `clear_courses`."""
+    ahead = turns = False
+    for k in range(len(poses)):
+        x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
+        if not _keeps_distance(x, y, yaw, points, closing, count, times[k], footprint, margin):
+            return False
+        ahead = ahead or distances[k] >= look_ahead
+        turns = turns or (distances[k] >= stop and _has_room(x, y, points, count, turning_circle))
+        if ahead and turns:
+            return True
+    return False
+
+
+@njit()
+def _keeps_distance(
+    x: float,
+    y: float,
+    yaw: float,
+    points: Array,
+    closing: Array,
+    count: int,
+    time: float,
+    footprint: Array,
+    margin: float,
+) -> bool:
     """Whether a vehicle at a pose keeps a clearance from points (r, 2), see `clear_courses`."""
-    c, s, reach = np.cos(pose[2]), np.sin(pose[2]), reach_of(footprint)
-    x, y = pose[0] + c * footprint[0] - s * footprint[1], pose[1] + s * footprint[0] + c * footprint[1]
-    for r in range(len(points)):
+    c, s, reach = np.cos(yaw), np.sin(yaw), reach_of(footprint)
+    middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
+    for r in range(min(count, len(points))):
         least = margin + closing[r] * time if margin > 0 else margin
-        dx, dy = points[r, 0] - x, points[r, 1] - y
+        dx, dy = points[r, 0] - middle_x, points[r, 1] - middle_y
         if dx * dx + dy * dy < (reach + least) ** 2:  # not so for NaN
-            dx, dy = points[r, 0] - pose[0], points[r, 1] - pose[1]
+            dx, dy = points[r, 0] - x, points[r, 1] - y
             if squared_distance(c * dx + s * dy, c * dy - s * dx, footprint) < least * abs(least):
                 return False
     return True
 
 
 @njit()
-def _has_room(pose: Array, points: Array, radius: float) -> bool:
-    """Whether no point (r, 2) lies within a distance of a pose's place [m]."""
-    for r in range(len(points)):
-        dx, dy = points[r, 0] - pose[0], points[r, 1] - pose[1]
+def _has_room(x: float, y: float, points: Array, count: int, radius: float) -> bool:
+    """Whether none of the first points (r, 2) lies within a distance of a place [m]."""
+    for r in range(min(count, len(points))):
+        dx, dy = points[r, 0] - x, points[r, 1] - y
         if dx * dx + dy * dy < radius * radius:
             return False
     return True

@@ -68,35 +68,35 @@ class Predictor:
             vehicle: The vehicle with its load and grip.
             drive: How decisions reach the wheels.
         """
-        self.lengths, self._drive = lengths, drive
-        self._footprint = as_rows((vehicle.footprint,))[0]
-        self._sensor, self._first_angle = np.array(vehicle.sensor.position[:2]), float(vehicle.sensor.angles[0])
+        self.lengths, self.drive = lengths, drive
+        self.footprint = as_rows((vehicle.footprint,))[0]
+        self.sensor, self.first_angle = np.array(vehicle.sensor.position[:2]), float(vehicle.sensor.angles[0])
         limits = vehicle.limits
         # What the drive asks for; what load and grip let the vehicle follow of it at speed, and while that changes.
-        self._asked = limits
-        self._followed = followed_limits(vehicle, drive.speed)
-        self._followed_slowly = followed_limits(vehicle, drive.speed * drive.reverse_share)
-        self._followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
-        self._followed_standing = followed_limits(vehicle, lengths.standstill)
-        self.slides = self._followed_standing != limits
+        self.asked = limits
+        self.followed = followed_limits(vehicle, drive.speed)
+        self.followed_slowly = followed_limits(vehicle, drive.speed * drive.reverse_share)
+        self.followed_changing = followed_limits(vehicle, drive.speed / 2, limits.acceleration)
+        self.followed_standing = followed_limits(vehicle, lengths.standstill)
+        self.slides = self.followed_standing != limits
         """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they end."""
-        self._brakes_straight_above = side_grip(vehicle, limits.acceleration) / limits.yaw_rate
-        self._turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
+        self.brakes_straight_above = side_grip(vehicle, limits.acceleration) / limits.yaw_rate
+        self.turning_circle = lengths.turning_radius + lengths.times(LEAST_CLEARANCE)
         longest = max(lengths.look_ahead, lengths.corridor) / drive.speed + drive.speed / (2 * limits.acceleration)
         stop = drive.speed / lengths.deceleration + 2 * sqrt(max(paper.TURNS) / limits.yaw_acceleration)
-        self._times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
-        self._stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
+        self.times = np.arange(PREDICTION_STEP, longest + PREDICTION_STEP, PREDICTION_STEP)
+        self.stop_times = np.arange(PREDICTION_STEP, stop, PREDICTION_STEP)
 
     def stopping_distance(self, speeds: Array) -> Array:
         """Distances up to a stop of vehicles that drive on for one more control period (...) [m]."""
-        period = self._drive.decision_period
-        after = np.minimum(speeds + self._asked.acceleration * period, self._drive.speed)
+        period = self.drive.decision_period
+        after = np.minimum(speeds + self.asked.acceleration * period, self.drive.speed)
         return np.asarray((speeds + after) / 2 * period + after * after / (2 * self.lengths.deceleration))
 
     def margins(self, points: Array) -> Array:
         """Clearances that vehicles have to keep (n,) [m]: the margin or, where they have less already, about that."""
         least, approach = self.lengths.times(LEAST_CLEARANCE), self.lengths.times(APPROACH)
-        here: Array = scan_clearances(np.zeros((len(points), 1, 1, 3)), points, self._footprint)[:, 0, 0]
+        here: Array = scan_clearances(np.zeros((len(points), 1, 1, 3)), points, self.footprint)[:, 0, 0]
         nearer = np.maximum(here - approach / 6, here / 2)  # a margin of 0 would let it touch
         less = np.where(here < least, nearer, np.maximum(here - approach, least))
         return np.minimum(less, self.lengths.margin)
@@ -112,10 +112,10 @@ class Predictor:
             turns_round: Whether it has to turn round on the spot; else it is enough that it can stop.
         """
         s = situation
-        clear, at_speed = self._keeps(s, margins, turns_round, self._asked), s.speed >= self._drive.speed
-        for which, followed in ((at_speed, self._followed), (~at_speed, self._followed_changing)):
+        clear, at_speed = self._keeps(s, margins, turns_round, self.asked), s.speed >= self.drive.speed
+        for which, followed in ((at_speed, self.followed), (~at_speed, self.followed_changing)):
             some = np.flatnonzero(which & clear.any(axis=-1))
-            if len(some) and followed != self._asked:
+            if len(some) and followed != self.asked:
                 clear[some] &= self._keeps(s.of(some), margins[some], turns_round, followed)
         return clear
 
@@ -133,9 +133,9 @@ class Predictor:
         tight, width = self.lengths.tight_margin, self.lengths.least_width
         courses = self._until_it_stands(situation, manoeuvre)
         return all(
-            scan_clearances(course[None, None], situation.points, self._footprint).min() >= margin for course in courses
+            scan_clearances(course[None, None], situation.points, self.footprint).min() >= margin for course in courses
         ) and not any(
-            meets_unseen(course, self._footprint, tight, width, scans, self._sensor, self._first_angle)
+            meets_unseen(course, self.footprint, tight, width, scans, self.sensor, self.first_angle)
             for course in courses
         )
 
@@ -157,12 +157,12 @@ class Predictor:
         expected here.
         """
         turn, rate = float(situation.turns[0, manoeuvre % ACTIONS]), float(situation.yaw_rate[0])
-        speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self._drive)) * self._drive.speed
+        speed, goal = float(situation.speed[0]), float(speed_scale(manoeuvre, self.drive)) * self.drive.speed
         courses, braking = {}, self.lengths.deceleration
-        change = self._asked.acceleration if goal > speed else braking
+        change = self.asked.acceleration if goal > speed else braking
         for turned, limits, slides in self._turns(turn, rate, speed, goal):
             yaw_limits = limits.yaw_rate, limits.yaw_acceleration
-            driven = drives(rate, speed, turned, goal, self._drive.decision_period, *yaw_limits, change, slides)
+            driven = drives(rate, speed, turned, goal, self.drive.decision_period, *yaw_limits, change, slides)
             for back, limits, slides in self._turns(0.0, float(driven[-1, 3]), float(driven[-1, 4]), 0.0):
                 course = then_stops(driven, back, limits.yaw_rate, limits.yaw_acceleration, braking, slides)
                 courses[course.tobytes()] = course
@@ -180,11 +180,11 @@ class Predictor:
             speed: Its speed [m/s].
             goal: Speed that is asked for [m/s].
         """
-        turns = [(turn, its, False) for its in dict.fromkeys((self._asked, self._followed_until(goal, speed)))]
-        if self.slides and max(abs(goal), abs(speed)) <= SLOWLY * self._drive.reverse_share * self._drive.speed:
-            turns.append((turn, self._followed_slowly, abs(goal) < abs(speed)))
-        if goal < speed > self._brakes_straight_above:
-            turns.append((rate * abs(rate) / (2 * self._asked.yaw_acceleration), self._asked, False))
+        turns = [(turn, its, False) for its in dict.fromkeys((self.asked, self._followed_until(goal, speed)))]
+        if self.slides and max(abs(goal), abs(speed)) <= SLOWLY * self.drive.reverse_share * self.drive.speed:
+            turns.append((turn, self.followed_slowly, abs(goal) < abs(speed)))
+        if goal < speed > self.brakes_straight_above:
+            turns.append((rate * abs(rate) / (2 * self.asked.yaw_acceleration), self.asked, False))
         return turns
 
     def reverses(self, situation: Situation, scans: RecentScans, margin: float) -> int:
@@ -201,7 +201,7 @@ class Predictor:
     def can_turn_round(self, situation: Situation) -> bool:
         """Whether one vehicle has room to turn round on the spot."""
         here = np.zeros((1, 1, 1, 3))
-        return bool(scan_clearances(here, situation.points, AXLE).min() >= self._turning_circle)
+        return bool(scan_clearances(here, situation.points, AXLE).min() >= self.turning_circle)
 
     def first_safe(
         self,
@@ -232,9 +232,9 @@ class Predictor:
 
     def drive_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that drives on along the six turns (6, k) [m], for as long as braking takes."""
-        at_speed = situation.speed[0] >= self._drive.speed
-        followed = self._followed if at_speed else self._followed_changing
-        return self._worse(situation, self._drive.speed, followed)
+        at_speed = situation.speed[0] >= self.drive.speed
+        followed = self.followed if at_speed else self.followed_changing
+        return self._worse(situation, self.drive.speed, followed)
 
     def stop_clearances(self, situation: Situation) -> Array:
         """Clearances of one vehicle that brakes along the six turns (6, k) [m], for as long as that takes."""
@@ -242,8 +242,8 @@ class Predictor:
 
     def _followed_until(self, goal: float, speed: float) -> Limits:
         """The limits that one vehicle follows while its speed changes to another [m/s]."""
-        stands = goal == 0 and abs(speed) < SLIDING * self._drive.speed
-        return self._followed_standing if stands else self._followed_changing
+        stands = goal == 0 and abs(speed) < SLIDING * self.drive.speed
+        return self.followed_standing if stands else self.followed_changing
 
     def open_side(self, situation: Situation, target_bearing: float) -> int:
         """The side, 1 left or -1 right, on which one vehicle has to turn less for a clear path ahead.
@@ -255,7 +255,7 @@ class Predictor:
         distances = np.arange(step, self.lengths.look_ahead, step)
         along, turned = np.broadcast_arrays(distances, angles[:, None])
         poses = np.stack([along * np.cos(turned), along * np.sin(turned), turned], axis=-1)
-        clearances = scan_clearances(poses[None], situation.points, self._footprint)[0].min(axis=-1)
+        clearances = scan_clearances(poses[None], situation.points, self.footprint)[0].min(axis=-1)
         cost = np.abs(angles) + np.abs(wrap_angles(angles - target_bearing)) / 2
         cost = np.where(clearances >= self.lengths.margin, cost, np.inf)
         return 1 if cost[angles >= 0].min() <= cost[angles <= 0].min() else -1
@@ -269,19 +269,19 @@ class Predictor:
 
     def _keeps(self, s: Situation, margins: Array, turns_round: bool, limits: Limits) -> NDArray[np.bool_]:
         """`stays_clear` under the limits that the vehicle follows."""
-        poses, distances = self._poses(s, self._drive.speed, self._times, limits)
+        poses, distances = self._poses(s, self.drive.speed, self.times, limits)
         closing: Array = np.where(s.moving, self.lengths.box_speed, 0.0)
         clear: NDArray[np.bool_] = clear_courses(
             poses,
             np.cumsum(distances, axis=-1),
             s.points,
             closing,
-            self._times,
-            self._footprint,
+            self.times,
+            self.footprint,
             margins,
             self.stopping_distance(s.speed),
             self.lengths.look_ahead if turns_round else 0.0,
-            self._turning_circle if turns_round else 0.0,
+            self.turning_circle if turns_round else 0.0,
         )
         return clear
 
@@ -290,12 +290,12 @@ class Predictor:
 
         Moving obstacles may have come nearer by then.
         """
-        worse = np.full((s.turns.shape[1], len(self._stop_times)), np.inf)
-        moving, nearer = np.where(s.moving[..., None], s.points, np.nan), self.lengths.box_speed * self._stop_times
-        for limits in dict.fromkeys((self._asked, followed)):
-            poses, _ = self._poses(s, goal, self._stop_times, limits)
-            worse = np.minimum(worse, scan_clearances(poses, s.points, self._footprint)[0])
+        worse = np.full((s.turns.shape[1], len(self.stop_times)), np.inf)
+        moving, nearer = np.where(s.moving[..., None], s.points, np.nan), self.lengths.box_speed * self.stop_times
+        for limits in dict.fromkeys((self.asked, followed)):
+            poses, _ = self._poses(s, goal, self.stop_times, limits)
+            worse = np.minimum(worse, scan_clearances(poses, s.points, self.footprint)[0])
             if s.moving.any():
-                came = scan_clearances(poses, moving, self._footprint)[0] - nearer
+                came = scan_clearances(poses, moving, self.footprint)[0] - nearer
                 worse = np.minimum(worse, np.maximum(came, 0.0))
         return worse

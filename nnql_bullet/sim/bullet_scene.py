@@ -1,58 +1,39 @@
-"""PyBullet's renderers and its window, which show boxes and a vehicle without physics."""
+"""PyBullet's window, which shows boxes and a vehicle without physics."""
 
-import importlib.util
 import weakref
 from math import asin, atan2, degrees
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet.colours import Colour
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import Array
-from nnql_bullet.machine import one_thread_for_mesa
 from nnql_bullet.sim.bullet import bullet, load_text
 from nnql_bullet.sim.bullet_state import DynamicsInfo, JointInfo
 from nnql_bullet.sim.c_library import decimal_points, silenced
-from nnql_bullet.sim.scene_trial import NO_EGL, SceneKind
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.description import parse, text_of
 
-EMPTY_DEPTH = 1 - 1e-6
-"""Smallest depth of an empty pixel; TinyRenderer's is 1 up to rounding."""
-
 
 class BulletScene:
-    """Boxes and a vehicle, drawn without light: pixels have the objects' own colours.
+    """Boxes and a vehicle in a window."""
 
-    PyBullet's renderers light objects differently, and EGL lights large ones wrongly; they agree on colours and depths.
-    """
-
-    def __init__(self, kind: SceneKind) -> None:
-        """Starts a renderer.
-
-        Args:
-            kind: See `SceneKind`.
+    def __init__(self) -> None:
+        """Opens the window, which `scene_trial` has tried.
 
         Raises:
-            UserError: If the renderer does not work on this machine.
+            UserError: If this process holds too many.
         """
-        self._kind = kind
         with silenced():
-            self.client = bullet.connect(bullet.GUI if kind == "window" else bullet.DIRECT)
+            self.client = bullet.connect(bullet.GUI)
             if self.client < 0:
                 raise UserError("PyBullet gives no more scenes in this process; close some first")
-            if kind == "window":
-                bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self.client)
-                self.show(False)
-            if kind == "egl" and not _load_egl(self.client):
-                bullet.disconnect(self.client)
-                raise UserError(NO_EGL)
-        self._free = weakref.finalize(self, _disconnect, self.client)  # or at the end of the process, where EGL prints
+            bullet.configureDebugVisualizer(bullet.COV_ENABLE_GUI, 0, physicsClientId=self.client)
+            self.show(False)
+        self._free = weakref.finalize(self, _disconnect, self.client)
 
     def close(self) -> None:
-        """Frees the renderer."""
+        """Closes the window."""
         self._free()
 
     def add_box(self, half_extents: tuple[float, float, float], colour: Colour) -> int:
@@ -75,10 +56,9 @@ class BulletScene:
 
     def add_robot(self, urdf: str) -> tuple[int, dict[str, int]]:
         """Adds the visible shapes of a URDF's text; returns the engine's number of it, and of its joints by name."""
-        text = _one_visual_per_link(urdf) if self._kind == "window" else urdf
-        # PyBullet warns of links without a mass. A window's own thread reads the text.
-        with silenced(), decimal_points(every_thread=self._kind == "window"):
-            body = load_text(text, self.client, useFixedBase=True)
+        # PyBullet warns of links without a mass. The window's own thread reads the text.
+        with silenced(), decimal_points(every_thread=True):
+            body = load_text(_one_visual_per_link(urdf), self.client, useFixedBase=True)
         joints = range(bullet.getNumJoints(body, self.client))
         infos = [JointInfo(*bullet.getJointInfo(body, joint, self.client)) for joint in joints]
         return body, {info.name: info.number for info in infos}
@@ -94,42 +74,6 @@ class BulletScene:
     def turn(self, body: int, joint: int, angle: float) -> None:
         """Turns a joint to an angle [rad]."""
         bullet.resetJointState(body, joint, angle, physicsClientId=self.client)
-
-    def picture(
-        self, view: Array, projection: Array, width: int, height: int
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], float]:
-        """Draws the picture of a camera.
-
-        Args:
-            view: OpenGL's view matrix (4, 4).
-            projection: OpenGL's projection matrix (4, 4).
-            width: Width [pixels].
-            height: Height [pixels].
-
-        Returns:
-            Colours (height, width, 4); OpenGL's depths (height, width), 1 in empty pixels; and the factor that turns
-            the colours into the objects' own.
-        """
-        egl = self._kind == "egl"
-        # Without a direction, EGL's light is uniform and half as bright as it should be.
-        light = {"lightDirection": (0.0, 0.0, 0.0)} if egl else {"lightAmbientCoeff": 1.0, "lightDiffuseCoeff": 0.0}
-        with silenced():
-            _, _, colours, depths, _ = bullet.getCameraImage(
-                width,
-                height,
-                view.T.ravel().tolist(),
-                projection.T.ravel().tolist(),
-                shadow=0,
-                lightSpecularCoeff=0.0,
-                renderer=bullet.ER_BULLET_HARDWARE_OPENGL if egl else bullet.ER_TINY_RENDERER,
-                flags=bullet.ER_NO_SEGMENTATION_MASK,
-                physicsClientId=self.client,
-                **light,
-            )
-        # Builds of PyBullet without NumPy give tuples.
-        seen = np.asarray(depths, np.float32).reshape(height, width)
-        cleared = np.where(seen < EMPTY_DEPTH, seen, np.float32(1.0))
-        return np.asarray(colours, np.uint8).reshape(height, width, 4), cleared, 2.0 if egl else 1.0
 
     def show(self, on: bool) -> None:
         """Switches the window's drawing on or off; it starts off, because the scene is then built faster."""
@@ -152,12 +96,6 @@ def _disconnect(client: int) -> None:
     with silenced():
         if bullet.isConnected(client):
             bullet.disconnect(client)
-
-
-def _load_egl(client: int) -> bool:
-    found = importlib.util.find_spec("eglRenderer")
-    with one_thread_for_mesa():
-        return found is not None and bullet.loadPlugin(found.origin, "_eglRendererPlugin", physicsClientId=client) >= 0
 
 
 def _one_visual_per_link(urdf: str) -> str:

@@ -32,6 +32,8 @@ UNEVENNESS = 1e-3
 stay there for good; on any real ground it swings round."""
 STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
+ROUNDING = 1e-6
+"""By how much the number of commands that are skipped is smaller than it may be."""
 
 _NO_EVENT, _TOUCHING, _AT_TARGET = 0, 1, 2
 
@@ -450,25 +452,32 @@ def _follow(
         if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
             last, event = k, _AT_TARGET
             break
-    smallest = now = clearance
-    if clearance <= hop * last:
-        for k in range(1, last + 1):
-            follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
-            now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
-            smallest = min(smallest, now)
-            if now <= 0.0:
-                return k, _TOUCHING, 0.0, 0.0
-        return last, event, smallest, now
     follow_tracks(tracks, (clock + last) / COMMAND_RATE, movers)
     end = clearance_at(path[last, 0], path[last, 1], path[last, 2], footprint, solids)
-    smallest = min(clearance, end)
-    k = 1 + int((now - smallest) / hop)
+    now, smallest = clearance, min(clearance, end)
+    k = 1 + _commands_farther_off(now, smallest, hop)
     while k < last:
         follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
         now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
+        if now <= 0.0:
+            return k, _TOUCHING, 0.0, 0.0
         smallest = min(smallest, now)
-        k += 1 + int((now - smallest) / hop)
+        k += 1 + _commands_farther_off(now, smallest, hop)
+    if end <= 0.0:
+        return last, _TOUCHING, 0.0, 0.0
     return last, event, smallest, end
+
+
+@njit()
+def _commands_farther_off(now: float, smallest: float, hop: float) -> int:
+    """Counts the next commands after which the clearance is surely above the smallest one, and so above 0.
+
+    Args:
+        now: Clearance now [m].
+        smallest: Smallest clearance so far, or a later one [m].
+        hop: See `_follow`.
+    """
+    return int(max((now - smallest) / hop - ROUNDING, 0.0))
 
 
 @njit()

@@ -125,15 +125,21 @@ def sample_profile(
 ) -> None:
     """Samples a turn into `rates` and `headings` (n,), see `sample_turn`."""
     for i, time in enumerate(times):
-        t = min(time, rise)
-        rate = start + (peak - start) * t / rise if rise > 0 else peak
-        heading = (start + rate) / 2 * t
-        heading += peak * min(max(time - rise, 0.0), hold)
-        t = min(max(time - rise - hold, 0.0), fall)
-        if t > 0:
-            rate = peak * (1 - t / fall)
-            heading += (peak + rate) / 2 * t
-        rates[i], headings[i] = rate, heading
+        rates[i], headings[i] = profile_at(start, peak, rise, hold, fall, time)
+
+
+@njit()
+def profile_at(start: float, peak: float, rise: float, hold: float, fall: float, time: float) -> tuple[float, float]:
+    """The yaw rate [rad/s] and the heading since its start [rad] of a turn at a time [s], see `Turn`."""
+    t = min(time, rise)
+    rate = start + (peak - start) * t / rise if rise > 0 else peak
+    heading = (start + rate) / 2 * t
+    heading += peak * min(max(time - rise, 0.0), hold)
+    t = min(max(time - rise - hold, 0.0), fall)
+    if t > 0:
+        rate = peak * (1 - t / fall)
+        heading += (peak + rate) / 2 * t
+    return rate, heading
 
 
 @njit()
@@ -148,8 +154,14 @@ def sample_ramp(start: float, goal: float, acceleration: float, times: Array, sp
         speeds: Array to fill (n,) [m/s].
     """
     for i, time in enumerate(times):
-        change = acceleration * time
-        speeds[i] = min(max(goal, start - change), start + change)
+        speeds[i] = ramp_at(start, goal, acceleration, time)
+
+
+@njit()
+def ramp_at(start: float, goal: float, acceleration: float, time: float) -> float:
+    """The speed of `sample_ramp` at a time [m/s]."""
+    change = acceleration * time
+    return min(max(goal, start - change), start + change)
 
 
 @njit()

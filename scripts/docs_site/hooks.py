@@ -3,14 +3,17 @@
 In a page, `{{ name argument ... }}` is replaced by what the function of that name gives; %20 is a space in an argument.
 A name or an argument that does not exist fails the build.
 
-    python scripts/docs_site/hooks.py    # writes the generated table into README.md
+    python scripts/docs_site/hooks.py            # writes what is generated into README.md
+    python scripts/docs_site/hooks.py --check    # refuses what does not stand: see `claims`
 """
 
+import argparse
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
+import claims
 import site_package
 import site_results
 
@@ -24,7 +27,7 @@ FUNCTIONS = {
         (
             site_results,
             "success outcome share number success_table shield_table conditions_table difference ablation_success "
-            "section results_list",
+            "ablation_power section results_list",
         ),
         (site_package, "configuration world_keys robot_keys presets command_line layers api_index policy_cards"),
     )
@@ -65,28 +68,40 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fills in what is generated."""
     from mkdocs.exceptions import PluginError
 
-    def fill(match: re.Match[str]) -> str:
-        name, *arguments = (word.replace("%20", " ") for word in match[1].split())
-        try:
-            return str(FUNCTIONS[name](*arguments))
-        except (LookupError, TypeError) as error:
-            raise PluginError(f"{page.file.src_uri}: {match[0]}: {error}") from None
-
-    return site_results.narrowed(re.sub(r"\{\{ (.+?) \}\}", fill, markdown))
+    try:
+        return site_results.narrowed(claims.filled(markdown, FUNCTIONS))
+    except claims.WrongClaim as error:
+        raise PluginError(f"{page.file.src_uri}: {error}") from None
 
 
 def on_pre_build(**_: Any) -> None:
-    """Refuses a README whose table is not that of results/."""
+    """Refuses a README and pages whose figures are not those of results/."""
     from mkdocs.exceptions import PluginError
 
-    if _filled(README.read_text(encoding="utf-8")) != README.read_text(encoding="utf-8"):
-        raise PluginError("README.md: its table is not that of results/; run: python scripts/docs_site/hooks.py")
+    wrong = complaints()
+    if wrong:
+        raise PluginError("\n".join(wrong))
 
 
-def _filled(text: str) -> str:
+def complaints() -> list[str]:
+    """Says what of the README and of the pages does not stand."""
+    of_results = {name: function for name, function in FUNCTIONS.items() if function.__module__ == "site_results"}
+    stale = readme() != README.read_text(encoding="utf-8")
+    wrong = (
+        ["README.md: its figures are not those of results/; run: python scripts/docs_site/hooks.py"] if stale else []
+    )
+    return wrong + claims.complaints(ROOT, of_results)
+
+
+def readme() -> str:
+    """The README with what is generated."""
+    text = README.read_text(encoding="utf-8")
     return BLOCK.sub(lambda found: found[1] + site_results.readme_table() + found[3], text)
 
 
 if __name__ == "__main__":
-    README.write_text(_filled(README.read_text(encoding="utf-8")), encoding="utf-8")
-    sys.exit(0)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="change nothing; exit code 1 if something does not stand")
+    if parser.parse_args().check:
+        sys.exit("\n".join(complaints()) or 0)
+    README.write_text(readme(), encoding="utf-8")

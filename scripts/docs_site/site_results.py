@@ -1,4 +1,4 @@
-"""Figures and tables of the site, read from results/: no page types a figure that is there."""
+"""Figures and tables of the site and of the README, read from results/: no page types a figure that is there."""
 
 import json
 import re
@@ -14,7 +14,11 @@ REPORTS = {
     "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes, two seeds of each method.", "hard"),
     "kinematic": ("Kinematic model, all worlds", "More worlds of every kind, without slip.", "kinematic"),
     "shield": ("Bare and in a shield", "How success and interventions change in a shield.", "shield"),
+    "shield-kinematic": ("Every method in a shield", "Bare and in a shield, kinematic model.", "shield-kinematic"),
+    "poles": ("Thin poles", "Poles of a few centimetres, 360 rays, bare and in a shield.", "poles"),
     "conditions": ("Conditions nobody trained with", "Friction, payload, noise and dead sectors.", "conditions"),
+    "barn": ("Worlds of the BARN challenge", "Shipped policies and rules by its protocol.", "barn"),
+    "maps": ("Maps", "Shipped policies and rules through maps of others.", "maps"),
     "ablation": ("Ablation of paper", "The factors that the paper leaves open.", "ablations"),
     "ablation-tuned": ("Ablation of tuned", "What each departure of `tuned` is worth.", "ablations"),
     "ablation-double_dqn": ("Ablation of double_dqn", "What the map and the frames are worth.", "ablations"),
@@ -23,6 +27,9 @@ REPORTS = {
 """By folder of results/: title, one sentence, and the script or the part of scripts/results.py that makes it."""
 PAGES = {folder: its for folder, its in REPORTS.items() if (RESULTS / folder).is_dir()}
 """Those that have been made."""
+
+
+COVERS = {"paper": "5 % cover", "cover_10": "10 % cover", "cover_15": "15 % cover", "cover_20": "20 % cover"}
 
 
 @cache
@@ -53,30 +60,43 @@ def _success(found: dict[str, Any]) -> str:
     return _interval(found["over_seeds"] or found["outcomes"]["goal"])
 
 
-def _in_words(three: list[float], unit: str) -> str:
+def _in_words(three: list[float | None], unit: str, form: str = ".1f", missing: str = "no interval") -> str:
     value, low, high = three
-    return f"{value:.1f}{unit} ({low:.1f} to {high:.1f})"
+    if low is None or high is None:
+        return f"{value:{form}}{unit} ({missing})"
+    return f"{value:{form}}{unit} ({low:{form}} to {high:{form}})"
+
+
+def _percent(three: list[float | None]) -> list[float | None]:
+    return [None if number is None else 100 * number for number in three]
 
 
 def success(folder: str, method: str, world: str) -> str:
     """A success rate with its 95 % interval."""
     found = row(folder, method, world)
-    return _in_words([100 * number for number in found["over_seeds"] or found["outcomes"]["goal"]], " %")
+    return _in_words(_percent(found["over_seeds"] or found["outcomes"]["goal"]), " %")
 
 
 def outcome(folder: str, method: str, world: str, name: str) -> str:
     """The share of drives that ended in one way, over all drives, with its 95 % interval."""
-    return _in_words([100 * number for number in row(folder, method, world)["outcomes"][name]], " %")
+    return _in_words(_percent(row(folder, method, world)["outcomes"][name]), " %")
+
+
+def _quantity(found: dict[str, Any], name: str) -> list[float | None]:
+    """A quantity of a row with its interval, which results of version 0.1 lack."""
+    return [found[name], *found.get("intervals", {}).get(name, (None, None))]
 
 
 def share(folder: str, method: str, world: str, name: str) -> str:
-    """A pooled share of decisions, for which results/ holds no interval."""
-    return f"{100 * row(folder, method, world)[name]:.1f} %"
+    """A share of decisions with its 95 % interval: of a drive's decisions, the mean over drives, if that is known."""
+    found = row(folder, method, world)
+    by_drive = f"{name}_by_drive" if f"{name}_by_drive" in found else name
+    return _in_words(_percent(_quantity(found, by_drive)), " %")
 
 
 def number(folder: str, method: str, world: str, name: str, digits: str = "1") -> str:
-    """A mean over drives, for which results/ holds no interval."""
-    return f"{row(folder, method, world)[name]:.{digits}f}"
+    """A mean over drives with its 95 % interval."""
+    return _in_words(_quantity(row(folder, method, world), name), "", f".{digits}f")
 
 
 def success_table(folder: str, *methods: str) -> str:
@@ -103,41 +123,65 @@ def shield_table(*methods: str) -> str:
         rows.append([f"`{method}`, success, bare", *map(_success, bare)])
         rows.append(["in a shield", *map(_success, kept)])
         rows.append(["collisions in a shield", *(_interval(r["outcomes"]["collision"]) for r in kept)])
-        rows.append(["decisions overridden [%]", *(f"{100 * r['overridden']:.1f}" for r in kept)])
-        rows.append(["time to the target [s]", *(f"{r['time']:.1f}" for r in kept)])
+        if "overridden_by_drive" in kept[0]:
+            rows.append(
+                ["overridden in a drive [%]", *(_cell(_percent(_quantity(r, "overridden_by_drive"))) for r in kept)]
+            )
+        rows.append(["of all decisions [%]", *(_cell(_percent(_quantity(r, "overridden"))) for r in kept)])
+        rows.append(["time to the target [s]", *(_cell(_quantity(r, "time")) for r in kept)])
     head = ["", *(title for _, title in tiers)]
     return _table([head, ["---", *("--:" for _ in tiers)], *rows])
+
+
+def _cell(three: list[float | None]) -> str:
+    value, low, high = three
+    return f"{value:.1f}" if low is None or high is None else f"{value:.1f} ({low:.1f}-{high:.1f})"
 
 
 def conditions_table() -> str:
     """The table of results/conditions."""
     text = (RESULTS / "conditions" / "conditions.md").read_text(encoding="utf-8")
     table = "\n".join(line for line in text.splitlines() if line.startswith("|"))
-    for name, title in (("paper", "5 % cover"), ("cover_10", "10 % cover"), ("cover_15", "15 % cover")):
+    for name, title in COVERS.items():
         table = table.replace(f"| {name} |", f"| {title} |", 1)
     return table
 
 
-def difference(folder: str, factor: str, *variant: str) -> str:
-    """What a variant of an ablation changes, in points of success, with its 95 % interval."""
-    label = " ".join(variant)
-    entries = values(folder, "ablation.json")["entries"]
-    for entry in entries:
-        names = {entry.get("choice"), entry.get("factor")}, {entry.get("alternative"), entry.get("variant")}
-        if factor in names[0] and label in names[1]:
-            value, low, high = (100 * number for number in entry["difference"])
-            return f"{value:+.1f} points ({low:+.1f} to {high:+.1f})"
+def _entry(folder: str, factor: str, label: str) -> dict[str, Any]:
+    """A variant of an ablation.
+
+    Raises:
+        LookupError: If the results do not hold it.
+    """
+    for entry in values(folder, "ablation.json")["entries"]:
+        if (entry["factor"], entry["variant"]) == (factor, label):
+            return dict(entry)
     raise LookupError(f"results/{folder} holds no variant '{label}' of '{factor}'")
+
+
+def difference(folder: str, factor: str, *variant: str) -> str:
+    """What a variant of an ablation changes, in points of success, with its 95 % interval and what it shows."""
+    entry, seeds = _entry(folder, factor, " ".join(variant)), values(folder, "ablation.json")["seeds"]
+    value, low, high = _percent(entry["difference"])
+    interval = f"{seeds} seeds" if low is None or high is None else f"{low:+.1f} to {high:+.1f}"
+    return f"{value:+.1f} points ({interval}; {entry['verdict']})"
 
 
 def ablation_success(folder: str, factor: str, world: str, *variant: str) -> str:
     """The success of a variant of an ablation in one kind of world, with its 95 % interval."""
-    label = " ".join(variant)
-    for entry in values(folder, "ablation.json")["entries"]:
-        names = {entry.get("choice"), entry.get("factor")}, {entry.get("alternative"), entry.get("variant")}
-        if factor in names[0] and label in names[1]:
-            return _in_words([100 * number for number in entry["success"][world]], " %")
-    raise LookupError(f"results/{folder} holds no variant '{label}' of '{factor}'")
+    entry, seeds = _entry(folder, factor, " ".join(variant)), values(folder, "ablation.json")["seeds"]
+    return _in_words(_percent(entry["success"][world]), " %", missing=f"{seeds} seeds")
+
+
+def ablation_power(folder: str) -> str:
+    """Whether an ablation can carry a verdict, and what difference it could have seen."""
+    found = values(folder, "ablation.json")
+    rivals = [entry for entry in found["entries"] if entry["verdict"] != "default"]
+    about = f"This study has {found['seeds']} seeds and {len(rivals)} comparisons"
+    if any(entry["verdict"] == "exploratory" for entry in rivals):
+        return f"{about}, too few seeds for a verdict: it is exploratory."
+    seen = sorted(100 * entry["detectable"] for entry in rivals)
+    return f"{about}; it could have seen differences of {seen[0]:.1f} to {seen[-1]:.1f} points, by variant."
 
 
 def section(folder: str, *title: str) -> str:

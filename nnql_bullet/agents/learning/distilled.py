@@ -91,9 +91,9 @@ class Distilled:
         return replace(state, memory=replace(state.memory, age=age))
 
     def act(self, observations: Observation, state: DistilledState) -> tuple[Actions, DistilledState]:
-        """Chooses the manoeuvre with the largest value."""
-        look = self._foresight.look(state.memory, observations)
-        return self._after(look, observations, np.asarray(self._values(look).argmax(axis=-1)))
+        """Chooses the manoeuvre with the largest value of those that are foreseen to meet nothing."""
+        look = self._look(observations, state)
+        return self._after(look, observations, self._chosen(look))
 
     def override(self, state: DistilledState, actions: Actions) -> DistilledState:
         """Returns the state after these manoeuvres in place of those last chosen."""
@@ -101,16 +101,16 @@ class Distilled:
 
     def action_values(self, observations: Observation, state: DistilledState) -> Array:
         """Values of the five turns ahead (n, 5) [m], up to a constant."""
-        return self._values(self._foresight.look(state.memory, observations))[:, : len(paper.TURNS)]
+        return self._values(self._look(observations, state))[:, : len(paper.TURNS)]
 
     def act_exploring(
         self, observations: Observation, state: DistilledState, episodes: NDArray[np.int64], uniforms: Array
     ) -> tuple[Actions, DistilledState]:
         """Asks the search; lets it drive, or chance, with the scheduled probabilities, and else the network."""
-        o, look = self.options, self._foresight.look(state.memory, observations)
+        o, look = self.options, self._look(observations, state)
         scores, _ = self._foresight.searched(look, observations, o.search)
         led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
-        actions = np.where(led, scores.argmax(axis=-1), self._values(look).argmax(axis=-1))
+        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look))
         drawn = np.minimum(uniforms / max(o.random_share, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
         actions, after = self._after(look, observations, np.where(uniforms < o.random_share, drawn, actions))
         return actions, replace(after, scores=scores)
@@ -194,6 +194,12 @@ class Distilled:
     def _new_optimizer(self) -> torch.optim.Optimizer:
         with without_cache_folder():
             return torch.optim.Adam(self.network.parameters(), fused=True)
+
+    def _look(self, observations: Observation, state: DistilledState) -> Look:
+        return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
+
+    def _chosen(self, look: Look) -> Actions:
+        return self._foresight.chosen(look, self._values(look), self.options.search.margin)
 
     def _values(self, look: Look) -> Array:
         with torch.no_grad():
