@@ -44,17 +44,16 @@ def main() -> None:
             nb.drive(policy, world=a.world, seed=a.seed, shield=a.shield, simulator="kinematic").save(drive)
             ways = [[], ["--plain"]]
             with suppress(nb.UserError):  # not every policy is exported to C
-                if not a.shield:
-                    exported = nb.export(policy, to="c", out=Path(folder) / policy)
-                    library = build(exported.folder, Path(folder) / f"{policy}.so")
-                    ways.append(["--plain", "--library", str(library)])
+                exported = nb.export(policy, to="c", with_shield=a.shield, out=Path(folder) / policy)
+                library = build(exported.folder, Path(folder) / f"{policy}.so")
+                ways.append(["--plain", "--library", str(library)])
             for way in ways:
                 asked = [policy, "--replay", str(drive), *(["--shield"] if a.shield else []), *way]
                 subprocess.run([sys.executable, __file__, *asked], check=True, env=os.environ | threads)
 
 
 def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | None) -> None:
-    """Tells a controller what was seen in a drive, and prints medians, 10 % to 90 %, means and the longest of its steps."""
+    """Tells a controller what was seen in a drive, and prints how long its steps took."""
     if plain:
         sys.modules.update(dict.fromkeys(WITHOUT))  # type: ignore[arg-type]  # None stands for what is not there
     import numpy as np
