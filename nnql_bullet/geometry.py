@@ -154,7 +154,7 @@ def _corners_to_box(a: Array, b: Array) -> float:
 
 @njit()
 def _gap_along_axes_of(a: Array, b: Array) -> float:
-    """Computes the larger gap between the projections of two boxes on the axes of row `a` [m]; 0 or less if both overlap.
+    """The larger gap between the projections of two boxes on the axes of row `a` [m]; 0 or less if both overlap.
 
     That is one half of the separating-axis test; no distance between the boxes is smaller than a gap.
     """

@@ -56,14 +56,19 @@ def brain_of(experiment: Experiment, name: str, form: str) -> Brain:
     if not network and not isinstance(options, StraightOptions):
         kinds = ", ".join(kind.kind for kind in (NnqlOptions, GeneticOptions, StraightOptions))
         raise UserError(f"{name}: a policy of kind '{options.kind}' cannot be written in {form}; these can: {kinds}")
-    weights = [nothing] * 4
+    w1, b1, w2, b2 = nothing, nothing, nothing, nothing
     if network:
         learned = experiment.trainable.state_dict()
-        weights = [np.asarray(learned[part], np.float64) for part in ("0.weight", "0.bias", "2.weight", "2.bias")]
+        w1, b1, w2, b2 = (
+            np.asarray(learned[part], np.float64) for part in ("0.weight", "0.bias", "2.weight", "2.bias")
+        )
     return Brain(
         experiment.vehicle.sensor.range,
         np.broadcast_to(np.asarray(experiment.task.thresholds, np.float64), (paper.SECTORS,)).copy(),
-        *weights,
+        w1,
+        b1,
+        w2,
+        b2,
         full_scale=paper.SENSOR_RANGE * length_scale(experiment.vehicle.footprint),
         proximity=isinstance(options, (NnqlOptions, GeneticOptions)) and encoding_of(options) == "proximity",
     )

@@ -361,12 +361,12 @@ class Writer:
                 case Leave():
                     yield f"{indent}CONTINUE;"
                 case Do(function, args, results):
-                    target = _name(results[0].name) if len(results) == 1 else "done"
+                    done = _name(results[0].name) if len(results) == 1 else "done"
                     given = list(self._given(function, args))
                     if len(results) != 1:
                         pairs = zip(function.results, results, strict=True)
                         given += [f"{_name(inner.name)} => {_name(outer.name)}" for inner, outer in pairs]
-                    yield f"{indent}{target} := {_named(function.name)}({', '.join(given)});"
+                    yield f"{indent}{done} := {_named(function.name)}({', '.join(given)});"
 
     def _given(self, function: Function, args: Sequence[Expr | ArrayOf]) -> Iterator[str]:
         yield from (f"{name} := {name}" for name in self.structs if _has(function, name))

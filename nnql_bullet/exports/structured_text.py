@@ -36,7 +36,8 @@ def st_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str]
 def st_units(contract: Contract, experiment: Experiment) -> tuple[list[Unit], Cost]:
     """The declarations of a policy, and what a decision takes."""
     brain = Known(brain_of(experiment, contract.policy, "Structured Text"))
-    translator, structs = Translator(), {}
+    translator = Translator()
+    structs: dict[str, Struct] = {}
     distances = ArrayOf("distances", (contract.distances,), "real")
     numbers = [Var(signal.name, "real") for signal in contract.inputs[1:]]
     about = f"One decision every {contract.decision_period:g} s."
@@ -44,7 +45,7 @@ def st_units(contract: Contract, experiment: Experiment) -> tuple[list[Unit], Co
     outputs += [Var("heading_change", "real"), Var("speed_share", "real")]
     if contract.shielded:
         setting, memory = shield_of(experiment)
-        structs: dict[str, Struct] = {"m": struct_of("m", "NNQL_MEMORY", memory)}
+        structs["m"] = struct_of("m", "NNQL_MEMORY", memory)
         function = translator.translate(
             decide_shielded, brain, Known(setting), group_of(structs["m"]), distances, *numbers
         )

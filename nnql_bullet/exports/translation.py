@@ -342,8 +342,8 @@ class _Kernel:
                 return Group(tuple(its), names)
             case Known(its) if not isinstance(its, float):
                 return value
-            case ArrayOf(_, shape, kind):
-                array = ArrayOf(name, shape, kind)
+            case ArrayOf(_, shape, its_kind):
+                array = ArrayOf(name, shape, its_kind)
                 self.function.params.append(array)
                 return array
             case _:
@@ -625,7 +625,8 @@ class _Kernel:
     def _item(self, of: Value, places: list[Value]) -> Value:
         match of:
             case Group(values) if isinstance(places[0], Known):
-                return values[places[0].value]
+                chosen: Value = values[places[0].value]
+                return chosen
             case Known(its):
                 if all(isinstance(place, Known) for place in places):
                     index = tuple(place.value for place in places if isinstance(place, Known))
@@ -738,9 +739,11 @@ class _Kernel:
         if isinstance(test, Known):
             return self._value(body if test.value else orelse)
         outer = self._out
-        self._out = then = []
+        then: list[Statement] = []
+        other: list[Statement] = []
+        self._out = then
         first = _expr(self._value(body))
-        self._out = other = []
+        self._out = other
         second = _expr(self._value(orelse))
         self._out = outer
         kind: Kind = "real" if "real" in (first.kind, second.kind) else first.kind
@@ -817,7 +820,9 @@ class _Kernel:
         given: list[Expr | ArrayOf] = []
         for value in values:
             given += list(self._passed(value))
-        results, arrays, back = [], [], []
+        results: list[Var] = []
+        arrays: list[ArrayOf] = []
+        back: list[Value] = []
         for part in function.returned:
             if isinstance(part, ArrayOf):
                 array = self._new_array(part.shape, part.kind)

@@ -80,4 +80,5 @@ def clearance_at(x: float, y: float, yaw: float, points: Array, count: int, foot
         squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
         if squared < nearest:
             nearest, within = squared, (np.sqrt(squared) + reach) ** 2 + ROUNDING
-    return np.sqrt(nearest)
+    clearance: float = np.sqrt(nearest)
+    return clearance

@@ -534,7 +534,7 @@ def first_safe(
 ) -> int:
     """`Predictor.first_safe` of what stays clear by a margin [m]."""
     for place in range(ACTIONS):
-        action = order[place]
+        action: int = order[place]
         if stays_clear(p, m, turns[action], yaw_rate, speed, margin, turns_round):
             if can_stop(p, m, action, turns[action], yaw_rate, speed, tight):
                 return action
