@@ -44,16 +44,16 @@ def main() -> None:
             nb.drive(policy, world=a.world, seed=a.seed, shield=a.shield, simulator="kinematic").save(drive)
             ways = [[], ["--plain"]]
             with suppress(nb.UserError):  # not every policy is exported to C
-                if not a.shield:
-                    exported = nb.export(policy, to="c", out=Path(folder) / policy)
-                    ways.append(["--plain", "--library", str(build(exported.folder, Path(folder) / f"{policy}.so"))])
+                exported = nb.export(policy, to="c", with_shield=a.shield, out=Path(folder) / policy)
+                library = build(exported.folder, Path(folder) / f"{policy}.so")
+                ways.append(["--plain", "--library", str(library)])
             for way in ways:
                 asked = [policy, "--replay", str(drive), *(["--shield"] if a.shield else []), *way]
                 subprocess.run([sys.executable, __file__, *asked], check=True, env=os.environ | threads)
 
 
 def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | None) -> None:
-    """Tells a controller what was seen in a drive, and prints medians and 10 % to 90 % of its steps."""
+    """Tells a controller what was seen in a drive, and prints how long its steps took."""
     if plain:
         sys.modules.update(dict.fromkeys(WITHOUT))  # type: ignore[arg-type]  # None stands for what is not there
     import numpy as np
@@ -82,7 +82,8 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | 
     name = f"{policy}{' + shield' if shield else ''}, {how}"
     for what, times in (("decision", deciding), ("command between", following), ("all calls", deciding + following)):
         low, middle, high = np.percentile(times, [10, 50, 90])
-        print(f"{name}: {what}: median {middle:.0f} us ({low:.0f} to {high:.0f}), mean {np.mean(times):.0f}")
+        rest = f"mean {np.mean(times):.0f}, most {max(times):.0f}"
+        print(f"{name}: {what}: median {middle:.0f} us ({low:.0f} to {high:.0f}), {rest}")
 
 
 if __name__ == "__main__":

@@ -106,11 +106,14 @@ class TestDrives:
         same_drive(policy, world, seed, shield)
 
     @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-    def test_what_was_exported_to_c_drives_as_well(self, tmp_path: Path) -> None:
-        nb.export("paper", to="c", out=tmp_path / "c")
+    @pytest.mark.parametrize("shield", [False, True])
+    def test_what_was_exported_to_c_drives_as_well(self, shield: bool, tmp_path: Path) -> None:
+        nb.export("paper", to="c", with_shield=shield, out=tmp_path / "c")
         library = build(tmp_path / "c", tmp_path / "policy.so")
-        recording = nb.drive("paper", world="cover_10", seed=1, simulator="kinematic")
-        mine = Replay(Controller("paper", library=library)).drive("cover_10", 1, len(recording.action))
+        changes: dict[str, Any] = {"shield": {"recovers": False}} if shield else {}
+        recording = nb.drive("paper", world="cover_10", seed=1, simulator="kinematic", changes=changes)
+        mine = Replay(Controller("paper", shield=shield, library=library))
+        mine.drive("cover_10", 1, len(recording.action))
         assert (len(mine.actions), mine.ending) == (len(recording.action), recording.summary.ending)
         with pytest.raises(nb.UserError, match="no shared library"):
             Controller("paper", library=tmp_path / "c" / "policy.c")

@@ -82,8 +82,7 @@ class TestObservations:
         state = agent.reset(agent.initial_state(1), {0: info["world_seed"]})
         for action in (5, 1, 17, 8, 0, 5, 20, 3):
             _, state = agent.act(navigation.observation, state)
-            look, _ = state.last
-            assert told == pytest.approx(look.stacked[0] / 127.5 - 1.0, abs=1e-6)
+            assert told == pytest.approx(state.last.look.stacked[0] / 127.5 - 1.0, abs=1e-6)
             state = agent.override(state, np.array([action]))
             told, *_ = env.step(action)
         assert told.shape == (3 * (24 + 48 + 5 + 6),)

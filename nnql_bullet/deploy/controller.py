@@ -106,7 +106,7 @@ class Controller:
             speed: Largest speed [m/s]; by default that of the policy, or the vehicle's own if that is less.
             watch: What is demanded of scans and odometry.
             library: A shared library of this policy as `export` writes it in C (see `exports.running.build`), which
-                decides in its place.
+                decides in its place. With a shield, the shield is in it too, and does not lead the vehicle.
 
         Raises:
             UserError: If there is no such policy or vehicle, or the policy needs what is not there: a plan through the
@@ -277,8 +277,10 @@ def _compiled(policy: LoadedPolicy, library: Path) -> Policy:
     """
     from nnql_bullet.exports.contract import contract_of
     from nnql_bullet.exports.running import LibraryPolicy
+    from nnql_bullet.exports.shielded import in_shield
 
+    exported = in_shield(policy) if policy.experiment.config.shield else policy
     try:
-        return LibraryPolicy(library.absolute(), contract_of(policy))
+        return LibraryPolicy(library.absolute(), contract_of(exported))
     except (OSError, AttributeError) as error:
         raise UserError(f"{library}: no shared library of an exported policy ({error})") from None
