@@ -36,8 +36,8 @@ WHAT = {
 """Of the presets whose policies may be shipped."""
 LIMITS = """\
 Made for the vehicle and the kinds of worlds above. Success is a share of drives through random worlds, with its 95 %
-interval: evidence, never a statement of safety. Bare, it stops for nothing. So few drives in a shield cannot show that
-collisions are rarer than one in a thousand, and a box that moves makes way for nobody.
+interval: evidence, never a statement of safety. Bare, only the policy itself judges what it does. So few drives in a
+shield cannot show that collisions are rarer than one in a thousand, and a box that moves makes way for nobody.
 """
 
 

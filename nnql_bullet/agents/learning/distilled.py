@@ -68,7 +68,7 @@ class DistilledState:
 
 
 class Distilled:
-    """Takes the manoeuvre that its network values most."""
+    """Takes the manoeuvre that its network values most, of those that are not foreseen to meet anything."""
 
     def __init__(self, options: DistilledOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self.options, self._seed = options, seed
