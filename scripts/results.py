@@ -149,7 +149,7 @@ NEEDED = {
     "learning": (*LEARNING_FROM_STEPS, "double_dqn"),
 }
 """Methods that are trained for a part."""
-PACE = {"kinematic": 0.03, "bullet": 3.0, "mujoco": 6.0}
+PACE = {"kinematic": 0.1, "bullet": 0.6, "mujoco": 0.6}
 """CPU time of a drive, mean over methods and kinds of worlds [s], as `--estimate` takes it; of order only. What a part
 takes is in hours.json of --out."""
 ABLATION_HOURS = {"paper": 0.01, "tuned": 0.015, "double_dqn": 0.1}
