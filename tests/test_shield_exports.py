@@ -25,7 +25,7 @@ from tests.structured_text import Running
 from tests.test_exports import deepest_stack, run
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no C compiler: gcc")
-FLAGS = ("-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion")
+FLAGS = ("-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion")
 CONDITIONS: dict[str, dict[str, Any]] = {
     "usual": {},
     "slippery": {"wheel_friction": 0.3, "payload": 80.0},

@@ -59,10 +59,13 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     """Compares the decisions by what was seen in a drive (steps, ...).
 
     A policy with a memory decides in the order of the drive. The exported one begins each decision with the policy's
-    own memory, so that each is judged by itself.
+    own memory, so that each is judged by itself. In a shield both decide by inputs in single precision, and each has a
+    memory of its own: what is remembered is compared with thresholds in double precision by both.
     """
     policy: Any = experiment.policy
     contract, steps = exported.contract, len(drive.readings)
+    if contract.shielded:
+        drive = observed(contract, experiment.task, contract.rows(drive))
     if contract.memory:
         states = [policy.initial_state(1)]
         actions = np.empty(steps, np.int64)
