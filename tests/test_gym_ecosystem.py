@@ -373,7 +373,7 @@ class TestPictures:
             make(render_mode="rgb_array", size=(3, 3))
         with pytest.raises(UserError, match="'render_mode' must be"):
             make(render_mode="ansi")
-        monkeypatch.setattr("nnql_bullet.render.window.works", lambda kind: False)
+        monkeypatch.setattr("nnql_bullet.render.window.a_window_opens", lambda: False)
         with pytest.raises(UserError, match="no window can be opened here; take render_mode='rgb_array'"):
             make(render_mode="human")
         monkeypatch.delenv("DISPLAY", raising=False)
