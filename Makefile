@@ -20,7 +20,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' || \
 		{ echo "CPython 3.10 to 3.13 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,log,mujoco,ray,rllib,sb3,sweep,export,baselines,viz,render,robots,ros]'
+	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,log,maps,mujoco,ray,rllib,sb3,sweep,export,baselines,viz,render,robots,ros]'
 	@touch $@
 
 demo: $(INSTALLED)

@@ -20,6 +20,16 @@ R = TypeVar("R")
 _LARGEST = 10**30
 """Largest magnitude of a whole number; no argument is near it."""
 
+
+class _Own:
+    """Stands for the default that a function of its own has for an argument; `help` shows it as stubs do."""
+
+    def __repr__(self) -> str:
+        return "..."
+
+
+_OWN = _Own()
+
 _WORDS: dict[Any, str] = {
     NoneType: "None",
     bool: "True or False",
@@ -43,7 +53,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         UserError: (The function.) If an argument is of another type.
     """
     signature, about = _unpacked(function)
-    grouped = {its.name: its.annotation for its in signature.parameters.values() if its.default is ...}
+    grouped = {its.name: its.annotation for its in signature.parameters.values() if its.default is _OWN}
     hints = cache(lambda: get_type_hints(function) | grouped)
 
     @wraps(function)
@@ -81,7 +91,7 @@ def _unpacked(function: Callable[..., Any]) -> tuple[inspect.Signature, str | No
             parameters.append(its)
             continue
         parameters += [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=hint)
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_OWN, annotation=hint)
             for name, hint in get_type_hints(groups[0]).items()
         ]
         line = re.compile(rf"^ *\*\*{its.name}: .*\n", re.MULTILINE)

@@ -24,9 +24,12 @@ DRAWING = ("nnql_bullet.render", "nnql_bullet.reports")
 """Parts of the package that no number comes from."""
 TRAINING = "nnql_bullet.session"
 """Module whose code trains and drives."""
-LIBRARIES = ("numpy", "scipy", "numba", "torch", "pybullet", "pybullet-arm64", "mujoco")
-"""Libraries that numbers come from."""
-GIT = ("git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+LIBRARIES = (
+    *("numpy", "scipy", "numba", "llvmlite", "torch", "pybullet", "pybullet-arm64", "mujoco", "trimesh"),
+    *("deap", "scikit-fuzzy", "stable-baselines3", "sb3-contrib"),
+)
+"""Libraries that numbers come from, those of some agents last."""
+GIT = ("git", "--no-optional-locks", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
 TIMEOUT = 10.0
 """Longest wait for Git [s]."""
 
@@ -66,8 +69,9 @@ def code_digest(module: str) -> str:
         sources.update(f"\n{file.relative_to(PACKAGE)}\n".encode() + file.read_bytes())
     cache_place = cache_folder()
     kept = cache_place / "code" / sources.hexdigest() if cache_place else None
-    if kept and kept.is_file():
-        return kept.read_text(encoding="utf-8").strip()
+    with suppress(OSError):  # none is kept yet
+        if kept:
+            return kept.read_text(encoding="utf-8").strip()
     code = "".join(f"{name}\n{_code(name)}\n" for name in sorted(closure(module)))
     digest = sha256(code.encode()).hexdigest()[:16]
     if kept:

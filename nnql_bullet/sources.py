@@ -48,7 +48,7 @@ class Sources:
 
 def keep_sources(config: RunConfig, folder: Path) -> None:
     """Writes what the files of a configuration say into a run folder; see `keep_files`."""
-    keep_files(_world_files(config), config.robot, folder, config.start_from)
+    keep_files(_named_worlds(config), config.robot, folder, config.start_from)
 
 
 def keep_files(worlds: Sequence[str], robot: str | None, folder: Path, start: str | None = None) -> None:
@@ -94,7 +94,7 @@ def _copied(robot: str, folder: Path) -> str:
 
 
 def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
-    """Hashes what the files say that a configuration names, wherever they are; empty if it names none.
+    """Hashes what the files of worlds, robot and start say that a configuration names, those that are shipped too.
 
     Args:
         config: The configuration.
@@ -102,10 +102,12 @@ def files_digest(config: RunConfig, worlds: Sequence[str] = ()) -> str:
 
     Raises:
         UserError: If a file cannot be read.
+        OSError: If that of the start cannot be read.
     """
-    said = [to_values(World.load(name)) for name in _world_files(config, worlds)]
-    robot = load_vehicle(config.robot).digest if is_file(config.robot) else ""
-    return sha256(json.dumps([robot, said], sort_keys=True).encode()).hexdigest()[:16] if said or robot else ""
+    worlds_said = [to_values(World.load(name)) for name in _named_worlds(config, worlds)]
+    start = None if config.start_from is None else sha256(_policy_bytes(config.start_from)).hexdigest()
+    said = load_vehicle(config.robot).digest, worlds_said, start
+    return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def located(config: RunConfig, folder: Path) -> RunConfig:
@@ -213,11 +215,11 @@ def read_sources(folder: Path) -> Sources:
     return sources
 
 
-def _world_files(config: RunConfig, worlds: Sequence[str] = ()) -> list[str]:
+def _named_worlds(config: RunConfig, worlds: Sequence[str] = ()) -> list[str]:
     training = config.training
     selection = training.selection.worlds if training.selection else ()
     named = (config.world, *training.worlds, *selection, *(training.evaluate_worlds or ()), *worlds)
-    return [name for name in dict.fromkeys(named) if isinstance(name, str) and is_file(name)]
+    return [name for name in dict.fromkeys(named) if isinstance(name, str)]
 
 
 def _kept(world: str | World, sources: Sources) -> Any:

@@ -31,7 +31,6 @@ import numpy as np
 from scipy.stats import bootstrap
 
 import nnql_bullet as nb
-from nnql_bullet import assets
 from nnql_bullet.agents import RULES
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.studies import STUDIES
@@ -133,7 +132,7 @@ GAP_COUNT = 100
 SIDES = (("kinematic", "bullet"), ("mujoco", "bullet"))
 """Simulators that headline rows are compared in."""
 FOREIGN = ("double_dqn", "distilled", *RULES)
-"""Shipped policies and rules that drive in worlds of others, where those exist."""
+"""Shipped policies and rules that drive in worlds of others."""
 ABLATIONS: dict[str, tuple[int, dict[str, Any]]] = {
     "paper": (300, {}),
     "tuned": (300, {}),
@@ -247,8 +246,8 @@ class Results:
         trials = [trial for trial in self.trials if trial.method in NEEDED.get(part, ())]
         if not self.a.older:
             for trial in trials:
-                makers = nb.load_run(trial.run).makers if (trial.run / "config.toml").exists() else []
-                if any(maker["code"] != code_digest(TRAINING) for maker in makers):
+                is_there, ours = (trial.run / "config.toml").exists(), {code_digest(TRAINING)}
+                if is_there and {maker.get("code") for maker in nb.load_run(trial.run).makers} != ours:
                     raise UserError(f"{trial.run}: was trained by other code; remove it, or take it with --older")
         executor = make_executor(self.a.executor, self.a.workers)
         self.told(Progress("training", 0, len(trials)))
@@ -336,8 +335,7 @@ class Results:
         if not self.a.barn:
             print("barn: left out; --barn names its folder")
             return
-        policies = [name for name in FOREIGN if name in assets.policies() or name in RULES]
-        nb.barn(self.a.barn, policies, simulator="kinematic", shield=True, out=self.a.out / "barn", **self.spread)
+        nb.barn(self.a.barn, FOREIGN, simulator="kinematic", shield=True, out=self.a.out / "barn", **self.spread)
         self.keep("barn", BARN)
 
     def maps(self) -> None:
@@ -345,9 +343,8 @@ class Results:
         if not self.a.maps:
             print("maps: left out; --maps names their folder")
             return
-        policies = [name for name in FOREIGN if name in assets.policies() or name in RULES]
         nb.evaluate(
-            policies,
+            FOREIGN,
             worlds=[self.a.maps],
             split="test",
             n_worlds=self.scaled(100),

@@ -1,10 +1,13 @@
 """Figures of the README and the docs are those of results/."""
 
 import importlib
+import re
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+from nnql_bullet.config import read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -17,6 +20,15 @@ def claims(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_what_the_repository_says_stands(claims: ModuleType) -> None:
     assert importlib.import_module("hooks").complaints() == []
+
+
+def test_make_installs_every_extra_and_the_tutorial_names_those_of_a_user() -> None:
+    extras = set(read_toml(ROOT / "pyproject.toml")["project"]["optional-dependencies"])
+    (installed,) = re.findall(r"--editable '\.\[(.*)\]'", (ROOT / "Makefile").read_text())
+    assert set(installed.split(",")) == extras
+    tutorial = (ROOT / "docs" / "tutorial.md").read_text()
+    (named,) = re.findall(r"(?s)The optional parts are extras: (.*?)\n\n", tutorial)
+    assert set(re.findall(r"(?:`|\.\[)(\w+)\]?'?`\s\(", named)) == extras - {"dev", "docs"}
 
 
 def test_a_typed_figure_is_found_and_a_rendered_one_is_not(claims: ModuleType) -> None:

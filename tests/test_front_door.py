@@ -87,6 +87,9 @@ class TestImport:
             about = (inspect.getdoc(getattr(nb, name)) or "").partition("Args:\n")[2].partition("\n\n")[0]
             assert sorted(re.findall(r"^ {4}\*{0,2}(\w+): ", about, re.MULTILINE)) == sorted(parameters), name
 
+    def test_help_shows_no_default_of_an_argument_of_a_group(self) -> None:
+        assert "shield: bool = ..., " in str(inspect.signature(nb.drive))
+
     def test_every_name_is_there_typed_and_listed(self) -> None:
         (checked,) = [node for node in ast.parse(Path(nb.__file__).read_text()).body if isinstance(node, ast.If)]
         typed = {

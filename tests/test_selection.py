@@ -224,4 +224,4 @@ def test_the_ablation_tests_what_a_run_would_have_selected(whole: Path, selectin
     for world in tiers:
         endings = driven(whole, world, range(4))
         expected.append(Counts(world, *(endings.count(ending) for ending in ENDINGS)))
-    assert train_and_test(AblationTask(json.dumps(to_values(config)), 0, tiers, 4)) == expected
+    assert train_and_test(AblationTask(json.dumps(to_values(config)), 0, tiers, 4, "")) == expected

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import nnql_bullet as nb
+from nnql_bullet import assets
+from nnql_bullet.presets import load_config
 from nnql_bullet.sources import changed_sources, files_digest, keep_sources, located
 from nnql_bullet.vehicle.urdf import load_vehicle
 
@@ -132,3 +134,23 @@ def test_a_robot_is_kept_with_the_meshes_that_it_is_as_large_as(tmp_path: Path, 
     copy = load_vehicle(located(mine, tmp_path / "run").robot)
     assert (copy.digest, copy.footprint) == (with_mesh.digest, with_mesh.footprint)
     assert files_digest(mine) != files_digest(config)
+
+
+def test_the_digest_of_what_a_configuration_names_follows_shipped_files_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for kind in ("worlds", "robots"):
+        shutil.copytree(assets.folder(kind), tmp_path / kind)
+    config, now = load_config("paper", {}), files_digest(load_config("paper", {}), ["traps"])
+    monkeypatch.setattr(assets, "folder", tmp_path.__truediv__)
+    assert files_digest(config, ["traps"]) == now
+    found = {now}
+    for name, old, new in (
+        ("worlds/paper", "0.05", "0.06"),
+        ("worlds/traps", "8", "7"),
+        ("robots/tricycle", "7.4", "7.3"),
+    ):
+        file = tmp_path / f"{name}.toml"
+        file.write_text(file.read_text().replace(old, new))
+        found.add(files_digest(config, ["traps"]))
+    assert len(found) == 4

@@ -20,6 +20,7 @@ from nnql_bullet.evaluation.splits import SplitName, choose_draws
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
+from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import RECORDINGS
 from nnql_bullet.reports import gap as report
 from nnql_bullet.run_config import SimulatorName
@@ -125,6 +126,7 @@ def gap(
     tasks = measure.tasks(opened, world, driven, first, second, setting, faults)
     folder = None if out is None else Path(out)
     with locked(folder):
+        made_by()  # which is asked for at the end, when the sources may be others
         pieces = run_all(where, "driving", measure.work, tasks, lambda task: len(task.seeds), on_progress=on_progress)
         drives = [drive for piece in pieces for drive in piece]
         pairs = [drive for drive in drives if isinstance(drive, Pair)]

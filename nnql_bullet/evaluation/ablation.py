@@ -56,8 +56,8 @@ class AblationTask:
     """World files of the test."""
     worlds: int
     """Number of validation worlds in each tier."""
-    files: str = ""
-    """Hash of what the files say that the configuration names."""
+    files: str
+    """Hash of what the files say that the configuration names (`files_digest`)."""
 
     @property
     def size(self) -> int:
@@ -67,7 +67,7 @@ class AblationTask:
     @property
     def part(self) -> str:
         """See `parts.Piece`."""
-        return part_name(__name__, "ablation", self.config, self.worlds, *self.tiers, *filter(None, (self.files,)))
+        return part_name(__name__, "ablation", self.config, self.worlds, *self.tiers, self.files)
 
 
 @dataclass(frozen=True, slots=True)

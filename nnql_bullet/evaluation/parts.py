@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from nnql_bullet.errors import UserError
 from nnql_bullet.executors import Executor
 from nnql_bullet.files import read_json, write_text
-from nnql_bullet.provenance import code_digest, libraries
+from nnql_bullet.provenance import code_digest, libraries, made_by
 from nnql_bullet.work import OnProgress, run_all
 
 R = TypeVar("R")
@@ -101,6 +101,7 @@ def run_kept(
         WorkFailed: If the function raises on a task; the others are stopped.
         UserError: If a kept result is damaged.
     """
+    made_by()  # which is asked for at the end, when the sources may be others
     names = [task.part or f"not kept {number}" for number, task in enumerate(tasks)]
     kept = {name: parts.load(task.part, record) for name, task in zip(names, tasks, strict=True)}
     missing = {name: task for name, task in zip(names, tasks, strict=True) if kept[name] is None}
