@@ -1,7 +1,8 @@
 """What made a result: version, commit and code of the program, libraries, Python and machine.
 
 The code of a result is a module and what it imports of this package, directly and indirectly, but for what only draws.
-Its digest is of the syntax without docstrings and comments, so that a better sentence makes no result stale.
+Its digest is of the syntax without docstrings and comments, so that a better sentence makes no result stale. Another
+minor version of Python may write the syntax otherwise, and so give another digest.
 """
 
 import ast

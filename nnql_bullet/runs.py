@@ -225,9 +225,9 @@ class Run:
             return
         if last.get("code", now["code"]) != now["code"]:
             _log.warning(
-                "%s was begun by other code of the program (%s) and goes on with this (%s); for a result of one code, "
-                "train anew",
-                *(self.folder, last["code"], now["code"]),
+                "%s was begun by other code of the program (%s on Python %s) and goes on with this (%s on Python %s); "
+                "for a result of one code, train anew",
+                *(self.folder, last["code"], last.get("python"), now["code"], now["python"]),
             )
         write_text(self.folder / MADE_BY, json.dumps([*makers, now], indent=1) + "\n")
 

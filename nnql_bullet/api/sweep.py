@@ -15,6 +15,7 @@ from nnql_bullet.executors import Executor, ExecutorArguments, executor_of
 from nnql_bullet.fidelity.first_use import check_at_first_use
 from nnql_bullet.files import staged, write_text
 from nnql_bullet.locks import locked
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports import sweep as report
 from nnql_bullet.reports.tables import csv_text, text_table
 from nnql_bullet.run_config import RunConfig
@@ -69,7 +70,12 @@ class SweepResults:
             report.draw_sweep(self.sweep, self.trials, out / "sweep.png")
             if best_of(self.trials):
                 write_text(out / "best.toml", report.best_toml(self.config, self.best))
-                values = {"best": self.best.number, "config": report.short_config(self.config), "trials": self.rows}
+                values = {
+                    "made_by": made_by(),
+                    "best": self.best.number,
+                    "config": report.short_config(self.config),
+                    "trials": self.rows,
+                }
                 write_text(out / "sweep.json", json.dumps(values, indent=1) + "\n")
             write_text(out / "sweep.csv", csv_text(self.rows))
 

@@ -27,8 +27,9 @@ def barn(
     Each drive has 100 s from the challenge's start to within 1 m of its target; a collision ends it. Its score is
     OT / clip(time, 2 OT, 8 OT), or 4 OT and 8 OT as in 2022, where OT is the reference path's length over 2 m/s. The
     robot is jackal_tricycle unless --robot names another one. Prints results in all worlds and by bottleneck, with 95 %
-    intervals, and leaves barn.md, results.json, drives.csv (a line for each drive) and pictures. The same inputs give
-    the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command goes on.
+    intervals, and leaves barn.md, results.json, drives.csv (a line for each drive) and pictures. On one machine the
+    same inputs and code give the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command
+    goes on.
 
     For example:
 

@@ -34,8 +34,9 @@ def evaluate(
     """Drive policies through the same worlds; say how good each is and how sure that is.
 
     Policies that differ by their training seed alone are one method. Prints success with 95 % intervals, and leaves
-    evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. The same inputs give
-    the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same command goes on.
+    evaluation.md, results.json, results.csv, episodes.csv (a line for each drive) and pictures. On one machine
+    the same inputs and code give the same bytes. Finished pieces are kept in DIR/parts: after an interrupt the same
+    command goes on.
 
     For example:
 

@@ -22,8 +22,8 @@ def failures(
     Collisions: struck by a moving box, dithering (left, right and left again), head-on, flank. Out of time: target
     circling, circling, trapped, wandering. Every failure is in one group, by rules over its recording that
     failures.md states. Leaves in RESULTS/failures: recordings, failures.json, and failures.md with a contact sheet of
-    each group and the command that replays each drive. `nnql-bullet report` plays them on its page. The same inputs
-    give the same bytes.
+    each group and the command that replays each drive. `nnql-bullet report` plays them on its page. On one machine the
+    same inputs and code give the same bytes.
 
     For example:
 

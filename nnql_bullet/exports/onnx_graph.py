@@ -104,7 +104,8 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
     """
     options = experiment.config.agent
     if not isinstance(options, NnqlOptions | GeneticOptions | QTableOptions | DoubleDqnOptions):
-        raise UserError(f"{contract.policy}: a policy of kind '{options.kind}' has no graph; export it as C")
+        have = "nnql, genetic, q_table, double_dqn"
+        raise UserError(f"{contract.policy}: a policy of kind '{options.kind}' has no graph; these have one: {have}")
     g = Graph()
     seen = g.within("distances", 0.0, _LARGEST)
     distances = g.add("Where", seen, "distances", g.constant(0.0))

@@ -31,6 +31,7 @@ from nnql_bullet.fidelity.envelope import (
 )
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.geometry import Array
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Report, Section, Table, table
 from nnql_bullet.reports.drawing import legend_below, picture
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
@@ -261,6 +262,7 @@ def envelope_values(bench: Bench, results: Sequence[Result]) -> dict[str, Any]:
     """Returns all cases as plain values, for JSON."""
     return {
         "note": NOT_A_CERTIFICATE,
+        "made_by": made_by(),
         "vehicle": bench.vehicle.name,
         "engine": bench.engine,
         "physics": bench.physics,

@@ -13,6 +13,7 @@ from matplotlib.ticker import MultipleLocator
 from nnql_bullet.colours import DISTINCT, INK, TIMEOUT
 from nnql_bullet.fidelity.probe import Bench
 from nnql_bullet.fidelity.stopping import REACTION, SafeSpeed, Stop, StopConditions, safe_speeds, sight
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Report, Section, table
 from nnql_bullet.reports.drawing import MARKS, OPEN, finish_axes, legend_below, picture
 from nnql_bullet.reports.tables import NOT_A_CERTIFICATE, csv_text
@@ -122,6 +123,7 @@ def stopping_values(bench: Bench, stops: Sequence[Stop]) -> dict[str, Any]:
     """Returns all stops as plain values, for JSON."""
     return {
         "note": NOT_A_CERTIFICATE,
+        "made_by": made_by(),
         "vehicle": bench.vehicle.name,
         "engine": bench.engine,
         "physics": bench.physics,

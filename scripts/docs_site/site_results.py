@@ -11,7 +11,7 @@ RESULTS = ROOT / "results"
 
 REPORTS = {
     "covers": ("Contact physics, by cover", "Every method in PyBullet, in worlds of 5 to 20 % cover.", "covers"),
-    "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes, two seeds of each method.", "hard"),
+    "hard": ("Contact physics, hard worlds", "Traps, aisles and moving boxes.", "hard"),
     "kinematic": ("Kinematic model, all worlds", "More worlds of every kind, without slip.", "kinematic"),
     "shield": ("Bare and in a shield", "How success and interventions change in a shield.", "shield"),
     "shield-kinematic": ("Every method in a shield", "Bare and in a shield, kinematic model.", "shield-kinematic"),
