@@ -1,8 +1,10 @@
 """The ROS 2 node's conversions on messages from a bag, and a recording as MCAP, read back; ROS is not installed."""
 
 import ast
+import re
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from test_rrd import drive as made_up_drive  # noqa: F401 (a fixture)
 
-from nnql_bullet.deploy import Command, Controller, Odometry, Scan
+from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
 from nnql_bullet.recording import Recording
 from nnql_bullet.sensing import ray_angles
 
@@ -115,6 +117,13 @@ def test_messages_that_nobody_has_filled_in_stop_it_with_a_reason(told: list[Tol
     assert "in the frame ''" in node.driven(Controller("paper"), laser, odom, (9.0, 0.0), time).reason
 
 
+def test_its_parameters_are_those_that_its_readme_names(node: Any) -> None:
+    about = (EXAMPLE / "README.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+)`", about.partition("Parameters, ")[2].partition("The base")[0])
+    assert [*node.PARAMETERS] == ["policy", "vehicle", "shield", "speed", "rate", *asdict(WatchOptions())]
+    assert sorted(named) == sorted(node.PARAMETERS)
+
+
 def test_the_node_uses_nothing_but_ros_and_the_runtime() -> None:
     used = set()
     for path in EXAMPLE.rglob("*.py"):
@@ -124,7 +133,13 @@ def test_the_node_uses_nothing_but_ros_and_the_runtime() -> None:
     depends = {its.text for its in ElementTree.parse(EXAMPLE / "package.xml").getroot().iter("exec_depend")}
     ours = {name for name in used if name.startswith("nnql_bullet")}
     assert ours == {"nnql_bullet.deploy", "nnql_bullet_ros.messages"}
-    others = {name.partition(".")[0] for name in used - ours} - {"math", "typing", "launch", "setuptools"}
+    others = {name.partition(".")[0] for name in used - ours} - {
+        "dataclasses",
+        "math",
+        "typing",
+        "launch",
+        "setuptools",
+    }
     assert others == depends
 
 

@@ -1,9 +1,14 @@
-"""ROS 2 messages in and out of a controller: plain functions, which need no ROS."""
+"""The node's parameters, and ROS 2 messages in and out of a controller: plain functions, which need no ROS."""
 
+from dataclasses import asdict
 from math import atan2, nan
 from typing import Any
 
-from nnql_bullet.deploy import Command, Controller, Odometry, Scan
+from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
+
+PARAMETERS = {"policy": "paper", "vehicle": "", "shield": True, "speed": 0.0, "rate": 60.0, **asdict(WatchOptions())}
+"""Parameters and their defaults: no vehicle stands for that of the policy, no speed for its own; the rate is that of
+commands [1/s]; the others are of `WatchOptions`."""
 
 
 def seconds(stamp: Any) -> float:

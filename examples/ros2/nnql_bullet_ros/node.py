@@ -8,7 +8,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
 from nnql_bullet.deploy import Controller, WatchOptions
-from nnql_bullet_ros.messages import driven, fill
+from nnql_bullet_ros.messages import PARAMETERS, driven, fill
 
 
 class Drive(Node):
@@ -16,20 +16,8 @@ class Drive(Node):
 
     def __init__(self) -> None:
         super().__init__("nnql_bullet_drive")
-        defaults = {
-            "policy": "paper",
-            "vehicle": "",
-            "shield": True,
-            "speed": 0.0,
-            "rate": 60.0,
-            "scan_frame": "laser",
-            "scan_yaw": 0.0,
-            "odometry_frame": "odom",
-            "most_age": 0.25,
-            "target_radius": 1.0,
-        }
-        given = {name: self.declare_parameter(name, value).value for name, value in defaults.items()}
-        policy, vehicle, shield, speed, rate = (given.pop(name) for name in list(defaults)[:5])
+        given = {name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
+        policy, vehicle, shield, speed, rate = (given.pop(name) for name in list(PARAMETERS)[:5])
         watch = WatchOptions(**given)
         self._controller = Controller(policy, vehicle or None, shield, speed=speed or None, watch=watch)
         self._scan = self._odometry = self._target = None
