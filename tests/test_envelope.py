@@ -46,6 +46,7 @@ from nnql_bullet.fidelity.stopping import (
 from nnql_bullet.fidelity.turning import Instant, follow_turn, forces_by_command, largest_slip
 from nnql_bullet.geometry import Pose
 from nnql_bullet.locks import locked
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports import envelope as reports
 from nnql_bullet.reports.envelope import draw_envelope, envelope_csv, envelope_markdown, envelope_values
 from nnql_bullet.reports.stopping import draw_stopping, stopping_csv, stopping_markdown, stopping_values
@@ -483,6 +484,7 @@ def test_tables_of_stops_say_what_was_measured(bench: Bench, stops: list[Stop]) 
 def test_everything_goes_through_json(bench: Bench, results: list[Result], stops: list[Stop]) -> None:
     turned = json.loads(json.dumps(envelope_values(bench, results), allow_nan=False))
     stopped = json.loads(json.dumps(stopping_values(bench, stops), allow_nan=False))
+    assert turned["made_by"] == stopped["made_by"] == made_by()
     for read in (turned, stopped):
         assert (read["vehicle"], read["engine"], read["note"]) == ("tricycle", "bullet", NOT_A_CERTIFICATE)
     assert [case["slip"] for case in turned["cases"]] == [result.measured.slip for result in results]
