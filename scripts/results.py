@@ -133,6 +133,8 @@ SIDES = (("kinematic", "bullet"), ("mujoco", "bullet"))
 """Simulators that headline rows are compared in."""
 FOREIGN = ("double_dqn", "distilled", *RULES)
 """Shipped policies and rules that drive in worlds of others."""
+FOLDERS = ("barn", "maps")
+"""Parts in worlds of others, whose folder a flag of that name gives."""
 ABLATIONS: dict[str, tuple[int, dict[str, Any]]] = {
     "paper": (300, {}),
     "tuned": (300, {}),
@@ -332,17 +334,11 @@ class Results:
 
     def barn(self) -> None:
         """Shipped policies and rules through the worlds of the BARN challenge."""
-        if not self.a.barn:
-            print("barn: left out; --barn names its folder")
-            return
         nb.barn(self.a.barn, FOREIGN, simulator="kinematic", shield=True, out=self.a.out / "barn", **self.spread)
         self.keep("barn", BARN)
 
     def maps(self) -> None:
         """Shipped policies and rules through a folder of maps."""
-        if not self.a.maps:
-            print("maps: left out; --maps names their folder")
-            return
         nb.evaluate(
             FOREIGN,
             worlds=[self.a.maps],
@@ -511,7 +507,10 @@ def main() -> None:
     results = Results(trials, a)
     try:
         for part in a.only:
-            results.make(part)
+            if part in FOLDERS and not getattr(a, part):
+                print(f"{part}: left out; --{part} names the folder of its worlds")
+            else:
+                results.make(part)
     except UserError as error:
         parser.error(str(error))
     except TimeIsUp:
