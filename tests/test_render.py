@@ -23,7 +23,7 @@ from nnql_bullet.env import STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
@@ -244,6 +244,37 @@ def test_depths_lead_back_to_the_surfaces(drive: Recording) -> None:
     point = as_rows((OrientedBox(0.0, 0.0, 1e-6, 1e-6),))[0]
     off = [clearance_at(*place, 0.0, point, boxes) for place in places[::37, :2].tolist()]
     assert (np.array(off) < 0.02 + 3 * pixel[::37]).all()
+
+
+def test_faces_have_their_colour_and_the_light_of_their_direction(
+    vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
+) -> None:
+    """A turned box and a cylinder, whose normals are known, at places that the camera sees from several sides."""
+    box, post = OrientedBox(20.0, 20.0, 1.5, 0.5, 0.4), Circle(24.0, 20.0, 0.8)
+    world = replace(world_of(side=40.0, start=Pose(5.0, 5.0, 0.0), target=(36.0, 36.0)), obstacles=(box, post))
+    recording = record(vehicle, world, 0, max_steps=1)
+    renderer, moment = RasterRenderer(recording), Timeline(recording).at(0.0)
+    to_sun = np.array([-shading.LEAN[0], -shading.LEAN[1], 1.0])
+    sides = [(box.yaw + k * pi / 2, (1.5, 0.5)[k % 2], box) for k in range(4)]
+    sides += [(k * pi / 6, post.radius, post) for k in range(12)]
+    faces = [((its.x + r * cos(a), its.y + r * sin(a), 1.0), (cos(a), sin(a), 0.0)) for a, r, its in sides]
+    faces += [((its.x, its.y, world.obstacle_height), (0.0, 0.0, 1.0)) for its in (box, post)]
+    for angle in 0.2 + np.arange(8) * pi / 4:
+        eye = 22.0 + 12.0 * cos(angle), 20.0 + 12.0 * sin(angle), 6.0
+        camera, seen = Camera(eye, (22.0, 20.0, 0.7), radians(40), *SIZE, near=1.0), 0
+        solids = renderer.draw(moment, camera)
+        for place, normal in faces:
+            (column, row), ahead = (its[0] for its in camera.project(np.array([place])))
+            row, column = int(row), int(column)
+            hidden = shading.distance_ahead(float(solids.depths[row, column]), shading.eye_of(camera)) < ahead - 0.3
+            way = np.subtract(eye, place)
+            if hidden or way @ normal < 0.3 * np.linalg.norm(way):
+                continue
+            sunny = max(to_sun @ normal, 0.0) / np.linalg.norm(to_sun)
+            assert solids.light[row, column] == pytest.approx(0.62 + 0.14 * normal[2] + 0.34 * sunny, abs=0.02)
+            assert (solids.colours[row, column] == colours.rgb(colours.SOLID_BOX)).all()
+            seen += 1
+        assert seen >= 4
 
 
 def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
