@@ -19,7 +19,7 @@ from PIL import Image
 from nnql_bullet import colours, diagnosis
 from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.agents.learning.options import NnqlOptions
-from nnql_bullet.env import STOP, Navigation, Observation
+from nnql_bullet.env import SLOW, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.experiment import Experiment
@@ -448,6 +448,22 @@ def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
     rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
     assert rows.min() > 200
     assert columns.max() < 160
+
+
+def test_a_manoeuvre_beyond_the_five_turns_is_named_and_none_of_their_bars_is_marked(
+    drive: Recording, tmp_path: Path
+) -> None:
+    asked = int(np.flatnonzero(np.isfinite(drive.q_values).all(axis=1))[0])
+    marked, names = [], []
+    for name, more in (("turn", 0), ("slow", SLOW)):
+        replace(drive, action=drive.action + more).save(tmp_path / f"{name}.npz")
+        picture = studio_of(Film(tmp_path / f"{name}.npz", "chase", 640, 360, "raster")).frame(
+            drive.state_time[asked] + 0.2
+        )
+        marked.append(has(picture[220:345, 6:120], colours.NON_SAFE) > 10)
+        names.append(picture[258:275, 6:120])
+    assert marked == [True, False]
+    assert (names[0] != names[1]).any()
 
 
 # Films

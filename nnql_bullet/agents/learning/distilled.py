@@ -229,7 +229,7 @@ class Distilled:
 
 def _of_turns(values: Array) -> Array:
     """The values (n, 24) of the five turns, less the largest (n, 5)."""
-    return values[:, : len(paper.TURNS)] - values.max(axis=-1, keepdims=True)
+    return np.asarray(values[:, : len(paper.TURNS)] - values.max(axis=-1, keepdims=True))
 
 
 def divergence(q: torch.Tensor, scores: torch.Tensor, softness: float) -> torch.Tensor:
