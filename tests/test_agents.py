@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents import KINDS, RULES, AgentOptions, Trainable
-from nnql_bullet.agents.base import Overridable
+from nnql_bullet.agents.base import Knowing, Overridable
 from nnql_bullet.env import ACTIONS, MANOEUVRES, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
@@ -128,6 +128,17 @@ class TestEveryAgent:
         values = Driving(make(kind), VEHICLES).action_values(drive[-1])
         assert values.shape == (VEHICLES, len(paper.TURNS))
         assert np.isnan(values).all() == (kind in RULES)
+
+    def test_what_it_remembers_deciding_by_is_what_it_would_say_anew(self, kind: str, make: Make, drive: Drive) -> None:
+        agent = Driving(make(kind), VEHICLES).reset(*range(VEHICLES))
+        if not isinstance(agent.policy, Knowing):
+            pytest.skip("it is asked anew")
+        for observations in drive[:3]:
+            anew = agent.action_values(observations)
+            chosen = agent.act(observations)
+            assert np.array_equal(agent.policy.values_of(agent.state)[:, : len(paper.TURNS)], anew)
+            agent.override((chosen + 1) % len(paper.TURNS))
+            assert np.array_equal(agent.policy.values_of(agent.state)[:, : len(paper.TURNS)], anew)
 
     def test_asking_for_values_changes_no_drive(self, kind: str, make: Make, drive: Drive) -> None:
         agent, asked = Driving(make(kind)).reset(0), []

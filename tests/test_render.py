@@ -19,11 +19,11 @@ from PIL import Image
 from nnql_bullet import colours, diagnosis
 from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.agents.learning.options import NnqlOptions
-from nnql_bullet.env import STOP, Navigation, Observation
+from nnql_bullet.env import SLOW, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
 from nnql_bullet.executors import InlineExecutor, ProcessExecutor
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, clearance_at
+from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
 from nnql_bullet.render import shading
 from nnql_bullet.render.camera import PATHS, Camera
@@ -246,6 +246,37 @@ def test_depths_lead_back_to_the_surfaces(drive: Recording) -> None:
     assert (np.array(off) < 0.02 + 3 * pixel[::37]).all()
 
 
+def test_faces_have_their_colour_and_the_light_of_their_direction(
+    vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]
+) -> None:
+    """A turned box and a cylinder, whose normals are known, at places that the camera sees from several sides."""
+    box, post = OrientedBox(20.0, 20.0, 1.5, 0.5, 0.4), Circle(24.0, 20.0, 0.8)
+    world = replace(world_of(side=40.0, start=Pose(5.0, 5.0, 0.0), target=(36.0, 36.0)), obstacles=(box, post))
+    recording = record(vehicle, world, 0, max_steps=1)
+    renderer, moment = RasterRenderer(recording), Timeline(recording).at(0.0)
+    to_sun = np.array([-shading.LEAN[0], -shading.LEAN[1], 1.0])
+    sides = [(box.yaw + k * pi / 2, (1.5, 0.5)[k % 2], box) for k in range(4)]
+    sides += [(k * pi / 6, post.radius, post) for k in range(12)]
+    faces = [((its.x + r * cos(a), its.y + r * sin(a), 1.0), (cos(a), sin(a), 0.0)) for a, r, its in sides]
+    faces += [((its.x, its.y, world.obstacle_height), (0.0, 0.0, 1.0)) for its in (box, post)]
+    for angle in 0.2 + np.arange(8) * pi / 4:
+        eye = 22.0 + 12.0 * cos(angle), 20.0 + 12.0 * sin(angle), 6.0
+        camera, seen = Camera(eye, (22.0, 20.0, 0.7), radians(40), *SIZE, near=1.0), 0
+        solids = renderer.draw(moment, camera)
+        for place, normal in faces:
+            (column, row), ahead = (its[0] for its in camera.project(np.array([place])))
+            row, column = int(row), int(column)
+            hidden = shading.distance_ahead(float(solids.depths[row, column]), shading.eye_of(camera)) < ahead - 0.3
+            way = np.subtract(eye, place)
+            if hidden or way @ normal < 0.3 * np.linalg.norm(way):
+                continue
+            sunny = max(to_sun @ normal, 0.0) / np.linalg.norm(to_sun)
+            assert solids.light[row, column] == pytest.approx(0.62 + 0.14 * normal[2] + 0.34 * sunny, abs=0.02)
+            assert (solids.colours[row, column] == colours.rgb(colours.SOLID_BOX)).all()
+            seen += 1
+        assert seen >= 4
+
+
 def test_a_payload_is_seen(vehicle: VehicleSpec, world_of: Callable[..., WorldSpec]) -> None:
     world = world_of(side=40.0, start=Pose(5.0, 10.0, 0.0), target=(36.0, 36.0))
     nearest = []
@@ -417,6 +448,22 @@ def test_what_a_shield_does_is_named(drive: Recording, tmp_path: Path) -> None:
     rows, columns, _ = np.nonzero(one.frame(2.1) != other.frame(2.1))
     assert rows.min() > 200
     assert columns.max() < 160
+
+
+def test_a_manoeuvre_beyond_the_five_turns_is_named_and_none_of_their_bars_is_marked(
+    drive: Recording, tmp_path: Path
+) -> None:
+    asked = int(np.flatnonzero(np.isfinite(drive.q_values).all(axis=1))[0])
+    marked, names = [], []
+    for name, more in (("turn", 0), ("slow", SLOW)):
+        replace(drive, action=drive.action + more).save(tmp_path / f"{name}.npz")
+        picture = studio_of(Film(tmp_path / f"{name}.npz", "chase", 640, 360, "raster")).frame(
+            drive.state_time[asked] + 0.2
+        )
+        marked.append(has(picture[220:345, 6:120], colours.NON_SAFE) > 10)
+        names.append(picture[258:275, 6:120])
+    assert marked == [True, False]
+    assert (names[0] != names[1]).any()
 
 
 # Films

@@ -31,6 +31,8 @@ POLICIES = (
     "fuzzy",
     "vfh",
     "look_ahead",
+    pytest.param("guided_search", marks=pytest.mark.slow),
+    pytest.param("distilled", marks=pytest.mark.slow),
 )
 
 

@@ -284,7 +284,7 @@ class Foresight:
         least = np.minimum(margin * self._scale, KEPT * clear.max(axis=-1))
         lasts = look.foreseen[..., foresight.LASTS]
         meets = (lasts < 1.0) | (clear < least[:, None])
-        worst = np.ptp(values) + 1.0
+        worst = np.ptp(values, axis=-1, keepdims=True) + 1.0
         return np.asarray(np.where(meets, values - worst * (2.0 + 100.0 * (1.0 - lasts)), values).argmax(axis=-1))
 
     def after(

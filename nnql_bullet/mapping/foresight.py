@@ -240,6 +240,30 @@ def is_thin(points: Array, scale: float) -> bool:
 
 
 @njit(nogil=True)
+def costs_from(
+    end: State, left: Lengths, factors: Lengths, corner: NDArray[np.int64], pose: Array, most: float, mover: Mover
+) -> tuple[float, float]:
+    """The costs of the ways to the target from a state, and from as far ahead of it as the vehicle reaches [cells].
+
+    Args:
+        end: The state, in the frame of the vehicle's present pose.
+        left: See `body_map.costs_to_go` (SIDE, SIDE).
+        factors: See `body_map.cost_factors` (SIDE, SIDE).
+        corner: The map's first cell (2,).
+        pose: Of the vehicle now (3,).
+        most: Largest cost that counts [cells].
+        mover: The vehicle.
+    """
+    cell = mover.cell
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
+    place = cost_at(left, corner, x, y, cell, most)
+    c, s = np.cos(pose[2] + end[2]), np.sin(pose[2] + end[2])
+    way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
+    return place, cost_at(left, corner, x + c * way, y + s * way, cell, most)
+
+
+@njit(nogil=True)
 def visits(end: State, trail: Array, pose: Array, scale: float) -> int:
     """How often a vehicle was at a state's pose (k, 3)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -287,14 +311,8 @@ def _drive(
     seen[LASTS] = (lasts + (more if lasts == _DRIVEN else 0)) / (_DRIVEN + count)
     unseen = _unseen_corners(cells, corner, pose, driven[0], driven[1], driven[2], mover)
     unseen += _unseen_corners(cells, corner, pose, stopped[0], stopped[1], stopped[2], mover)
-    end_x, end_y, end_heading = driven[0], driven[1], driven[2]
-    most, cell = here + FARTHER, mover.cell
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    x, y = pose[0] + c * end_x - s * end_y, pose[1] + s * end_x + c * end_y
-    seen[WAY] = (cost_at(left, corner, x, y, cell, most) - here) * cell
-    c, s = np.cos(pose[2] + end_heading), np.sin(pose[2] + end_heading)
-    way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
-    seen[WAY_AHEAD] = (cost_at(left, corner, x + c * way, y + s * way, cell, most) - here) * cell
+    place, ahead = costs_from(driven, left, factors, corner, pose, here + FARTHER, mover)
+    seen[WAY], seen[WAY_AHEAD] = (place - here) * mover.cell, (ahead - here) * mover.cell
     seen[UNKNOWN] = unseen / 8
     seen[VISITS] = min(visits(driven, trail, pose, mover.scale), MOST_VISITS)
 
@@ -347,11 +365,11 @@ def _room(x: float, y: float, heading: float, time: float, points: Array, footpr
     """The clearance of a vehicle at a pose and time from points (k, 5), all in one frame [m]; at most `most`."""
     c, s = np.cos(heading), np.sin(heading)
     middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
-    nearest, within = most * most, (most + reach_of(footprint) + _UNSEEN_EXTENT) ** 2
+    nearest, within = most * most, most + reach_of(footprint)
     for r in range(len(points)):
         at_x, at_y = points[r, 0] + time * points[r, 2], points[r, 1] + time * points[r, 3]
         dx, dy = at_x - middle_x, at_y - middle_y
-        if dx * dx + dy * dy < within:
+        if dx * dx + dy * dy < (within + points[r, 4]) ** 2:
             dx, dy = at_x - x, at_y - y
             squared = squared_distance(c * dx + s * dy, c * dy - s * dx, footprint)
             if points[r, 4] > 0.0:

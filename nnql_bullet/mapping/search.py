@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array
 from nnql_bullet.jit import njit
-from nnql_bullet.mapping.body_map import (
-    FARTHER,
-    Cells,
-    Lengths,
-    Offsets,
-    cost_at,
-    open_until,
-)
-from nnql_bullet.mapping.foresight import Mover, State, course, is_thin, points_near, visits
+from nnql_bullet.mapping.body_map import FARTHER, Cells, Lengths, Offsets, cost_at
+from nnql_bullet.mapping.foresight import Mover, State, costs_from, course, is_thin, points_near, visits
 
 WORST = -30.0
-"""Least score, of a manoeuvre that meets something [m]."""
+"""Least score, of a manoeuvre that meets something, over the length scale [m]: far below the others."""
+_LAST_RESORT = 10.0
+"""How much better than that the best of such manoeuvres is, likewise [m]; see `_tried`."""
 _FIRST, _POSES, _STOPPING = 6, 3, 4
 """Poses at which clearances are computed while the first manoeuvre is driven, and while a later one is, and while the
 vehicle then brakes."""
@@ -34,11 +29,11 @@ _EARLIER = 0.1
 _AGAIN = 0.5
 """What it costs to come back to a pose, each time, over the length scale [m]; without it plans repeat each other."""
 _BACKING = 0.1
-"""What a manoeuvre backwards costs beside its way [m]."""
+"""What a manoeuvre backwards costs beside its way, likewise [m]."""
 KEPT = 0.7
 """Share of the present clearance that a vehicle keeps where it has less than its margin."""
 _DROPPED = 0.3
-"""What a first manoeuvre loses with every level at which nothing that follows it is driven on [m]."""
+"""What a first manoeuvre loses with every level at which nothing that follows it is driven on, likewise [m]."""
 _DONE = 4.0
 """Way left at which the target is as good as reached [cells]."""
 
@@ -117,7 +112,7 @@ def searched(
         count = 1
         states[0, 0] = 0.0, 0.0, 0.0, speeds[i], yaw_rates[i]
         costs[0, 0] = 0.0
-        scores[i], nexts[:] = WORST, -1
+        scores[i], nexts[:] = WORST * mover.scale, -1
         for level in range(depth):
             old, new = level % 2, (level + 1) % 2
             time, poses_each = level * mover.period, _FIRST if level == 0 else _POSES
@@ -125,7 +120,7 @@ def searched(
             if level > 0:  # those that are driven on are worth what follows; the others were worse, and stay so
                 scores[i] -= _DROPPED * mover.scale
                 for j in range(count):
-                    scores[i, roots[old, j]] = WORST / 2
+                    scores[i, roots[old, j]] = WORST / 2 * mover.scale
             for j in range(count):
                 start = (states[old, j, 0], states[old, j, 1], states[old, j, 2], states[old, j, 3], states[old, j, 4])
                 for k in range(m if level == 0 else len(follow)):
@@ -136,11 +131,11 @@ def searched(
                     )
                     if lasts < 1.0:
                         if level == 0:
-                            scores[i, k] = WORST + 10.0 * lasts
+                            scores[i, k] = (WORST + _LAST_RESORT * lasts) * mover.scale
                         continue
                     value = _way(end, left[i], factors[i], corners[i], poses[i], here, mover)
                     if goals[action] < 0.0:
-                        cost += _BACKING
+                        cost += _BACKING * mover.scale
                     cost += _AGAIN * mover.scale * visits(end, trails[i], poses[i], mover.scale)
                     states[new, made] = end
                     costs[new, made] = costs[old, j] + cost + _EARLIER * value
@@ -217,12 +212,7 @@ def _way(
     mover: Mover,
 ) -> float:
     """How much longer the way left is from a state than from here [m]: from its place, and from a place ahead of it."""
-    c, s, cell = np.cos(pose[2]), np.sin(pose[2]), mover.cell
-    x, y = pose[0] + c * end[0] - s * end[1], pose[1] + s * end[0] + c * end[1]
-    place = cost_at(left, corner, x, y, cell, here + 2 * FARTHER)
+    place, ahead = costs_from(end, left, factors, corner, pose, here + 2 * FARTHER, mover)
     if place < _DONE:
-        return -here * cell - mover.scale
-    c, s = np.cos(pose[2] + end[2]), np.sin(pose[2] + end[2])
-    way = cell * open_until(factors, corner, x / cell, y / cell, c, s, int(mover.scale / cell))
-    ahead = cost_at(left, corner, x + c * way, y + s * way, cell, here + 2 * FARTHER)
-    return ((1 - _AHEAD) * place + _AHEAD * ahead - here) * cell
+        return -here * mover.cell - mover.scale
+    return ((1 - _AHEAD) * place + _AHEAD * ahead - here) * mover.cell

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, squared_distance_to_bounds
 from nnql_bullet.geometry import Array, OrientedBox, as_rows, reach_of, squared_distance
-from nnql_bullet.render.shading import LEAN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
+from nnql_bullet.render.shading import TO_SUN, Eye, distance_ahead, dot, kernel, ray_through, surface_normal
 from nnql_bullet.types import Vector
 from nnql_bullet.vehicle.visuals import Kind, Shape
 from nnql_bullet.worlds.spec import WorldSpec
@@ -85,8 +85,7 @@ def sky_directions(count: int) -> Array:
 
 def sun_directions(count: int) -> Array:
     """Returns directions (count, 3) spread evenly over the sun's disc: Vogel's spiral."""
-    middle = np.array([-LEAN[0], -LEAN[1], 1.0])
-    middle /= np.linalg.norm(middle)
+    middle = np.array(TO_SUN)
     aside = np.cross(middle, (0.0, 0.0, 1.0))
     aside /= np.linalg.norm(aside)
     angle, radius = GOLDEN_ANGLE * np.arange(count), SUN_RADIUS * np.sqrt((np.arange(count) + 0.5) / count)

@@ -135,25 +135,25 @@ class Overlay:
             draw.text((width - 2 * pad, y), value, fill=INK, font=self._font(17, bold=True), anchor="ra")
 
     def _values(self, draw: ImageDraw.ImageDraw, moment: Moment, height: int) -> None:
-        """Draws the Q-values of the five turns as bars, left turns to the left, and marks the chosen action."""
+        """Names the chosen manoeuvre; draws the values of the five turns as bars, left turns to the left.
+
+        The bar of the manoeuvre is marked, if it is one of them: some agents know more than these, at lower speeds.
+        """
         values, action = self._recording.q_values[moment.step], int(self._recording.action[moment.step])
-        pad, bar, tall = self._px(12), self._px(40), self._px(86)
+        pad, bar, tall, line = self._px(12), self._px(40), self._px(86), self._px(22)
         asked = bool(np.isfinite(values).all())
-        text = MANOEUVRES[action]
-        if self._recording.overridden[moment.step]:
-            text = f"shield: {text}"
-        elif asked:
-            text = "Q of the five turns"
-        font = self._font(16, bold=text != "Q of the five turns")
+        text = f"shield: {MANOEUVRES[action]}" if self._recording.overridden[moment.step] else MANOEUVRES[action]
+        font, small = self._font(16, bold=True), self._font(14)
         wide, high = 2 * pad + max(5 * bar if asked else 0, font.getlength(text)), self._px(34)
         if asked:
-            high += tall + self._px(32)
+            high += line + tall + self._px(32)
         left, above = pad, height - self._px(30) - high
         self._panel(draw, (left, above, left + wide, above + high))
         draw.text((left + pad, above + self._px(7)), text, fill=INK, font=font)
         if not asked:
             return
-        floor = above + self._px(36) + tall
+        draw.text((left + pad, above + self._px(7) + line), "values of the five turns", fill=TIMEOUT, font=small)
+        floor = above + line + self._px(36) + tall
         low, most = min(values.min(), 0.0), max(values.max(), 0.0)
         scale = (tall - self._px(16)) / max(most - low, 1e-9)
         zero = floor + low * scale

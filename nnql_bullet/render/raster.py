@@ -20,7 +20,7 @@ from nnql_bullet.geometry import Array, Circle
 from nnql_bullet.geometry import Shape as Footprint
 from nnql_bullet.recording import Recording
 from nnql_bullet.render.camera import Camera
-from nnql_bullet.render.shading import LEAN, Eye, clipped, dot, eye_of, kernel
+from nnql_bullet.render.shading import TO_SUN, Eye, clipped, dot, eye_of, kernel
 from nnql_bullet.render.solids import BOX, MOVING, WALL, Solids
 from nnql_bullet.render.timeline import Moment
 from nnql_bullet.types import Bytes, Vector
@@ -28,8 +28,9 @@ from nnql_bullet.vehicle.visuals import Kind, Shape, Visuals, upright
 
 FACETS = 48
 """Number of facets around a cylinder or sphere."""
-SUN: Vector = tuple((np.array([-LEAN[0], -LEAN[1], 1.0]) / np.linalg.norm([*LEAN, 1.0])).tolist())
-"""Unit vector to the sun."""
+EVERYWHERE, FROM_SKY, FROM_SUN = 0.62, 0.14, 0.34
+"""Light on a surface: on every one; on one that faces up, and as much less on one that faces down; and on one that
+faces the sun."""
 DIM_BELOW, DIM = 0.35, 0.14
 """Height below which surfaces receive less light [m], and the share that they miss on the ground."""
 KINDS: list[Kind] = ["box", "cylinder", "sphere"]
@@ -266,7 +267,7 @@ def _light_at(t: int, i: int, n: int, facing: float, bodies: Bodies, meshes: Mes
         frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
     )
     scale = np.sign(facing) / max(np.sqrt(dot(normal, normal)), 1e-12)
-    return float(0.62 + 0.14 * scale * normal[2] + 0.34 * max(scale * dot(normal, SUN), 0.0))
+    return float(EVERYWHERE + FROM_SKY * scale * normal[2] + FROM_SUN * max(scale * dot(normal, TO_SUN), 0.0))
 
 
 @kernel

@@ -20,6 +20,8 @@ SHADOW, SAFE_PATH, NON_SAFE_PATH = 0, 1, 2
 
 LEAN = (0.49, -0.35)
 """Displacement of a shadow for each metre of height, in x and y; it gives the direction of the light."""
+TO_SUN: Vector = tuple((np.array([-LEAN[0], -LEAN[1], 1.0]) / np.linalg.norm([*LEAN, 1.0])).tolist())
+"""Unit vector to the sun."""
 SOFTNESS = 0.12
 """Half width of a shadow's edge [m]."""
 BEND = 0.01

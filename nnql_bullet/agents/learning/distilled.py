@@ -63,6 +63,8 @@ class DistilledState:
 
     memory: Memory
     last: tuple[Look, Observation] | None = None
+    values: Array | None = None
+    """What the network said of the manoeuvres (n, 24) [m]; None where it was not asked."""
     scores: Array | None = None
     """What the search said of the manoeuvres (n, 24) [m]; None where it was not asked."""
 
@@ -93,15 +95,30 @@ class Distilled:
     def act(self, observations: Observation, state: DistilledState) -> tuple[Actions, DistilledState]:
         """Chooses the manoeuvre with the largest value of those that are foreseen to meet nothing."""
         look = self._look(observations, state)
-        return self._after(look, observations, self._chosen(look))
+        values = self._values(look)
+        actions = self._chosen(look, values)
+        return actions, replace(self._after(look, observations, actions), values=values)
 
     def override(self, state: DistilledState, actions: Actions) -> DistilledState:
         """Returns the state after these manoeuvres in place of those last chosen."""
-        return self._after(*state.last, actions)[1] if state.last else state
+        return replace(self._after(*state.last, actions), values=state.values) if state.last else state
 
     def action_values(self, observations: Observation, state: DistilledState) -> Array:
-        """Values of the five turns ahead (n, 5) [m], up to a constant."""
-        return self._values(self._look(observations, state))[:, : len(paper.TURNS)]
+        """Values of the five turns at full speed less that of the best manoeuvre (n, 5) [m].
+
+        The network knows values but for a constant: it learns from differences.
+        """
+        return _of_turns(self._values(self._look(observations, state)))
+
+    def values_of(self, state: DistilledState) -> Array:
+        """Returns `action_values` of the last decision, which `act` has made (n, 5) [m].
+
+        Raises:
+            ValueError: If there was none.
+        """
+        if state.values is None:
+            raise ValueError("values_of needs the state that act returned")
+        return _of_turns(state.values)
 
     def act_exploring(
         self, observations: Observation, state: DistilledState, episodes: NDArray[np.int64], uniforms: Array
@@ -110,10 +127,10 @@ class Distilled:
         o, look = self.options, self._look(observations, state)
         scores, _ = self._foresight.searched(look, observations, o.search)
         led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
-        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look))
+        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look, self._values(look)))
         drawn = np.minimum(uniforms / max(o.random_share, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
-        actions, after = self._after(look, observations, np.where(uniforms < o.random_share, drawn, actions))
-        return actions, replace(after, scores=scores)
+        actions = np.where(uniforms < o.random_share, drawn, actions)
+        return actions, replace(self._after(look, observations, actions), scores=scores)
 
     def learn(self, transitions: Transition, state: DistilledState, episodes: NDArray[np.int64]) -> Array:
         """Keeps what the search said of the last step, and learns from a sample of all that it said.
@@ -198,16 +215,21 @@ class Distilled:
     def _look(self, observations: Observation, state: DistilledState) -> Look:
         return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
 
-    def _chosen(self, look: Look) -> Actions:
-        return self._foresight.chosen(look, self._values(look), self.options.search.margin)
+    def _chosen(self, look: Look, values: Array) -> Actions:
+        return self._foresight.chosen(look, values, self.options.search.margin)
 
     def _values(self, look: Look) -> Array:
         with torch.no_grad():
             values: Array = self.network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
         return values
 
-    def _after(self, look: Look, observations: Observation, actions: Actions) -> tuple[Actions, DistilledState]:
-        return actions, DistilledState(self._foresight.after(look, observations, actions), (look, observations))
+    def _after(self, look: Look, observations: Observation, actions: Actions) -> DistilledState:
+        return DistilledState(self._foresight.after(look, observations, actions), (look, observations))
+
+
+def _of_turns(values: Array) -> Array:
+    """The values (n, 24) of the five turns, less the largest (n, 5)."""
+    return np.asarray(values[:, : len(paper.TURNS)] - values.max(axis=-1, keepdims=True))
 
 
 def divergence(q: torch.Tensor, scores: torch.Tensor, softness: float) -> torch.Tensor:
