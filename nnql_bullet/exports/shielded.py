@@ -12,7 +12,8 @@ from nnql_bullet.exports.cost import FRAME, Cost, cost_of
 from nnql_bullet.exports.translation import ArrayOf, Function, Known, Struct, Translator, Var, group_of, struct_of
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy
-from nnql_bullet.shield.alone import Setting, choose, perceive
+from nnql_bullet.shield.alone import choose, perceive
+from nnql_bullet.shield.setting import Setting
 
 SOURCE, HEADER = "shield.c", "shield.h"
 
@@ -87,6 +88,6 @@ def translated(translator: Translator, setting: Setting, struct: Struct) -> list
     away, bearing, speed = (Var(name, "real") for name in ("target_distance", "target_bearing", "speed"))
     first = translator.translate(perceive, p, m, distances, away, bearing, speed, readings)
     values, turning = ArrayOf("values", (len(paper.TURNS),), "real"), Var("yaw_rate", "real")
-    valued, wanted, moves = Var("valued", "bool"), Var("wanted", "int"), Var("moves", "bool")
-    second = translator.translate(choose, p, m, values, valued, wanted, bearing, turning, speed, moves)
+    valued, wanted = Var("valued", "bool"), Var("wanted", "int")
+    second = translator.translate(choose, p, m, values, valued, wanted, bearing, turning, speed)
     return [first, second]
