@@ -18,7 +18,7 @@ from nnql_bullet.mapping.seen_space import APART, SCANS, TURNED, is_missed
 from nnql_bullet.sensing import first_ray
 from nnql_bullet.shield.fallback import first_choice
 from nnql_bullet.shield.perception import REMEMBERED
-from nnql_bullet.shield.prediction import clear_actions, margin_here, sort, wanted_speed
+from nnql_bullet.shield.prediction import clear_by_margin, sort, wanted_speed
 from nnql_bullet.shield.setting import (
     ASKED,
     BACKS,
@@ -233,8 +233,8 @@ def choose(
     turns[ACTIONS - 1] = min(max(target_bearing, -LARGEST_TURN), LARGEST_TURN)
     order = np.empty(ACTIONS, np.int64)
     rank(order, values, valued, wanted, turns)
-    margin, clear = margin_here(p, m), np.empty(ACTIONS, np.bool_)
-    clear_actions(p, m, turns, yaw_rate, speed, margin, True, clear)
+    clear = np.empty(ACTIONS, np.bool_)
+    margin = clear_by_margin(p, m, turns, yaw_rate, speed, clear)
     chosen = first_choice(p, m, turns, order, clear, clear, target_bearing, yaw_rate, speed, margin, 0)
     foresee(p, m, chosen, turns[chosen % ACTIONS], yaw_rate, speed)
     return chosen

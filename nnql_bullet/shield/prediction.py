@@ -64,6 +64,16 @@ def can_turn_round(p: Setting, m: Memory) -> bool:
 
 
 @njit()
+def clear_by_margin(
+    p: Setting, m: Memory, turns: Array, yaw_rate: float, speed: float, clear: NDArray[np.bool_]
+) -> float:
+    """Marks the actions (6,) that keep the clearance that a vehicle has to keep, and tells it [m]; see both."""
+    margin = margin_here(p, m)
+    clear_actions(p, m, turns, yaw_rate, speed, margin, True, clear)
+    return margin
+
+
+@njit()
 def clear_actions(
     p: Setting,
     m: Memory,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.env import LARGEST_TURN, MOST_YAW_RATE
 from nnql_bullet.geometry import Array, as_rows
+from nnql_bullet.jit import njit
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
 from nnql_bullet.mapping.seen_space import SCANS
 from nnql_bullet.shield.lengths import Lengths
@@ -222,3 +223,17 @@ def memory_of(p: Setting) -> Memory:
         then=np.zeros((p.most_braking, 5)),
         frames=np.zeros((course, 4)),
     )
+
+
+@njit()
+def moving_first(points: Array, moving: NDArray[np.bool_]) -> tuple[Array, int]:
+    """The points (k, 2) that are none of NaN, those that move before the others, and the number of those that move."""
+    found, count, first = np.empty_like(points), 0, 0
+    for moves in (True, False):
+        for k in range(len(points)):
+            if moving[k] == moves and not np.isnan(points[k, 0]):
+                found[count] = points[k]
+                count += 1
+        if moves:
+            first = count
+    return found[:count], first

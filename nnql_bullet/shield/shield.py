@@ -33,9 +33,9 @@ from nnql_bullet.sensing import smallest
 from nnql_bullet.shield.fallback import first_choice
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import LastScan, Perception, perceived
-from nnql_bullet.shield.prediction import can_stop, clear_actions, margin_here
+from nnql_bullet.shield.prediction import can_stop, clear_by_margin
 from nnql_bullet.shield.recovery import Recovery
-from nnql_bullet.shield.setting import BACKS, DECISIONS, KNOWN, MOVING, POINTS, SIDE, memory_of, setting_of
+from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, memory_of, moving_first, setting_of
 from nnql_bullet.shield.setting import Memory as Room
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -155,9 +155,9 @@ class Shield:
         led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))
         p, around = self._setting, [self._known(seen, i, memory.spin) for i, memory in enumerate(memories)]
         motions = list(zip(o.yaw_rate.tolist(), o.speed.tolist(), strict=True))
-        margins, clear = [margin_here(p, m) for m in around], np.empty(turns.shape, np.bool_)
-        for m, its, motion, margin, marks in zip(around, turns, motions, margins, clear, strict=True):
-            clear_actions(p, m, its, *motion, margin, True, marks)
+        clear = np.empty(turns.shape, np.bool_)
+        situations = zip(around, turns, motions, clear, strict=True)
+        margins = [clear_by_margin(p, m, its, *motion, marks) for m, its, motion, marks in situations]
         if self._carrot is not None:
             bends = (o.target_distance < BEND * self._carrot) & (o.distance_left > self._carrot)
             clear &= ~bends[:, None]  # slowly there
@@ -189,14 +189,11 @@ class Shield:
 
     def _known(self, seen: Perception, vehicle: int, spin: Spin) -> Room:
         """What the kernels take of what one vehicle knows."""
-        points, moving, recent = seen.points[vehicle], seen.moving[vehicle], seen.scans[vehicle].recent
-        met = np.isfinite(points[:, 0])
-        cloud = np.concatenate([points[met & moving], points[met & ~moving]])
-        numbers, closing = self._room.numbers.copy(), np.zeros(len(cloud))
-        numbers[MOVING], numbers[POINTS], numbers[KNOWN] = (met & moving).sum(), len(cloud), len(recent.rays)
-        numbers[SIDE], numbers[DECISIONS], numbers[BACKS] = spin.side, spin.decisions, spin.backs
-        closing[: numbers[MOVING]] = self._lengths.box_speed
-        rays, poses, strayed = recent
+        cloud, moving = moving_first(seen.points[vehicle], seen.moving[vehicle])
+        rays, poses, strayed = seen.scans[vehicle].recent
+        closing = np.zeros(len(cloud))
+        closing[:moving] = self._lengths.box_speed
+        numbers = np.array([1, len(rays), 0, moving, len(cloud), spin.side, spin.decisions, spin.backs])
         return self._room._replace(
             numbers=numbers, cloud=cloud, closing=closing, scans=rays, poses=poses, strayed=strayed
         )
