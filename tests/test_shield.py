@@ -44,10 +44,11 @@ from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
 from nnql_bullet.run_config import RunConfig
 from nnql_bullet.sensing import RAYS, Sensor, ray_angles
-from nnql_bullet.shield.courses import drives, then_stops
+from nnql_bullet.shield.courses import fill_drive, join, time_to_stop
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
-from nnql_bullet.shield.prediction import Predictor, Situation
+from nnql_bullet.shield.prediction import can_stop
 from nnql_bullet.shield.recovery import FIRST_GAIN, GAIN_GROWTH, STUCK_AFTER, Recovery
+from nnql_bullet.shield.setting import KNOWN, POINTS, Memory, Setting, memory_of, setting_of
 from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
@@ -135,6 +136,19 @@ def drive(
     noting = Noting()
     summary = run_episode(Navigation(simulator, TaskOptions(max_steps=steps)), world, shield, noting)
     return summary, noting.done, noting.poses[:-1]
+
+
+def setting_with(vehicle: VehicleSpec) -> Setting:
+    """The setting of the usual shield around a vehicle."""
+    return setting_of(lengths_of(ShieldOptions(), vehicle, DRIVE), vehicle, DRIVE, TaskOptions())
+
+
+def beside(p: Setting, pole: Array) -> Memory:
+    """What is known after one scan that met nothing, beside a thin pole (2,) that stands."""
+    m, seen = memory_of(p), no_scans().followed_by(NOTHING, np.zeros(3), 0.0)
+    m.numbers[KNOWN] = m.numbers[POINTS] = 1
+    m.cloud[0] = pole
+    return m._replace(scans=seen.rays, poses=seen.poses, strayed=seen.strayed)
 
 
 def rays_from(pose: Pose, *boxes: OrientedBox) -> Array:
@@ -316,8 +330,12 @@ class TestStops:
         after = speed + np.sign(goal - speed) * change * ramp
         way = (speed + after) / 2 * ramp + after * (period - ramp) + after * abs(after) / (2 * deceleration)
         for turn in (0.0, 0.3):
-            driven = drives(0.0, speed, turn, goal, period, 1.5, 7.0, change)
-            course = then_stops(driven, 0.0, 1.5, 7.0, deceleration)
+            driven, then, course = np.empty((9, 5)), np.empty((99, 5)), np.empty((108, 3))
+            count = fill_drive(driven, 0.0, speed, turn, goal, period, 1.5, 7.0, change, False)
+            rate, after_all = driven[count - 1, 3:]
+            stop = time_to_stop(rate, after_all, 0.0, 1.5, 7.0, deceleration, False)
+            more = fill_drive(then, rate, after_all, 0.0, 0.0, stop, 1.5, 7.0, deceleration, False)
+            course = course[: join(course, driven, count, then, more)]
             assert course[-1, 2] == pytest.approx(turn)
             assert turn or course[-1] == pytest.approx([way, 0.0, 0.0], abs=0.01)
 
@@ -327,21 +345,21 @@ class TestStops:
         self, vehicle: VehicleSpec, speed: float, rate: float
     ) -> None:
         """Beside a thin pole, for a vehicle that turns just as asked and may yet fall behind while it brakes."""
-        predictor, limits = Predictor(lengths_of(ShieldOptions(), vehicle, DRIVE), vehicle, DRIVE), vehicle.limits
-        scans = no_scans().followed_by(NOTHING, np.zeros(3), 0.0)
-        turns, chance, admitted = np.array([[*paper.TURNS, 0.0]]), np.random.default_rng(4), 0
+        p, limits, driven = setting_with(vehicle), vehicle.limits, np.empty((9, 5))
+        chance, admitted = np.random.default_rng(4), 0
         for _ in range(400):
             manoeuvre, pole = int(chance.choice([1, 2, SLOW + 1, SLOW + 2])), chance.uniform([0.3, 0.3], [1.6, 1.5])
-            begin = np.array([rate]), np.array([speed]), turns
-            now = Situation(*begin, pole[None, None], np.zeros((1, 1), np.bool_))
-            if not predictor.can_stop(now, scans, manoeuvre, 0.06):
-                continue
             goal, turn = float(speed_scale(manoeuvre, DRIVE)) * DRIVE.speed, paper.TURNS[manoeuvre % ACTIONS]
+            if not can_stop(p, beside(p, pole), manoeuvre, turn, rate, speed, 0.06):
+                continue
             asked = limits.yaw_rate, limits.yaw_acceleration, limits.acceleration
-            driven = drives(rate, speed, turn, goal, DRIVE.decision_period, *asked)[-1]
-            there = seen_from(driven[:3], pole[None])[None]
-            after = Situation(driven[3:4], driven[4:], turns, there, now.moving)
-            assert predictor.can_stop(after, scans, STOP, 0.02)  # the rest is for what lies between predicted poses
+            count = fill_drive(driven, rate, speed, turn, goal, DRIVE.decision_period, *asked, False)
+            *pose, after, slower = driven[count - 1]
+            there = beside(p, seen_from(np.array(pose), pole[None])[0])
+            straight = paper.TURNS[0]
+            assert can_stop(
+                p, there, STOP, straight, after, slower, 0.02
+            )  # less: for what lies between predicted poses
             admitted += 1
         assert admitted > 50
 
@@ -373,9 +391,7 @@ class TestStops:
     ) -> None:
         """In contact physics: a slow turn and a stop, after others, beside poles that could stand anywhere."""
         laden, chance = loaded(vehicle.gripping(0.4), deck_load(vehicle, 80.0)), np.random.default_rng(2)
-        predictor, scans = Predictor(lengths_of(ShieldOptions(), laden, DRIVE), laden, DRIVE), no_scans()
-        scans, turns = scans.followed_by(NOTHING, np.zeros(3), 0.0), np.array([[*paper.TURNS, 0.0]])
-        share, box, admitted = DRIVE.reverse_share, laden.footprint, 0
+        p, share, box, admitted = setting_with(laden), DRIVE.reverse_share, laden.footprint, 0
         with Alone(contact_simulator("bullet", "fast", laden, DRIVE, 1)) as driven:
             for before, turn in chance.integers(5, size=(10, 2)):
                 driven.reset(empty_world)
@@ -388,11 +404,8 @@ class TestStops:
                 places = seen_from(np.array([start.x, start.y, start.yaw]), poses[:, :2])
                 poles = chance.uniform([0.0, -1.2], [2.0, 1.2], size=(40, 2))
                 for pole in poles:
-                    o = Situation(
-                        *(np.array([now.yaw_rate]), np.array([now.speed]), turns),
-                        *(pole[None, None], np.zeros((1, 1), np.bool_)),
-                    )
-                    if not predictor.can_stop(o, scans, SLOW + int(turn), 0.06):
+                    motion = paper.TURNS[turn], now.yaw_rate, now.speed
+                    if not can_stop(p, beside(p, pole), SLOW + int(turn), *motion, 0.06):
                         continue
                     admitted += 1
                     away = [

@@ -70,7 +70,7 @@ def _function(f: Function, structs: Mapping[str, Struct]) -> Iterator[str]:
     written = f.written()
     params = []
     for name, struct in structs.items():
-        if any(isinstance(its, ArrayOf) and its.struct == name for its in f.params):
+        if f.takes(name):
             const = "" if any(of == name for of, _ in written) else "const "
             params.append(f"{const}{struct.type} *{name}")
     for its in f.params:
@@ -95,7 +95,7 @@ def _function(f: Function, structs: Mapping[str, Struct]) -> Iterator[str]:
     names = [*f.variables, *(its.name for its in f.params if not (isinstance(its, ArrayOf) and its.struct))]
     used = {part for part in names if part in read}
     for name in structs:
-        if any(isinstance(its, ArrayOf) and its.struct == name for its in f.params) and name not in read:
+        if f.takes(name) and name not in read:
             yield f"    (void){name};"
     yield from (f"    (void){name};" for name in names if name not in used)
     pointers = set() if one else {its.name for its in f.results}

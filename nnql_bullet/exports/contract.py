@@ -21,9 +21,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.runs import LoadedPolicy
-from nnql_bullet.shield.alone import FASTEST, Memory, Setting, memory_of, setting_of
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
-from nnql_bullet.shield.prediction import Predictor
+from nnql_bullet.shield.setting import FASTEST, Memory, Setting, memory_of, setting_of
 from nnql_bullet.vehicle.scale import length_scale
 
 STOPPED = STOP
@@ -277,7 +276,7 @@ def shield_of(experiment: Experiment) -> tuple[Setting, Memory]:
     """What the decisions of an experiment's shield depend on, and an empty memory of it."""
     vehicle, drive = experiment.vehicle, experiment.config.drive
     lengths = lengths_of(experiment.config.shield or ShieldOptions(), vehicle, drive)
-    setting = setting_of(Predictor(lengths, vehicle, drive), vehicle.sensor, experiment.task)
+    setting = setting_of(lengths, vehicle, drive, experiment.task)
     return setting, memory_of(setting)
 
 

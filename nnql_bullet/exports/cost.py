@@ -50,7 +50,8 @@ class Cost:
         return f"{self.operations.text()}; {self.stack} bytes of stack"
 
 
-_BYTES: dict[Kind, int] = {"real": 8, "int": 4, "bool": 1}
+BYTES: dict[Kind, int] = {"real": 8, "int": 4, "bool": 1}
+"""Of a number of each kind in an array."""
 _COUNTED = {
     **dict.fromkeys(("+", "-", "neg"), "additions"),
     **dict.fromkeys(("<", "<=", ">", ">=", "==", "!=", "min", "max", "abs"), "comparisons"),
@@ -68,7 +69,7 @@ def cost_of(function: Function) -> Cost:
 
 def _frame(f: Function) -> int:
     numbers = 8 * (len(f.variables) + len(f.results) + len(f.params))
-    return FRAME + numbers + sum(_BYTES[its.kind] * its.size for its in f.arrays)
+    return FRAME + numbers + sum(BYTES[its.kind] * its.size for its in f.arrays)
 
 
 def _operations(body: list[Statement], known: dict[int, Operations]) -> Operations:

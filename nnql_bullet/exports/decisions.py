@@ -13,7 +13,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, encoding_of
 from nnql_bullet.geometry import Array
-from nnql_bullet.shield.alone import FASTEST, Memory, Setting, choose, perceive
+from nnql_bullet.shield.alone import choose, perceive
+from nnql_bullet.shield.setting import FASTEST, Memory, Setting
 from nnql_bullet.vehicle.scale import length_scale
 
 OK, BAD_DISTANCE, BAD_TARGET_DISTANCE, BAD_TARGET_BEARING, BAD_YAW_RATE = range(len(STATUSES))
@@ -134,10 +135,10 @@ def decide_shielded(
     for k in range(len(distances)):
         distances[k] = min(distances[k], p.range)
     readings, values = np.empty(paper.SECTORS), np.empty(len(paper.TURNS))
-    moves = perceive(p, m, distances, target_distance, target_bearing, speed, readings)
+    perceive(p, m, distances, target_distance, target_bearing, speed, readings)
     safe, action = wanted(b, readings, values)
     valued = not safe and len(b.b1) > 0
-    chosen = choose(p, m, values, valued, action, target_bearing, yaw_rate, speed, moves)
+    chosen = choose(p, m, values, valued, action, target_bearing, yaw_rate, speed)
     return status, chosen, turn_of(chosen, target_bearing), share_of(p, chosen), chosen != action
 
 

@@ -8,11 +8,12 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.c_source import c_functions, c_struct
 from nnql_bullet.exports.contract import BY_RAYS, Contract, shield_of
-from nnql_bullet.exports.cost import FRAME, Cost, cost_of
+from nnql_bullet.exports.cost import BYTES, FRAME, Cost, cost_of
 from nnql_bullet.exports.translation import ArrayOf, Function, Known, Struct, Translator, Var, group_of, struct_of
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy
-from nnql_bullet.shield.alone import Setting, choose, perceive
+from nnql_bullet.shield.alone import choose, perceive
+from nnql_bullet.shield.setting import Setting
 
 SOURCE, HEADER = "shield.c", "shield.h"
 
@@ -70,14 +71,11 @@ def shield_files(contract: Contract, experiment: Experiment, policy_cost: Cost) 
         "has_values": isinstance(experiment.agent, TurnChooser),
         "statuses": contract.statuses,
         "struct": c_struct(struct),
-        "bytes": sum(_BYTES[its.kind] * its.size for its in struct.members),
+        "bytes": sum(BYTES[its.kind] * its.size for its in struct.members),
         "functions": c_functions(translator.functions, {"m": struct}),
     }
     files = {SOURCE: "shield.c.j2", HEADER: "shield.h.j2", EXAMPLE: "shield_example.c.j2"}
     return {name: rendered(template, values) for name, template in files.items()}, Cost(operations, stack)
-
-
-_BYTES = {"real": 8, "int": 4, "bool": 1}
 
 
 def translated(translator: Translator, setting: Setting, struct: Struct) -> list[Function]:
@@ -87,6 +85,6 @@ def translated(translator: Translator, setting: Setting, struct: Struct) -> list
     away, bearing, speed = (Var(name, "real") for name in ("target_distance", "target_bearing", "speed"))
     first = translator.translate(perceive, p, m, distances, away, bearing, speed, readings)
     values, turning = ArrayOf("values", (len(paper.TURNS),), "real"), Var("yaw_rate", "real")
-    valued, wanted, moves = Var("valued", "bool"), Var("wanted", "int"), Var("moves", "bool")
-    second = translator.translate(choose, p, m, values, valued, wanted, bearing, turning, speed, moves)
+    valued, wanted = Var("valued", "bool"), Var("wanted", "int")
+    second = translator.translate(choose, p, m, values, valued, wanted, bearing, turning, speed)
     return [first, second]

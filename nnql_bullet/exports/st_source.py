@@ -310,7 +310,7 @@ class Writer:
         one = len(f.results) == 1
         yield f"FUNCTION {_named(f.name)} : {self._type(f.results[0].kind) if one else 'BOOL'}"
         yield from _section("VAR_INPUT", (self._declared(its) for its in f.params if isinstance(its, Var)))
-        within = [f"    {name} : {its.type};" for name, its in self.structs.items() if _has(f, name)]
+        within = [f"    {name} : {its.type};" for name, its in self.structs.items() if f.takes(name)]
         arrays = (its for its in f.params if isinstance(its, ArrayOf) and not its.struct)
         yield from _section("VAR_IN_OUT", (*within, *map(self._declared, arrays)))
         yield from _section("VAR_OUTPUT", () if one else map(self._declared, f.results))
@@ -369,7 +369,7 @@ class Writer:
                     yield f"{indent}{done} := {_named(function.name)}({', '.join(given)});"
 
     def _given(self, function: Function, args: Sequence[Expr | ArrayOf]) -> Iterator[str]:
-        yield from (f"{name} := {name}" for name in self.structs if _has(function, name))
+        yield from (f"{name} := {name}" for name in self.structs if function.takes(name))
         for param, arg in zip(function.params, args, strict=True):
             if isinstance(param, ArrayOf) and param.struct:
                 continue
@@ -432,7 +432,7 @@ class Writer:
         kept += [f"    own_{its.name} : {self._array(its)};" for its in b.inputs if isinstance(its, ArrayOf)]
         yield from _section("VAR", [*kept, "    done : BOOL;"])
         yield from (f"    {copy} := {_name(name)};" for name, copy in copies.items())
-        given = [f"{name} := {name}" for name in self.structs if _has(b.function, name)]
+        given = [f"{name} := {name}" for name in self.structs if b.function.takes(name)]
         for its in b.function.params:
             if not (isinstance(its, ArrayOf) and its.struct):
                 plain = its.name.removesuffix("_in")
@@ -442,10 +442,6 @@ class Writer:
         given += [f"{_name(inner.name)} => {_name(outer.name)}" for inner, outer in pairs]
         yield f"    done := {_named(b.function.name)}({', '.join(given)});"
         yield "END_FUNCTION_BLOCK"
-
-
-def _has(f: Function, struct: str) -> bool:
-    return any(isinstance(its, ArrayOf) and its.struct == struct for its in f.params)
 
 
 def _section(title: str, lines: Iterator[str] | Sequence[str]) -> Iterator[str]:

@@ -167,6 +167,10 @@ class Function:
             elif isinstance(its, For):
                 todo += its.body
 
+    def takes(self, struct: str) -> bool:
+        """Whether members of a structure are among its parameters."""
+        return any(isinstance(its, ArrayOf) and its.struct == struct for its in self.params)
+
     def written(self) -> set[tuple[str, str]]:
         """The arrays that it changes: their structures and names."""
         found = set()

@@ -1,46 +1,11 @@
 """Kernels of the shield's predictions: courses that end in a stop, and whether courses stay clear of points."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, reach_of, squared_distance
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
 from nnql_bullet.vehicle.profiles import profile_at, ramp_at, turn_profile
-
-
-@njit()
-def drives(
-    yaw_rate: float,
-    speed: float,
-    turn: float,
-    goal: float,
-    duration: float,
-    max_rate: float,
-    yaw_acceleration: float,
-    acceleration: float,
-    slides: bool = False,
-) -> Array:
-    """Predicts a vehicle that turns and changes its speed: its state at equal intervals, in its present frame (k, 5).
-
-    Args:
-        yaw_rate: At the start [rad/s].
-        speed: At the start [m/s].
-        turn: Heading change that is asked for [rad].
-        goal: Speed that is asked for [m/s].
-        duration: [s]
-        max_rate: Limit on the yaw rate [rad/s].
-        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
-        acceleration: Limit on acceleration and deceleration [m/s2].
-        slides: Whether its turn leaves no grip to change the speed with before the turn has ended.
-
-    Returns:
-        x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s].
-    """
-    count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
-    course = np.empty((count, 5))
-    fill_drive(course, yaw_rate, speed, turn, goal, duration, max_rate, yaw_acceleration, acceleration, slides)
-    return course
 
 
 @njit()
@@ -56,7 +21,24 @@ def fill_drive(
     acceleration: float,
     slides: bool,
 ) -> int:
-    """Writes what `drives` predicts into the first rows of an array (k, 5), as far as there is room; tells how many."""
+    """Predicts a vehicle that turns and changes its speed: its state at equal intervals, in its present frame.
+
+    Args:
+        course: Room for x, y [m], yaw [rad], yaw rate [rad/s] and speed [m/s] (k, 5); what it has no room for is left
+            out.
+        yaw_rate: At the start [rad/s].
+        speed: At the start [m/s].
+        turn: Heading change that is asked for [rad].
+        goal: Speed that is asked for [m/s].
+        duration: [s]
+        max_rate: Limit on the yaw rate [rad/s].
+        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
+        acceleration: Limit on acceleration and deceleration [m/s2].
+        slides: Whether its turn leaves no grip to change the speed with before the turn has ended.
+
+    Returns:
+        How many rows were written.
+    """
     count = max(int(np.ceil(duration / PREDICTION_STEP - 1e-9)), 1)
     peak, rise, hold, fall = turn_profile(yaw_rate, turn, max_rate, yaw_acceleration)
     kept = rise + hold + fall if slides else 0.0
@@ -74,32 +56,10 @@ def fill_drive(
 
 
 @njit()
-def then_stops(
-    driven: Array, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float, slides: bool = False
-) -> Array:
-    """Predicts a vehicle that has driven a course and then brakes until it stands: its poses on both (k, 3).
-
-    Args:
-        driven: Of `drives` (n, 5).
-        turn: Heading change that is asked for while it brakes [rad].
-        max_rate: Limit on the yaw rate [rad/s].
-        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
-        deceleration: That the vehicle reaches when it brakes [m/s2].
-        slides: See `drives`.
-    """
-    last = len(driven) - 1
-    stop = time_to_stop(driven[last, 3], driven[last, 4], turn, max_rate, yaw_acceleration, deceleration, slides)
-    then = drives(driven[last, 3], driven[last, 4], turn, 0.0, stop, max_rate, yaw_acceleration, deceleration, slides)
-    poses = np.empty((len(driven) + len(then), 3))
-    join(poses, driven, len(driven), then, len(then))
-    return poses
-
-
-@njit()
 def time_to_stop(
     rate: float, speed: float, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float, slides: bool
 ) -> float:
-    """Time until a vehicle that brakes stands and no longer turns [s], see `then_stops`."""
+    """Time until a vehicle that brakes stands and no longer turns [s], see `fill_drive`."""
     _, rise, hold, fall = turn_profile(rate, turn, max_rate, yaw_acceleration)
     brakes, turns = abs(speed) / deceleration, rise + hold + fall
     return turns + brakes if slides else max(turns, brakes)
@@ -120,55 +80,6 @@ def join(poses: Array, first: Array, count: int, then: Array, more: int) -> int:
 
 
 @njit()
-def clear_courses(
-    poses: Array,
-    distances: Array,
-    points: Array,
-    closing: Array,
-    times: Array,
-    footprint: Array,
-    margins: Array,
-    stops: Array,
-    look_ahead: float,
-    turning_circle: float,
-) -> NDArray[np.bool_]:
-    """Whether courses stay clear of points for as long as they have to (n, m).
-
-    A course has to be clear over the look-ahead, and up to where the vehicle has stopped and can turn round.
-
-    Args:
-        poses: Of n vehicles on m courses, in their present frames (n, m, k, 3).
-        distances: Driven until then (n, k) [m].
-        points: Around each vehicle, in its present frame (n, r, 2) [m]; NaN for none.
-        closing: Speed at which each point may come nearer (n, r) [m/s].
-        times: Of the poses (k,) [s].
-        footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
-        margins: Smallest clearance of each vehicle (n,) [m].
-        stops: Distance in which each vehicle can stop (n,) [m].
-        look_ahead: Distance over which a course has to be clear [m].
-        turning_circle: Radius about the axle that is free where the vehicle can turn round [m].
-    """
-    n, m = poses.shape[:2]
-    clear = np.zeros((n, m), np.bool_)
-    for i in range(n):
-        for j in range(m):
-            clear[i, j] = is_clear(
-                poses[i, j],
-                distances[i],
-                points[i],
-                closing[i],
-                points.shape[1],
-                times,
-                footprint,
-                margins[i],
-                stops[i],
-                look_ahead,
-                turning_circle,
-            )
-    return clear
-
-
-@njit()
 def is_clear(
     poses: Array,
     distances: Array,
@@ -182,7 +93,23 @@ def is_clear(
     look_ahead: float,
     turning_circle: float,
 ) -> bool:
-    """Whether a course (k, 3) stays clear of the first points (r, 2) for as long as it has to, see `clear_courses`."""
+    """Whether a course stays clear of points for as long as it has to.
+
+    It has to be clear over the look-ahead, and up to where the vehicle has stopped and can turn round.
+
+    Args:
+        poses: Of the vehicle on the course, in its present frame (k, 3).
+        distances: Driven until then (k,) [m].
+        points: Around the vehicle, in its present frame (r, 2) [m].
+        closing: Speed at which each point may come nearer (r,) [m/s].
+        count: Number of the points.
+        times: Of the poses (k,) [s].
+        footprint: A row (7,) of `geometry.as_rows`, in the vehicle's frame.
+        margin: Smallest clearance of the vehicle [m].
+        stop: Distance in which it can stop [m].
+        look_ahead: Distance over which the course has to be clear [m].
+        turning_circle: Radius about the axle that is free where the vehicle can turn round [m].
+    """
     ahead = turns = False
     for k in range(len(poses)):
         x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
@@ -207,7 +134,7 @@ def _keeps_distance(
     footprint: Array,
     margin: float,
 ) -> bool:
-    """Whether a vehicle at a pose keeps a clearance from points (r, 2), see `clear_courses`."""
+    """Whether a vehicle at a pose keeps a clearance from points (r, 2), see `is_clear`."""
     c, s, reach = np.cos(yaw), np.sin(yaw), reach_of(footprint)
     middle_x, middle_y = x + c * footprint[0] - s * footprint[1], y + s * footprint[0] + c * footprint[1]
     for r in range(min(count, len(points))):

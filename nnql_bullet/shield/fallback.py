@@ -3,101 +3,170 @@
 Where it cannot, or has turned all round in vain, it backs out the way it came until it can turn round.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.agents.symmetry import LEFT_TURNS, RIGHT_TURNS
-from nnql_bullet.env import STOP
+from nnql_bullet.env import ACTIONS, STOP
 from nnql_bullet.geometry import Array
-from nnql_bullet.mapping.seen_space import RecentScans
-from nnql_bullet.shield.prediction import Predictor, Situation
+from nnql_bullet.jit import njit
+from nnql_bullet.shield.prediction import (
+    can_stop,
+    can_turn_round,
+    clear_actions,
+    course,
+    first_safe,
+    open_side,
+    reverses,
+    sort,
+)
+from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, Memory, Setting
 
 FULL_TURN = 14
 """Decisions to turn on the spot after which a vehicle has looked all round, and makes do with less clearance."""
+_LEFT_FIRST, _RIGHT_FIRST = (*LEFT_TURNS, *RIGHT_TURNS), (*RIGHT_TURNS, *LEFT_TURNS)
 
 
-@dataclass(frozen=True, slots=True)
-class Spin:
-    """How one vehicle turns on the spot."""
-
-    side: int = 0
-    """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
-    decisions: int = 0
-    """Decisions to turn on the spot since it last drove on."""
-    backs: bool = False
-    """Whether it backs out of where it can neither drive on nor turn round."""
-
-
-def fallback(
-    predictor: Predictor,
-    situation: Situation,
-    scans: RecentScans,
-    ranks: Array,
-    margin: float,
-    spin: Spin,
-    preferred_side: int,
+@njit()
+def first_choice(
+    p: Setting,
+    m: Memory,
+    turns: Array,
+    order: NDArray[np.int64],
+    admitted: NDArray[np.bool_],
+    slowly: NDArray[np.bool_],
     target_bearing: float,
-) -> tuple[int, Spin]:
-    """Brakes or turns one vehicle on the spot; beside a moving obstacle, what stays out of contact longest.
+    yaw_rate: float,
+    speed: float,
+    margin: float,
+    preferred_side: int,
+) -> int:
+    """The best admitted manoeuvre of a vehicle or, where there is none, the fallback; see both."""
+    chosen = -1
+    if m.numbers[BACKS] == 0 or can_turn_round(p, m):
+        chosen = first_safe(p, m, turns, order, admitted, slowly, yaw_rate, speed, min(margin, p.tight))
+    if chosen < 0:
+        chosen = fall_back(p, m, turns, order, target_bearing, yaw_rate, speed, margin, preferred_side)
+    return chosen
+
+
+@njit()
+def fall_back(
+    p: Setting,
+    m: Memory,
+    turns: Array,
+    order: NDArray[np.int64],
+    target_bearing: float,
+    yaw_rate: float,
+    speed: float,
+    margin: float,
+    preferred_side: int,
+) -> int:
+    """Brakes or turns a vehicle on the spot; beside a moving obstacle, what stays out of contact longest.
 
     A vehicle that slides when it turns on the spot has no tighter margin than the one it keeps elsewhere.
 
     Args:
-        predictor: Predicts clearances.
-        situation: Of this vehicle alone.
-        scans: Its recent scans.
-        ranks: How good each action is held to be (6,).
-        margin: Clearance that it keeps if it can [m].
-        spin: Its turning on the spot so far.
-        preferred_side: Side to which it turns on the spot if it has none yet: 1 left, -1 right, 0 for none.
+        p: The setting.
+        m: The memory; its turning on the spot is changed.
+        turns: Heading changes of the six actions (6,) [rad].
+        order: The actions, the best first (6,).
         target_bearing: Bearing of the target [rad].
-
-    Returns:
-        The manoeuvre, and the turning on the spot with it.
+        yaw_rate: Of the vehicle [rad/s].
+        speed: Of the vehicle [m/s].
+        margin: Clearance that it keeps if it can [m].
+        preferred_side: Side to which it turns on the spot if it has none yet: 1 left, -1 right, 0 for none.
     """
-    lengths = predictor.lengths
-    tight = margin if predictor.slides else min(margin, lengths.tight_margin)
-    stops = predictor.stop_clearances(situation)
-    if situation.moving.any():
-        courses = np.concatenate([predictor.drive_clearances(situation), stops])
-        safe = np.concatenate([predictor.can_stop_after(situation, scans, manner, tight) for manner in (0, STOP)])
-        safe[STOP:] |= not safe.any()
-        return int(np.where(safe, course_scores(courses, lengths.margin), -1.0).argmax()), spin
-    if situation.speed[0] >= lengths.standstill:
-        order = np.argsort(np.abs(situation.turns[0]), kind="stable")
-        enough = lengths.tight_margin if predictor.slides else lengths.margin  # sliding, it brakes best straight ahead
-        scores = course_scores(stops, enough) + predictor.can_stop_after(situation, scans, STOP, tight)
-        return STOP + int(order[scores[order].argmax()]), spin
-    if spin.backs and not predictor.can_turn_round(situation):
-        action = predictor.reverses(situation, scans, tight)
+    tight = margin if p.slides else min(margin, p.tight)
+    if m.numbers[MOVING] > 0:
+        return longest_clear(p, m, turns, yaw_rate, speed, tight)
+    if speed >= p.standstill:
+        return best_stop(p, m, turns, yaw_rate, speed, tight)
+    if m.numbers[BACKS] == 1 and not can_turn_round(p, m):
+        action = reverses(p, m, turns, yaw_rate, speed, tight)
         if action >= 0:
-            return action, spin
-    side = spin.side or preferred_side or predictor.open_side(situation, target_bearing)
-    spin = Spin(side, spin.decisions + 1)
-    clearances = stops.min(axis=-1)
-    turns = (*LEFT_TURNS, *RIGHT_TURNS) if side > 0 else (*RIGHT_TURNS, *LEFT_TURNS)
-    possible = (turn for turn in turns if clearances[turn] >= tight)
-    turn = next((turn for turn in possible if predictor.can_stop(situation, scans, STOP + turn, tight)), None)
-    if turn is None or spin.decisions > FULL_TURN:
+            return action
+    side = m.numbers[SIDE]
+    if side == 0:
+        side = preferred_side
+    if side == 0:
+        side = open_side(p, m, target_bearing)
+    m.numbers[SIDE], m.numbers[DECISIONS], m.numbers[BACKS] = side, m.numbers[DECISIONS] + 1, 0
+    turn = turn_on_the_spot(p, m, turns, side, yaw_rate, speed, tight)
+    if turn < 0 or m.numbers[DECISIONS] > FULL_TURN:
+        clear = np.empty(ACTIONS, np.bool_)
         for distance in (margin, margin / 2, tight):
-            clear = predictor.stays_clear(situation, np.array([distance]), turns_round=False)[0]
-            action = predictor.first_safe(situation, scans, ranks, clear, clear, tight)
+            clear_actions(p, m, turns, yaw_rate, speed, distance, False, clear)
+            action = first_safe(p, m, turns, order, clear, clear, yaw_rate, speed, tight)
             if action >= 0:
-                return action, spin
-        action = predictor.reverses(situation, scans, tight)
+                return action
+        action = reverses(p, m, turns, yaw_rate, speed, tight)
         if action >= 0:
-            return action, Spin(side, backs=True)
-    if turn is None:
-        return STOP, spin
-    return STOP + turn, replace(spin, side=1 if turn in LEFT_TURNS else -1)
+            m.numbers[DECISIONS], m.numbers[BACKS] = 0, 1
+            return action
+    if turn < 0:
+        return STOP
+    m.numbers[SIDE] = 1 if turns[turn] > 0 else -1
+    return STOP + turn
 
 
-def course_scores(clearances: Array, margin: float) -> Array:
-    """Scores of courses with these clearances (m, k): the number of steps without contact, then the clearance (m,).
+@njit()
+def turn_on_the_spot(
+    p: Setting, m: Memory, turns: Array, side: int, yaw_rate: float, speed: float, tight: float
+) -> int:
+    """The first turn on the spot that leaves enough clearance, to one side before the other; -1 if there is none."""
+    for a in range(len(_LEFT_FIRST)):
+        turn = _LEFT_FIRST[a] if side > 0 else _RIGHT_FIRST[a]
+        smallest, _ = course(p, m, turns[turn], yaw_rate, speed, 0.0, False)
+        if smallest >= tight and can_stop(p, m, STOP + turn, turns[turn], yaw_rate, speed, tight):
+            return turn
+    return -1
+
+
+@njit()
+def longest_clear(p: Setting, m: Memory, turns: Array, yaw_rate: float, speed: float, tight: float) -> int:
+    """Beside a moving obstacle: what stays out of contact longest, of what can be stopped after, or else of stops."""
+    safe, found = np.empty(2 * ACTIONS, np.bool_), False
+    for manoeuvre in range(2 * ACTIONS):
+        safe[manoeuvre] = can_stop(p, m, manoeuvre, turns[manoeuvre % ACTIONS], yaw_rate, speed, tight)
+        found = found or safe[manoeuvre]
+    best, most = 0, -2.0
+    for manoeuvre in range(2 * ACTIONS):
+        score = -1.0
+        if safe[manoeuvre] or (manoeuvre >= STOP and not found):
+            goal = p.speed if manoeuvre < STOP else 0.0
+            score = course_score(p, m, turns[manoeuvre % ACTIONS], yaw_rate, speed, goal, True, p.margin)
+        if score > most:
+            best, most = manoeuvre, score
+    return best
+
+
+@njit()
+def best_stop(p: Setting, m: Memory, turns: Array, yaw_rate: float, speed: float, tight: float) -> int:
+    """How a vehicle that drives brakes: on the best course, of equal ones the straightest."""
+    order, ranks = np.empty(ACTIONS, np.int64), np.empty(ACTIONS)
+    for a in range(ACTIONS):
+        ranks[a] = -abs(turns[a])
+    sort(order, ranks)
+    enough = p.tight if p.slides else p.margin  # sliding, it brakes best straight ahead
+    best, most = 0, -1.0
+    for place in range(ACTIONS):
+        a = order[place]
+        score = course_score(p, m, turns[a], yaw_rate, speed, 0.0, False, enough)
+        if can_stop(p, m, STOP + a, turns[a], yaw_rate, speed, tight):
+            score += 1.0
+        if score > most:
+            best, most = a, score
+    return STOP + best
+
+
+@njit()
+def course_score(
+    p: Setting, m: Memory, turn: float, yaw_rate: float, speed: float, goal: float, moves: bool, enough: float
+) -> float:
+    """The score of a course: the number of steps without contact, then the clearance.
 
     The second part is less than 1, so that it decides only between courses with the same number of steps.
     """
-    smallest = clearances.min(axis=-1)
-    lasts = np.where(smallest > 0, clearances.shape[-1], (clearances <= 0).argmax(axis=-1))
-    return np.asarray(lasts + np.minimum(smallest, min(margin, 0.99)))
+    smallest, contact = course(p, m, turn, yaw_rate, speed, goal, moves)
+    return contact + min(smallest, min(enough, 0.99))

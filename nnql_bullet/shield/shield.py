@@ -30,11 +30,13 @@ from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.mapping.way import first_surroundings, moved_on, place_seen, way_ahead, with_scan
 from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.sensing import smallest
-from nnql_bullet.shield.fallback import Spin, fallback
+from nnql_bullet.shield.fallback import first_choice
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import LastScan, Perception, perceived
-from nnql_bullet.shield.prediction import Predictor, Situation
+from nnql_bullet.shield.prediction import can_stop, clear_by_margin
 from nnql_bullet.shield.recovery import Recovery
+from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, memory_of, moving_first, setting_of
+from nnql_bullet.shield.setting import Memory as Room
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances
@@ -49,6 +51,18 @@ BEND = 0.7
 the vehicle drives slowly."""
 NARROW = 1.25
 """Distance of the nearest obstacle from the sensor within which a plan leads, not the agent, in turning radii."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """How one vehicle turns on the spot."""
+
+    side: int = 0
+    """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
+    decisions: int = 0
+    """Decisions to turn on the spot since it last drove on."""
+    backs: bool = False
+    """Whether it backs out of where it can neither drive on nor turn round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +115,8 @@ class Shield:
         self._knowing = agent if isinstance(agent, Knowing) else None
         self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
-        self._predictor = Predictor(self._lengths, vehicle, drive)
+        self._setting = setting_of(self._lengths, vehicle, drive, task)
+        self._room = memory_of(self._setting)
 
     def initial_state(self, size: int) -> ShieldState:
         """Returns the state of n vehicles that have seen nothing."""
@@ -138,9 +153,11 @@ class Shield:
         turns = offered_turns(o.target_bearing)
         ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
         led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))
-        situation = Situation(o.yaw_rate, o.speed, turns, seen.points, seen.moving)
-        margins = self._predictor.margins(seen.points)
-        clear = self._predictor.stays_clear(situation, margins)
+        p, around = self._setting, [self._known(seen, i, memory.spin) for i, memory in enumerate(memories)]
+        motions = list(zip(o.yaw_rate.tolist(), o.speed.tolist(), strict=True))
+        clear = np.empty(turns.shape, np.bool_)
+        situations = zip(around, turns, motions, clear, strict=True)
+        margins = [clear_by_margin(p, m, its, *motion, marks) for m, its, motion, marks in situations]
         if self._carrot is not None:
             bends = (o.target_distance < BEND * self._carrot) & (o.distance_left > self._carrot)
             clear &= ~bends[:, None]  # slowly there
@@ -151,27 +168,35 @@ class Shield:
         away = np.abs(wrap_angles(turns - headings[:, None]))
         ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
         chosen, spins = np.empty(len(wanted), np.int64), []
-        for i, memory in enumerate(memories):
-            alone, recent = situation.of(np.array([i])), seen.scans[i].recent
-            backs = memory.spin.backs and not self._predictor.can_turn_round(alone)
-            admitted, margin = clear[i] & along[i] & (not backs), min(float(margins[i]), self._lengths.tight_margin)
-            slowly = along[i] & (not backs) if led[i] else admitted
-            chosen[i], spin, action = wanted[i], memory.spin, wanted[i] % ACTIONS
-            calm = (wanted[i] >= SLOW and clear[i, action]) or not seen.moving[i].any()
+        orders, bearings = np.argsort(-ranks, axis=-1, kind="stable"), o.target_bearing.tolist()
+        for i, (m, motion, margin) in enumerate(zip(around, motions, margins, strict=True)):
+            admitted, action = clear[i] & along[i], int(wanted[i] % ACTIONS)
+            calm = (wanted[i] >= SLOW and clear[i, action]) or not m.numbers[MOVING]
             follows = wanted[i] >= ACTIONS and calm and not led[i]
-            if not (follows and self._predictor.can_stop(alone, recent, int(wanted[i]), margin)):
-                chosen[i] = self._predictor.first_safe(alone, recent, ranks[i], admitted, slowly, margin)
-            if chosen[i] < 0:
-                chosen[i], spin = fallback(
-                    *(self._predictor, alone, recent, ranks[i], float(margins[i]), spin),
-                    *(int(np.sign(headings[i])), float(o.target_bearing[i])),
+            chosen[i] = wanted[i]
+            if not (follows and can_stop(p, m, int(wanted[i]), float(turns[i, action]), *motion, min(margin, p.tight))):
+                chosen[i] = first_choice(
+                    *(p, m, turns[i], orders[i], admitted, along[i] if led[i] else admitted),
+                    *(bearings[i], *motion, margin, int(np.sign(headings[i]))),
                 )
+            side, decisions, backs = m.numbers[[SIDE, DECISIONS, BACKS]].tolist()
             drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
-            spins.append(Spin() if drives_on else spin)
+            spins.append(Spin() if drives_on else Spin(side, decisions, bool(backs)))
         if self._overridable is not None:
             agent_state = self._overridable.override(agent_state, chosen)
         after = self._remembered(o, chosen, memories, spins, seen.scans)
         return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
+
+    def _known(self, seen: Perception, vehicle: int, spin: Spin) -> Room:
+        """What the kernels take of what one vehicle knows."""
+        cloud, moving = moving_first(seen.points[vehicle], seen.moving[vehicle])
+        rays, poses, strayed = seen.scans[vehicle].recent
+        closing = np.zeros(len(cloud))
+        closing[:moving] = self._lengths.box_speed
+        numbers = np.array([1, len(rays), 0, moving, len(cloud), spin.side, spin.decisions, spin.backs])
+        return self._room._replace(
+            numbers=numbers, cloud=cloud, closing=closing, scans=rays, poses=poses, strayed=strayed
+        )
 
     def perceived(self, observations: Observation, memories: Sequence[Memory]) -> Perception:
         """What n vehicles know of their surroundings; see `perception.perceived`."""
