@@ -23,7 +23,7 @@ from nnql_bullet.training.selection import SelectionOptions
 from nnql_bullet.types import Count, Few, NonNegative, Number, Positive, Seed, Vehicles
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.payload import LOAD_HEIGHT, deck_load, loaded
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.spec import Delays, VehicleSpec
 from nnql_bullet.worlds.source import Waypoints, WorldLike
 
 DEFAULT_ROBOT = "tricycle"
@@ -61,6 +61,11 @@ class Conditions:
     """Standard deviation of the noise of each ray that meets something [m]."""
     dead_sector: Annotated[int, Field(ge=0, lt=paper.SECTORS)] | None = None
     """Sensor that sees nothing, unknown to the policy; 0 is the front, the others follow counter-clockwise."""
+    decision_latency: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Time from a scan until the decision on it takes effect, less than a decision period [s]; in whole wheel commands
+    of 1/120 s. Contact physics only."""
+    wheel_lag: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Time constant with which the wheel speeds follow their commands [s]. Contact physics only."""
     rays: RayCount | None = None
     """Number of the sensor's rays, a multiple of 4; by default the vehicle's own."""
     sensor_range: SensorRange | None = None
@@ -100,7 +105,7 @@ class Conditions:
             range=self.sensor_range or own.range,
             blind_arc_degrees=self.blind_arc_degrees or own.blind_arc_degrees,
         )
-        vehicle = replace(vehicle, sensor=sensor)
+        vehicle = replace(vehicle, sensor=sensor, delays=Delays(self.decision_latency, self.wheel_lag))
         return loaded(vehicle, deck_load(vehicle, self.payload, self.payload_height))
 
 

@@ -3,8 +3,8 @@
 DQN, QR-DQN, PPO and recurrent PPO of stable-baselines3 and sb3-contrib, on the paper's sectors and on rays, with the
 paper's reward and the shaped one: each of these 16 combinations is tuned by Optuna on validation worlds, trained anew
 from five seeds with the best values, and driven through test worlds. All of it is in the kinematic model at 5 % cover,
-with six actions. What is done is kept in --out, so the same command goes on after an interrupt; the table is written
-after every combination.
+with six actions. What is done is kept in --out, so the same command goes on after an interrupt. The table is written
+after every combination, and a combination that is in it with the same budget is not made again.
 
     python scripts/learners.py                       # as in the documentation; some hours on 2 idle cores
     python scripts/learners.py --only ppo --trials 4 --steps 20000
@@ -30,10 +30,11 @@ from nnql_bullet.config import options, parse, to_values
 from nnql_bullet.evaluation.parts import Parts, part_name, run_kept
 from nnql_bullet.evaluation.search import Search
 from nnql_bullet.evaluation.space import Trial, best_of, read_space
-from nnql_bullet.evaluation.statistics import over_seeds, proportion
+from nnql_bullet.evaluation.statistics import proportion, success_of_seeds
 from nnql_bullet.executors import make_executor
 from nnql_bullet.files import write_text
 from nnql_bullet.integrations.sb3 import make_vec_env
+from nnql_bullet.provenance import made_by
 from nnql_bullet.reports.document import Report, Section, table
 from nnql_bullet.seeding import TEST_WORLDS
 from nnql_bullet.task import ENDINGS
@@ -165,10 +166,11 @@ class Training:
 
 @dataclass(frozen=True)
 class Drives:
-    """Drives of a trained learner in one kind of world, by their ending."""
+    """Drives of a trained learner in one kind of world."""
 
     world: str
-    endings: dict[str, int]
+    endings: list[str]
+    """How each world's drive ended."""
 
 
 def environment(t: Training, world: str) -> dict[str, Any]:
@@ -202,7 +204,7 @@ def driven(t: Training, learner: Any, vehicles: VecNormalize, world: str) -> Dri
             first = terminated | truncated
             for i in np.flatnonzero(first).tolist():
                 endings[i] = endings[i] or infos["ending"][i]
-    return Drives(world, {name: endings.count(name) for name in ENDINGS})
+    return Drives(world, [ending or "" for ending in endings])
 
 
 @dataclass(frozen=True)
@@ -238,8 +240,9 @@ def tuned(cell: Cell, a: argparse.Namespace) -> Trial:
         text = json.dumps(to_values(space.options(drawn)), sort_keys=True)
         task = training(cell, text, TUNING_SEED, a.search_steps, (TRAINED_IN,), seeds(a.worlds))
         (found,) = train_and_test(task)
-        search.add([Trial(number, drawn, (found.endings["goal"] / a.worlds,), "trained")])
-        print(f"{cell.name}: trial {number + 1} of {a.trials}: {found.endings}", flush=True)
+        arrived = found.endings.count("goal")
+        search.add([Trial(number, drawn, (arrived / a.worlds,), "trained")])
+        print(f"{cell.name}: trial {number + 1} of {a.trials}: {arrived} of {a.worlds} arrive", flush=True)
     best = best_of(search.trials)
     if best is None:
         raise SystemExit(f"{cell.name}: no trial")
@@ -256,22 +259,25 @@ def tested(cell: Cell, best: Trial, a: argparse.Namespace) -> list[list[Drives]]
 
 
 def record(cell: Cell, best: Trial, found: Sequence[Sequence[Drives]]) -> dict[str, Any]:
-    """All numbers of a combination."""
+    """All numbers of a combination: of each seed's drives, world by world, the first letters of their endings."""
     return {
+        "made_by": made_by(),
         **asdict(cell),
         "options": dict(best.values),
         "validation": best.score,
-        "endings": {world: [its.endings for one in found for its in one if its.world == world] for world in TESTED_IN},
+        "endings": {
+            world: ["".join(name[0] for name in its.endings) for one in found for its in one if its.world == world]
+            for world in TESTED_IN
+        },
     }
 
 
-def row(one: dict[str, Any], worlds: int) -> tuple[str, ...]:
+def row(one: dict[str, Any]) -> tuple[str, ...]:
     """The line of a combination in the table."""
-    cells = []
-    for world in TESTED_IN:
-        cells.append(str(over_seeds(np.array([its["goal"] / worlds for its in one["endings"][world]]))))
-    failures = {name: sum(its[name] for its in one["endings"][TRAINED_IN]) for name in ENDINGS if name != "goal"}
-    share = 100 / (worlds * len(one["endings"][TRAINED_IN]))
+    endings = {world: np.array([list(letters) for letters in one["endings"][world]]) for world in TESTED_IN}
+    cells = [str(success_of_seeds([its == "g"], [np.ones(its.shape)])) for its in endings.values()]
+    failures = {name: int((endings[TRAINED_IN] == name[0]).sum()) for name in ENDINGS if name != "goal"}
+    share = 100 / endings[TRAINED_IN].size
     why = ", ".join(f"{name} {count * share:.0f}" for name, count in failures.items() if count)
     values = ", ".join(f"{name} {value:.3g}" for name, value in one["options"].items())
     return one["learner"], one["observation"], one["reward"], *cells, why or "none", values
@@ -283,24 +289,38 @@ def write(done: Sequence[dict[str, Any]], straight: dict[str, int], a: argparse.
     header = ("learner", "observation", "reward", *TESTED_IN.values(), "failures at 5 % cover [%]", "tuned values")
     rule = ("straight", "", "", *(str(proportion(count, a.worlds)) for count in straight.values()), "", "")
     about = (
-        f"Success in %, inter-quartile mean over {SEEDS} training seeds with its bootstrap 95 % interval; "
+        f"Success in %, inter-quartile mean over {SEEDS} training seeds with its 95 % interval over seeds and worlds; "
         f"{a.worlds} test worlds of each kind, kinematic model, six actions, {a.steps} steps of training at 5 % cover "
         f"with {VEHICLES} vehicles. Tuned by {a.trials} trials of {a.search_steps} steps on {a.worlds} validation "
         "worlds (one training each, so the best may be a lucky one); "
         "observations and rewards are normalised by what was seen so far. nnql-bullet " + nb.__version__ + "."
     )
-    missing = len(CELLS) - len(done)
-    more = f"{missing} of the {len(CELLS)} combinations are not trained yet." if missing else ""
-    body = table(header, [*(row(one, a.worlds) for one in done), rule], note=more)
+    missing, makers = len(CELLS) - len(done), {one["made_by"]["code"] for one in done}
+    more = f"{missing} of the {len(CELLS)} combinations are not trained yet. " if missing else ""
+    more += f"The combinations were made by {len(makers)} states of the code." if len(makers) > 1 else ""
+    body = table(header, [*(row(one) for one in done), rule], note=more)
     report = Report("Learners of others", (Section("", (about, "`python scripts/learners.py`", body)),))
     write_text(RESULTS / "learners.md", report.markdown())
-    values = {"steps": a.steps, "search_steps": a.search_steps, "trials": a.trials, "worlds": a.worlds}
-    write_text(RESULTS / "learners.json", json.dumps({**values, "straight": straight, "rows": done}, indent=1) + "\n")
+    values = {"budget": budget(a), "straight": straight, "rows": done}
+    write_text(RESULTS / "learners.json", json.dumps(values, indent=1) + "\n")
+
+
+def budget(a: argparse.Namespace) -> dict[str, int]:
+    """What each combination is given."""
+    return {"steps": a.steps, "search_steps": a.search_steps, "trials": a.trials, "worlds": a.worlds}
+
+
+def made_before(a: argparse.Namespace) -> dict[Cell, dict[str, Any]]:
+    """Combinations in the table that had the same budget."""
+    file = RESULTS / "learners.json"
+    values = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    rows = values["rows"] if values.get("budget") == budget(a) else []
+    return {Cell(its["learner"], its["observation"], its["reward"]): its for its in rows}
 
 
 CELLS = [
     Cell(learner, observation, reward)
-    for reward, observation, learner in product(("progress", "paper"), ("rays", "sectors"), LEARNERS)
+    for learner, reward, observation in product(LEARNERS, ("progress", "paper"), ("rays", "sectors"))
 ]
 
 
@@ -319,14 +339,13 @@ def main() -> None:
         "straight", worlds=list(TESTED_IN), seeds=TEST_WORLDS[: a.worlds], simulator="kinematic", workers=1
     )
     straight = {its["world"]: round(its["goal"] * a.worlds) for its in rule.rows if its["world"] in TESTED_IN}
-    done = []
+    done = made_before(a)
     for cell in CELLS:
-        if cell.learner not in a.only:
-            continue
-        best = tuned(cell, a)
-        done.append(record(cell, best, tested(cell, best, a)))
-        write(done, straight, a)
-        print("  ".join(row(done[-1], a.worlds)), flush=True)
+        if cell.learner in a.only and cell not in done:
+            best = tuned(cell, a)
+            done[cell] = record(cell, best, tested(cell, best, a))
+            write([done[its] for its in CELLS if its in done], straight, a)
+            print("  ".join(row(done[cell])), flush=True)
 
 
 if __name__ == "__main__":

@@ -70,9 +70,12 @@ LEARNING_FROM_STEPS = ("paper", "tuned", "q_table", "sb3_dqn")
 """Methods whose success during training is drawn."""
 COVERS = ("paper", "cover_10", "cover_15", "cover_20")
 HARD = ("traps", "aisles", "moving")
+TIGHT = ("poles", "cluttered", "rooms", "cells")
 HEADLINE = ("paper", "double_dqn")
 """Learned methods of the rows that are talked about, driven through most worlds."""
 HEADLINE_RULES = ("straight", "hand_rule", "vfh")
+SHIPPED = ("double_dqn", "distilled", "vfh", "look_ahead", "straight")
+"""Policies that are shipped, and rules beside them, in the worlds that everything else fails in."""
 KINEMATIC: dict[str, Any] = {"simulator": "kinematic"}
 
 
@@ -85,6 +88,7 @@ class Evaluation:
     """Number of test worlds of each kind."""
     learned: tuple[str, ...] = tuple(METHODS)
     rules: tuple[str, ...] = RULES
+    """Rules, and policies as they are shipped."""
     seeds: int | None = None
     """Most training seeds of each method; all of them if it is not given."""
     more: Mapping[str, Any] = field(default_factory=dict)
@@ -110,6 +114,7 @@ EVALUATIONS = {
             "changes": {"shield": {"least_width": 0.02}},
         },
     ),
+    "tight": Evaluation(TIGHT, 300, (), SHIPPED, more={**KINEMATIC, "shield": True}),
 }
 CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},
@@ -117,6 +122,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     **{f"friction {value}": {"conditions": nb.Conditions(wheel_friction=value)} for value in (0.4, 0.6, 0.9)},
     **{f"payload {value:g} kg": {"conditions": nb.Conditions(payload=value)} for value in (40.0, 80.0)},
     **{f"noise of {value:g} m": {"conditions": nb.Conditions(sensor_noise=value)} for value in (0.05, 0.2)},
+    **{f"decisions {value:g} s late": {"conditions": nb.Conditions(decision_latency=value)} for value in (0.1, 0.2)},
+    **{f"wheels {value:g} s late": {"conditions": nb.Conditions(wheel_lag=value)} for value in (0.05, 0.2)},
     **{
         f"sector {sector} dead": {"conditions": nb.Conditions(dead_sector=sector)} for sector in range(5)
     },  # the others mirror them

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from math import hypot
+from math import exp, hypot
 from pathlib import Path
+from typing import get_args
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,13 +20,23 @@ from nnql_bullet.rollout import run_episode, run_episodes
 from nnql_bullet.run_config import Conditions, RunConfig, changed
 from nnql_bullet.sim.base import Simulator
 from nnql_bullet.sim.bullet import PHYSICS, BulletEngine
+from nnql_bullet.sim.contact import ContactEngine
+from nnql_bullet.sim.engines import EngineName, contact_engine
 from nnql_bullet.sim.faults import FaultySimulator, SensorFaults, degraded
 from nnql_bullet.sim.kinematic import KinematicSimulator
-from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.controller import (
+    COMMAND_RATE,
+    DriveOptions,
+    Goal,
+    command_times,
+    plan_late,
+    plan_period,
+)
 from nnql_bullet.vehicle.payload import loaded, urdf_text
 from nnql_bullet.vehicle.spec import Payload, VehicleSpec
 from nnql_bullet.worlds.spec import WorldSpec
 
+ENGINES = get_args(EngineName)
 RANGE = 10.0
 G = 9.81
 
@@ -149,6 +160,57 @@ class TestPayload:
         simulator = BulletEngine(loaded(vehicle, self.LOAD), DriveOptions(), PHYSICS["reference"])
         assert not list(tmp_path.iterdir())
         simulator.close()
+
+
+class TestDelays:
+    def turn(self, engine: ContactEngine, world: WorldSpec, change: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and headings [rad] along one control period from a start at speed."""
+        engine.reset(world)
+        yaws = [0.0]
+        engine.advance(change, look=lambda: yaws.append(engine.pose().yaw))
+        return np.arange(len(yaws)) * engine.time_step, np.array(yaws)
+
+    @pytest.mark.parametrize("name", ENGINES)
+    def test_a_late_decision_is_the_same_turn_later(
+        self, name: EngineName, vehicle: VehicleSpec, empty_world: WorldSpec
+    ) -> None:
+        prompt, late = (
+            contact_engine(name, "reference", Conditions(decision_latency=s).applied_to(vehicle), DriveOptions(2.0))
+            for s in (0.0, 0.25)
+        )
+        times, at_once = self.turn(prompt, empty_world, 0.6)
+        _, after = self.turn(late, empty_world, 0.6)
+        assert after == pytest.approx(np.interp(times - 0.25, times, at_once), abs=0.02)
+        assert np.ptp(at_once) == pytest.approx(0.6, abs=0.02)
+
+    def test_until_then_the_former_decision_is_carried_out(self, vehicle: VehicleSpec) -> None:
+        times, limits = command_times(DriveOptions(2.0)), vehicle.limits
+        left, right = Goal(0.5, 2.0), Goal(-0.4, 1.0)
+        plan = plan_late(0.0, 2.0, (left, right), 24, limits, times)
+        former = plan_period(0.0, 2.0, *left, limits, times)
+        assert (plan.headings[:25] == former.headings[:25]).all()
+        assert plan.headings[-1] == pytest.approx(right.heading_change)
+        assert plan.speeds[-1] == right.speed
+        assert np.abs(np.diff(plan.yaw_rates)).max() < 1.01 * limits.yaw_acceleration / COMMAND_RATE
+
+    @pytest.mark.parametrize("name", ENGINES)
+    def test_wheels_lag_behind_as_a_first_order_system_does(
+        self, name: EngineName, vehicle: VehicleSpec, empty_world: WorldSpec
+    ) -> None:
+        lag, period, a = 0.2, 0.5, vehicle.limits.acceleration
+        engine = contact_engine(name, "reference", Conditions(wheel_lag=lag).applied_to(vehicle), DriveOptions(period))
+        engine.reset(replace(empty_world, at_rest=True))
+        engine.advance(0.0)
+        assert engine.speed() == pytest.approx(a * (period - lag * (1 - exp(-period / lag))), rel=0.03)  # of a ramp
+
+    @pytest.mark.parametrize("conditions", [Conditions(wheel_lag=0.1), Conditions(decision_latency=0.1)])
+    def test_the_kinematic_model_refuses_them(self, conditions: Conditions) -> None:
+        with pytest.raises(UserError, match="contact physics"):
+            Experiment(RunConfig(simulator="kinematic", conditions=conditions)).new_simulator()
+
+    def test_a_decision_takes_effect_before_the_next(self, vehicle: VehicleSpec) -> None:
+        with pytest.raises(UserError, match="shorter latency"):
+            contact_engine("bullet", "fast", Conditions(decision_latency=0.5).applied_to(vehicle), DriveOptions(0.5))
 
 
 class TestConditions:

@@ -3,13 +3,14 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import cos, hypot, pi
+from math import cos, exp, hypot, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.blocks import clearance_among
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array, Pose, as_rows, wrap_angle
 from nnql_bullet.jit import njit
 from nnql_bullet.sim.base import SAMPLE_EVERY, Sample
@@ -17,8 +18,11 @@ from nnql_bullet.sim.physics import CONTACT_MARGIN, VehiclePhysics, rear_axle
 from nnql_bullet.vehicle.controller import (
     COMMAND_RATE,
     DriveOptions,
+    Goal,
+    Plan,
     command_times,
     command_wheels,
+    plan_late,
     plan_period,
     whole_steps,
 )
@@ -93,13 +97,20 @@ class ContactEngine(VehiclePhysics):
         travel = 1.1 * drive.speed * drive.decision_period + CONTACT_MARGIN
         super().__init__(vehicle, time_step, max(farthest, eye + vehicle.sensor.range) + travel)
         self.drive = drive
+        self._delay = round(vehicle.delays.decision * COMMAND_RATE)
+        if self._delay >= whole_steps(drive.decision_period, 1 / COMMAND_RATE):
+            raise UserError(
+                f"a decision that takes effect after {vehicle.delays.decision:g} s comes too late for a decision "
+                f"period of {drive.decision_period:g} s; set a shorter latency or a longer period"
+            )
+        self._wheel_response = 1.0 - exp(-1 / COMMAND_RATE / vehicle.delays.wheels) if vehicle.delays.wheels else 1.0
         self._steps_per_command = whole_steps(1 / COMMAND_RATE, time_step)
         self._command_times = command_times(drive)
         sensor = vehicle.sensor
         self._rays = np.column_stack([sensor.directions, np.zeros(sensor.rays)]) * sensor.range
         self._blind = np.flatnonzero(~sensor.seen)
         self._begins, self._ends = np.empty_like(self._rays), np.empty_like(self._rays)
-        self._planned_yaw_rate, self._planned_speed = 0.0, drive.speed
+        self._start_at(drive.speed)
         fastest = drive.speed + vehicle.limits.yaw_rate * farthest
         # No point of the vehicle moves farther than this from one look to the next, slip included [m].
         self._reach = 1.1 * fastest * SAMPLE_EVERY / COMMAND_RATE + CONTACT_MARGIN
@@ -112,12 +123,12 @@ class ContactEngine(VehiclePhysics):
     def reset(self, world: WorldSpec) -> None:
         """Builds the world anew and puts the vehicle on its start, at rest or at the drive's speed."""
         self.place(world, world.start, world.start_speed(self.drive.speed))
-        self._planned_speed = world.start_speed(self.drive.speed)
+        self._start_at(world.start_speed(self.drive.speed))
 
     def place(self, world: WorldSpec, pose: Pose, speed: float, height: float = 0.0, ground: bool = True) -> None:
         """See `VehiclePhysics.place`. The controller starts at the drive's speed, whatever the vehicle's speed is."""
         super().place(world, pose, speed, height, ground)
-        self._planned_yaw_rate, self._planned_speed = 0.0, self.drive.speed
+        self._start_at(self.drive.speed)
         self._sensor = np.subtract(self.vehicle.sensor.position, self._com)
         at = self.pose()
         self._clearance = clearance_among(at.x, at.y, at.yaw, self._footprint, self._solids, self._bounds)
@@ -135,6 +146,27 @@ class ContactEngine(VehiclePhysics):
             target_radius=world.target_radius,
         )
         self._episode = np.array([episode], dtype=_RECORD)
+
+    def _start_at(self, speed: float) -> None:
+        """Lets the controller start straight ahead at a speed [m/s]."""
+        self._planned_yaw_rate, self._planned_speed = 0.0, speed
+        self._former = Goal(0.0, speed)
+        self._wheels = np.full(2, speed / self.vehicle.wheel_radius)
+
+    def _plan(self, goal: Goal) -> Plan:
+        """Plans a control period; what the former decision still asks for comes first where decisions are late."""
+        start = self._planned_yaw_rate, self._planned_speed
+        if not self._delay:
+            return plan_period(*start, *goal, self.vehicle.limits, self._command_times)
+        return plan_late(*start, (self._former, goal), self._delay, self.vehicle.limits, self._command_times)
+
+    def _lagging(self, speeds: Array) -> Array:
+        """Returns the wheel speeds (k, 2) [rad/s] that the wheels are driven at where they lag behind these."""
+        followed = np.empty_like(speeds)
+        for k, wanted in enumerate(speeds):
+            self._wheels = self._wheels + self._wheel_response * (wanted - self._wheels)
+            followed[k] = self._wheels
+        return followed
 
     def advance(
         self,
@@ -158,14 +190,8 @@ class ContactEngine(VehiclePhysics):
         first_step, (position, orientation) = self._steps, self._frame()
         begin = Pose(*rear_axle(position, orientation, *self._com))
         self._keep_near(begin)
-        plan = plan_period(
-            self._planned_yaw_rate,
-            self._planned_speed,
-            heading_change,
-            speed_scale * self.drive.speed,
-            self.vehicle.limits,
-            self._command_times,
-        )
+        goal = Goal(heading_change, speed_scale * self.drive.speed)
+        plan = self._plan(goal)
         headings, feed_forward = begin.yaw + plan.headings, plan.feed_forward
         progress = np.array([begin.x, begin.y, begin.yaw, 0.0, self._clearance, self._clearance])
         speeds = np.empty((SAMPLE_EVERY, 2))
@@ -190,7 +216,8 @@ class ContactEngine(VehiclePhysics):
                 trace.append(self.sample())
             if over or command == last:
                 break
-            carried_out, touching = self._carry_out(speeds[:commands].tolist(), near, look)
+            driven = self._lagging(speeds[:commands]) if self._wheel_response < 1.0 else speeds[:commands]
+            carried_out, touching = self._carry_out(driven.tolist(), near, look)
             command += carried_out
             if not near:
                 self._move_patrols()
@@ -198,6 +225,7 @@ class ContactEngine(VehiclePhysics):
         x, y, yaw, path_length, smallest, _ = progress.tolist()
         self._clearance = clearance_among(x, y, yaw, footprint, solids, bounds)
         self._planned_yaw_rate, self._planned_speed = float(plan.yaw_rates[command]), float(plan.speeds[command])
+        self._former = Goal(heading_change - float(plan.headings[command]), goal.speed)
         return VehicleMotion(
             pose=Pose(x, y, yaw),
             yaw_rate=self.yaw_rate(),

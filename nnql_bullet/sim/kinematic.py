@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, cast_rays, clearance_among, squared_distance_to_bounds
+from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
@@ -128,7 +129,12 @@ class KinematicSimulator:
             drive: Options of the vehicle's controller.
             size: Number of vehicles.
             threads: Number of threads, by default one per core. The result does not depend on it.
+
+        Raises:
+            UserError: If the vehicle's drive is late.
         """
+        if vehicle.delays.any:
+            raise UserError("in the kinematic model the drive obeys at once; delays of it need contact physics")
         self.vehicle = vehicle
         self.drive = drive
         self.size = size

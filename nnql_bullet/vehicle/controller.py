@@ -6,7 +6,7 @@ the vehicle's limits, and commands the wheel speeds that follow them, with propo
 
 from dataclasses import dataclass
 from math import inf
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -38,6 +38,15 @@ class DriveOptions:
     """Yaw rate per heading error [1/s]."""
 
 
+class Goal(NamedTuple):
+    """What a decision asks for."""
+
+    heading_change: float
+    """[rad]"""
+    speed: float
+    """[m/s], negative backwards."""
+
+
 def own_speed(vehicle: VehicleSpec) -> float:
     """Returns the speed at which a vehicle drives unless told otherwise [m/s]."""
     return min(vehicle.limits.speed or inf, DriveOptions().speed)
@@ -55,6 +64,16 @@ class Plan:
     """Speed at each command and at the end (m + 1,) [m/s], negative backwards."""
     feed_forward: Array
     """Mean speed [m/s] and mean yaw rate [rad/s] from each command to the next (m, 2)."""
+
+    def until(self, command: int, later: "Plan") -> "Plan":
+        """Returns this plan up to a command, and from there on a later one, which begins there."""
+        k = command
+        return Plan(
+            np.concatenate([self.headings[:k], self.headings[k] + later.headings]),
+            np.concatenate([self.yaw_rates[:k], later.yaw_rates]),
+            np.concatenate([self.speeds[:k], later.speeds]),
+            np.concatenate([self.feed_forward[:k], later.feed_forward]),
+        )
 
 
 def command_times(drive: DriveOptions) -> Array:
@@ -104,6 +123,26 @@ def _profiles(
         feed_forward[k, 0] = (speeds[k] + speeds[k + 1]) / 2
         feed_forward[k, 1] = (headings[k + 1] - headings[k]) * COMMAND_RATE
     return headings, yaw_rates, speeds, feed_forward
+
+
+def plan_late(
+    yaw_rate: float, speed: float, goals: tuple[Goal, Goal], delay: int, limits: Limits, times: Array
+) -> Plan:
+    """Plans a control period in which the vehicle keeps to its former decision for a while.
+
+    Args:
+        yaw_rate: Yaw rate at the start [rad/s].
+        speed: Speed at the start [m/s].
+        goals: Of the former decision and of this one, the changes of heading from the start of the period.
+        delay: Number of wheel commands that still follow the former decision.
+        limits: Limits of the vehicle.
+        times: See `command_times`.
+    """
+    former, now = goals
+    kept = plan_period(yaw_rate, speed, *former, limits, times)
+    change = now.heading_change - float(kept.headings[delay])
+    rates, speeds = float(kept.yaw_rates[delay]), float(kept.speeds[delay])
+    return kept.until(delay, plan_period(rates, speeds, change, now.speed, limits, times[: len(times) - delay]))
 
 
 @njit()

@@ -74,6 +74,21 @@ class Payload:
 
 
 @dataclass(frozen=True, slots=True)
+class Delays:
+    """How late the drive obeys; at once by default."""
+
+    decision: float = 0.0
+    """Time after which a decision takes effect [s]; until then the vehicle keeps to the former one."""
+    wheels: float = 0.0
+    """Time constant with which the commanded wheel speeds follow those of the controller [s], as a first-order lag."""
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is late."""
+        return self.decision > 0 or self.wheels > 0
+
+
+@dataclass(frozen=True, slots=True)
 class Caster:
     """A support besides the drive wheels: a wheel that trails its swivel, or a ball that slides."""
 
@@ -142,6 +157,8 @@ class VehicleSpec:
     """The load; `mass`, the centre of mass and `yaw_inertia` include it."""
     source: str = ""
     """Name of the shipped robot or path of the TOML file from which it was read."""
+    delays: Delays = field(default=Delays(), repr=False)
+    """Of the drive, which are no part of the vehicle's body."""
 
     @staticmethod
     def load(name: "str | Path | VehicleSpec") -> "VehicleSpec":

@@ -16,6 +16,7 @@ REPORTS = {
     "shield": ("Bare and in a shield", "How success and interventions change in a shield.", "shield"),
     "shield-kinematic": ("Every method in a shield", "Bare and in a shield, kinematic model.", "shield-kinematic"),
     "poles": ("Thin poles", "Poles of a few centimetres, 360 rays, bare and in a shield.", "poles"),
+    "tight": ("Tight worlds", "Poles, clutter, rooms and cells, by bottleneck, bare and in a shield.", "tight"),
     "conditions": ("Conditions nobody trained with", "Friction, payload, noise and dead sectors.", "conditions"),
     "barn": ("Worlds of the BARN challenge", "Shipped policies and rules by its protocol.", "barn"),
     "maps": ("Maps", "Shipped policies and rules through maps of others.", "maps"),
