@@ -175,7 +175,9 @@ class TestDelays:
         self, name: EngineName, vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
         prompt, late = (
-            contact_engine(name, "reference", Conditions(decision_latency=s).applied_to(vehicle), DriveOptions(2.0))
+            contact_engine(
+                name, "reference", Conditions(decision_latency=s).applied_to(vehicle), DriveOptions(decision_period=2.0)
+            )
             for s in (0.0, 0.25)
         )
         times, at_once = self.turn(prompt, empty_world, 0.6)
@@ -184,7 +186,7 @@ class TestDelays:
         assert np.ptp(at_once) == pytest.approx(0.6, abs=0.02)
 
     def test_until_then_the_former_decision_is_carried_out(self, vehicle: VehicleSpec) -> None:
-        times, limits = command_times(DriveOptions(2.0)), vehicle.limits
+        times, limits = command_times(DriveOptions(decision_period=2.0)), vehicle.limits
         left, right = Goal(0.5, 2.0), Goal(-0.4, 1.0)
         plan = plan_late(0.0, 2.0, (left, right), 24, limits, times)
         former = plan_period(0.0, 2.0, *left, limits, times)
@@ -198,7 +200,9 @@ class TestDelays:
         self, name: EngineName, vehicle: VehicleSpec, empty_world: WorldSpec
     ) -> None:
         lag, period, a = 0.2, 0.5, vehicle.limits.acceleration
-        engine = contact_engine(name, "reference", Conditions(wheel_lag=lag).applied_to(vehicle), DriveOptions(period))
+        engine = contact_engine(
+            name, "reference", Conditions(wheel_lag=lag).applied_to(vehicle), DriveOptions(decision_period=period)
+        )
         engine.reset(replace(empty_world, at_rest=True))
         engine.advance(0.0)
         assert engine.speed() == pytest.approx(a * (period - lag * (1 - exp(-period / lag))), rel=0.03)  # of a ramp
@@ -210,7 +214,12 @@ class TestDelays:
 
     def test_a_decision_takes_effect_before_the_next(self, vehicle: VehicleSpec) -> None:
         with pytest.raises(UserError, match="shorter latency"):
-            contact_engine("bullet", "fast", Conditions(decision_latency=0.5).applied_to(vehicle), DriveOptions(0.5))
+            contact_engine(
+                "bullet",
+                "fast",
+                Conditions(decision_latency=0.5).applied_to(vehicle),
+                DriveOptions(decision_period=0.5),
+            )
 
 
 class TestConditions:

@@ -151,7 +151,7 @@ class ContactEngine(VehiclePhysics):
         """Lets the controller start straight ahead at a speed [m/s]."""
         self._planned_yaw_rate, self._planned_speed = 0.0, speed
         self._former = Goal(0.0, speed)
-        self._wheels = np.full(2, speed / self.vehicle.wheel_radius)
+        self._lagged = np.full(2, speed / self.vehicle.wheel_radius)
 
     def _plan(self, goal: Goal) -> Plan:
         """Plans a control period; what the former decision still asks for comes first where decisions are late."""
@@ -164,8 +164,8 @@ class ContactEngine(VehiclePhysics):
         """Returns the wheel speeds (k, 2) [rad/s] that the wheels are driven at where they lag behind these."""
         followed = np.empty_like(speeds)
         for k, wanted in enumerate(speeds):
-            self._wheels = self._wheels + self._wheel_response * (wanted - self._wheels)
-            followed[k] = self._wheels
+            self._lagged = self._lagged + self._wheel_response * (wanted - self._lagged)
+            followed[k] = self._lagged
         return followed
 
     def advance(
