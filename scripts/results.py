@@ -114,7 +114,7 @@ EVALUATIONS = {
             "changes": {"shield": {"least_width": 0.02}},
         },
     ),
-    "tight": Evaluation(TIGHT, 300, (), SHIPPED, more={**KINEMATIC, "shield": True}),
+    "tight": Evaluation(TIGHT, 100, (), SHIPPED, more={**KINEMATIC, "shield": True}),
 }
 CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},

@@ -22,7 +22,7 @@ FACTS = ("explanation/physics.md", "explanation/fidelity.md", "explanation/envel
 TYPED = {
     "explanation/double-dqn.md": 40,
     "explanation/gap.md": 10,
-    "explanation/shield.md": 36,
+    "explanation/shield.md": 35,
     "how-to/barn.md": 52,
     "how-to/scale.md": 6,
 }
