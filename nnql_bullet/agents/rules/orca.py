@@ -1,0 +1,268 @@
+"""Optimal reciprocal collision avoidance (ORCA) among points that are seen, with the velocities that scans show.
+
+Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance" (Robotics Research, 2011). Each point forbids
+a half-plane of velocities; of the others the one nearest to the preferred velocity is found by a linear program. What
+is seen does not give way here, so the vehicle takes all of the responsibility, and not half of it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nnql_bullet.agents.base import NoValues
+from nnql_bullet.agents.foresight import FASTEST, displacements
+from nnql_bullet.agents.turns import nearest_actions, nearest_paces
+from nnql_bullet.config import options
+from nnql_bullet.env import LARGEST_TURN, STOP, Observation
+from nnql_bullet.geometry import Array
+from nnql_bullet.jit import njit
+from nnql_bullet.mapping.grid_map import first_poses, tracked
+from nnql_bullet.mapping.point_cloud import point_cloud
+from nnql_bullet.mapping.velocities import PAST, velocities
+from nnql_bullet.rollout import Actions
+from nnql_bullet.types import Period, Reach, UnitInterval
+from nnql_bullet.vehicle.controller import DriveOptions
+from nnql_bullet.vehicle.scale import length_scale
+from nnql_bullet.vehicle.spec import VehicleSpec
+
+PARALLEL = 1e-9
+"""Sine of the angle between two lines, below which they count as parallel."""
+
+
+@options
+class OrcaOptions:
+    """The article's parameters."""
+
+    kind: Literal["orca"] = "orca"
+    horizon: Period = 2.0
+    """tau, time for which velocities have to be free of contact [s]."""
+    margin: Reach = 0.1
+    """Clearance of the circle that holds the footprint [m]."""
+    window: Reach = 6.0
+    """Distance from the vehicle beyond which points do not count [m]."""
+    least_share: UnitInterval = 0.1
+    """Share of the drive's speed below which it stands, and turns to where it would rather go."""
+
+    def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Orca":
+        """Builds the agent."""
+        return Orca(self, vehicle, drive)
+
+
+@dataclass(frozen=True, slots=True)
+class OrcaState:
+    """Memory of n vehicles. While the age is 0, the other entries mean nothing."""
+
+    age: NDArray[np.int64]
+    """Decisions in the episode so far (n,)."""
+    trails: Array
+    """Poses at the last decisions, the newest first, in the landmark's frame (n, PAST, 3)."""
+    scans: Array
+    """The scans then, likewise (n, PAST, rays) [m]; NaN for a ray that tells nothing, and for no scan."""
+    steps: Array
+    """Displacements since then, in the vehicle frame of then (n, 2) [m]."""
+    last: Observation | None = None
+    """What it saw then; None before the first."""
+
+
+class Orca(NoValues):
+    """Takes the manoeuvre nearest to the permitted velocity that is nearest to the one straight at the target.
+
+    It sees the rays, the speed, the yaw rate, and bearing and distance of the target and of its landmark. It knows the
+    circle that holds the footprint, whose centre, ahead of the axle, can move in any direction. It remembers the last
+    scans, by which it tells what moves.
+    """
+
+    def __init__(self, options: OrcaOptions, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        self.options = options
+        self._sensor, self._limits, self._drive = vehicle.sensor, vehicle.limits, drive
+        self._scale = scale = length_scale(vehicle.footprint)
+        box = vehicle.footprint
+        self._centre = np.array([box.x, box.y])
+        self._radius = float(np.hypot(box.half_length, box.half_width)) + options.margin * scale
+
+    def initial_state(self, size: int) -> OrcaState:
+        """Returns an empty memory of n vehicles."""
+        scans = np.full((size, PAST, self._sensor.rays), np.nan)
+        return OrcaState(np.zeros(size, np.int64), np.zeros((size, PAST, 3)), scans, np.zeros((size, 2)))
+
+    def reset(self, state: OrcaState, world_seeds: Mapping[int, int]) -> OrcaState:
+        """Forgets these vehicles."""
+        age, scans = state.age.copy(), state.scans.copy()
+        age[list(world_seeds)], scans[list(world_seeds)] = 0, np.nan
+        return replace(state, age=age, scans=scans)
+
+    def act(self, observations: Observation, state: OrcaState) -> tuple[Actions, OrcaState]:
+        """Chooses the manoeuvres nearest to the permitted velocities."""
+        o, sensor, drive = observations, self._sensor, self._drive
+        first = first_poses(o.landmark_distance, o.landmark_bearing)
+        later = tracked(state.trails[:, 0], state.steps, o.landmark_distance, o.landmark_bearing)
+        poses = np.where((state.age == 0)[:, None], first, later)
+        scan = np.where(sensor.seen, o.ray_distances, np.nan)
+        moving = velocities(
+            *(scan, state.scans, poses, state.trails, np.array(sensor.position[:2]), sensor.angles, sensor.range),
+            *(drive.decision_period, FASTEST * drive.speed, self._scale),
+        )
+        points = point_cloud(o.ray_distances, sensor) - self._centre
+        permitted = self.permitted(points, moving, o)
+        state = replace(
+            state,
+            age=state.age + 1,
+            trails=np.concatenate([poses[:, None], state.trails[:, :-1]], axis=1),
+            scans=np.concatenate([scan[:, None], state.scans[:, :-1]], axis=1),
+            last=o,
+        )
+        actions = self._nearest(permitted, o.target_bearing)
+        return actions, self.override(state, actions)
+
+    def permitted(self, points: Array, moving: Array, observations: Observation) -> Array:
+        """The permitted velocities nearest to the preferred ones (n, 2) [m/s].
+
+        Args:
+            points: From the circle's centre (n, r, 2) [m]; NaN for none.
+            moving: Their velocities (n, r, 2) [m/s].
+            observations: Of the n vehicles.
+        """
+        o, (ahead, left) = observations, self._centre
+        now = np.stack([o.speed - left * o.yaw_rate, ahead * o.yaw_rate], axis=-1)
+        toward = np.stack([np.cos(o.target_bearing), np.sin(o.target_bearing)], axis=-1)
+        aim = o.target_distance[:, None] * toward - self._centre
+        wanted = self._drive.speed * aim / np.maximum(np.hypot(*aim.T), 1e-9)[:, None]
+        found = np.empty((len(points), 2))
+        window = self.options.window * self._scale
+        for i in range(len(points)):
+            near = np.hypot(points[i, :, 0], points[i, :, 1]) < window
+            lines = half_planes(
+                *(points[i, near], moving[i, near], now[i]),
+                *(self._radius, self.options.horizon, self._drive.decision_period),
+            )
+            found[i] = nearest_permitted(lines, wanted[i], self._drive.speed)
+        return found
+
+    def override(self, state: OrcaState, actions: Actions) -> OrcaState:
+        """Returns the state after these actions in place of those last chosen."""
+        if state.last is None:
+            return state
+        return replace(state, steps=displacements(state.last, actions, self._drive, self._limits))
+
+    def _nearest(self, permitted: Array, target_bearing: Array) -> Actions:
+        """The manoeuvres nearest to velocities (n, 2) [m/s] of the circle's centre."""
+        along, aside = permitted.T
+        stands = np.hypot(along, aside) < self.options.least_share * self._drive.speed
+        direction = np.where(stands, target_bearing, np.arctan2(aside, along))
+        backs = ~stands & (np.abs(direction) > np.pi - LARGEST_TURN)
+        turns_round = ~stands & ~backs & (np.abs(direction) > 1.5 * LARGEST_TURN)
+        turns = np.where(backs, 0.0, direction)
+        actions = nearest_actions(turns, target_bearing)
+        return np.where(stands | turns_round, actions + STOP, actions + nearest_paces(along, self._drive))
+
+
+@njit(nogil=True)
+def half_planes(points: Array, moving: Array, now: Array, radius: float, horizon: float, period: float) -> Array:
+    """The lines that bound the permitted velocities (m, 4): a point of each and its direction, permitted on the left.
+
+    Args:
+        points: From the vehicle (m, 2) [m].
+        moving: Their velocities (m, 2) [m/s].
+        now: Velocity of the vehicle (2,) [m/s].
+        radius: Distance to keep from each [m].
+        horizon: Time for which to keep it [s].
+        period: Time within which to get clear of what is nearer than that [s].
+    """
+    lines = np.empty((len(points), 4))
+    for k in range(len(points)):
+        px, py = points[k]
+        vx, vy = now[0] - moving[k, 0], now[1] - moving[k, 1]
+        squared = px * px + py * py
+        time = horizon if squared > radius * radius else period
+        wx, wy = vx - px / time, vy - py / time  # from the centre of the cut-off circle
+        along = wx * px + wy * py
+        length = max(np.hypot(wx, wy), 1e-12)
+        if squared <= radius * radius or (along < 0.0 and along * along > radius * radius * length * length):
+            nx, ny = wx / length, wy / length
+            ux, uy = (radius / time - length) * nx, (radius / time - length) * ny
+            dx, dy = ny, -nx
+        else:
+            leg = np.sqrt(squared - radius * radius)
+            if px * wy - py * wx > 0.0:  # the left leg
+                dx, dy = (px * leg - py * radius) / squared, (px * radius + py * leg) / squared
+            else:
+                dx, dy = -(px * leg + py * radius) / squared, -(-px * radius + py * leg) / squared
+            dot = vx * dx + vy * dy
+            ux, uy = dot * dx - vx, dot * dy - vy
+        lines[k] = now[0] + ux, now[1] + uy, dx, dy
+    return lines
+
+
+@njit(nogil=True)
+def nearest_permitted(lines: Array, wanted: Array, most: float) -> Array:
+    """The velocity nearest to a wanted one (2,) left of all lines (m, 4), of at most a speed [m/s].
+
+    If there is none, the one that is least far to the right of the line that it is farthest to the right of.
+    """
+    found, failed = _program(lines, len(lines), wanted, most, False)
+    worst = 0.0
+    projected = np.empty_like(lines)
+    for i in range(failed, len(lines)):
+        px, py, dx, dy = lines[i]
+        if dx * (py - found[1]) - dy * (px - found[0]) <= worst:
+            continue
+        count = 0
+        for j in range(i):
+            qx, qy, ex, ey = lines[j]
+            turn = dx * ey - dy * ex
+            if abs(turn) <= PARALLEL:
+                if dx * ex + dy * ey > 0.0:
+                    continue
+                x, y = (px + qx) / 2, (py + qy) / 2
+            else:
+                along = (ex * (py - qy) - ey * (px - qx)) / turn
+                x, y = px + along * dx, py + along * dy
+            size = np.hypot(ex - dx, ey - dy)
+            projected[count] = x, y, (ex - dx) / size, (ey - dy) / size
+            count += 1
+        before = found
+        found, failed_at = _program(projected, count, np.array((-dy, dx)), most, True)
+        if failed_at < count:  # by rounding alone
+            found = before
+        worst = dx * (py - found[1]) - dy * (px - found[0])
+    return found
+
+
+@njit(nogil=True)
+def _program(lines: Array, count: int, wanted: Array, most: float, is_direction: bool) -> tuple[Array, int]:
+    """The best velocity left of the first lines, and how many of these it could satisfy one after the other.
+
+    Best is nearest to `wanted`, or farthest in that direction.
+    """
+    size = np.hypot(wanted[0], wanted[1])
+    found = wanted * (most / size) if is_direction or size > most else wanted.copy()
+    for i in range(count):
+        px, py, dx, dy = lines[i]
+        if dx * (py - found[1]) - dy * (px - found[0]) <= 0.0:
+            continue
+        middle = px * dx + py * dy
+        inside = middle * middle + most * most - px * px - py * py
+        if inside < 0.0:
+            return found, i
+        low, high = -middle - np.sqrt(inside), -middle + np.sqrt(inside)
+        for j in range(i):
+            qx, qy, ex, ey = lines[j]
+            turn, beside = dx * ey - dy * ex, ex * (py - qy) - ey * (px - qx)
+            if abs(turn) <= PARALLEL:
+                if beside < 0.0:
+                    return found, i
+            elif turn > 0.0:
+                high = min(high, beside / turn)
+            else:
+                low = max(low, beside / turn)
+            if low > high:
+                return found, i
+        if is_direction:
+            along = high if wanted[0] * dx + wanted[1] * dy > 0.0 else low
+        else:
+            along = min(max(dx * (wanted[0] - px) + dy * (wanted[1] - py), low), high)
+        found = np.array((px + along * dx, py + along * dy))
+    return found, count
