@@ -92,7 +92,8 @@ class Dwa(Rule):
         turns = np.tile(offered_turns(o.target_bearing), MANOEUVRES // ACTIONS)
         off = np.abs(wrap_angles(np.arctan2(y - after[..., 1], x - after[..., 0]) - turns))
         heading = 1 - off / np.pi
-        distance = np.where(np.isinf(free), 1.0, free / self._times[-1] * np.abs(self._goals) / self._drive.speed)
+        share = np.minimum(free, self._times[-1]) / self._times[-1]
+        distance = np.where(np.isinf(free), 1.0, share * np.abs(self._goals) / self._drive.speed)
         velocity = self._goals / self._drive.speed
         return w.heading_weight * heading + w.distance_weight * distance + w.velocity_weight * velocity
 

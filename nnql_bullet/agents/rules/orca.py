@@ -1,16 +1,17 @@
 """Optimal reciprocal collision avoidance (ORCA) among points that are seen, with the velocities that scans show.
 
-Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance" (Robotics Research, 2011). Each point forbids
-a half-plane of velocities; of the others the one nearest to the preferred velocity is found by a linear program. What
-is seen does not give way here, so the vehicle takes all of the responsibility, and not half of it.
+Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance" (Robotics Research, 2011). Each point
+forbids a half-plane of velocities; of the others the one nearest to the preferred velocity is found by a linear
+program. What is seen does not give way here, so the vehicle takes all of the responsibility, and not half of it.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nnql_bullet.agents.base import NoValues
 from nnql_bullet.agents.foresight import FASTEST, displacements
@@ -44,7 +45,9 @@ class OrcaOptions:
     window: Reach = 6.0
     """Distance from the vehicle beyond which points do not count [m]."""
     least_share: UnitInterval = 0.1
-    """Share of the drive's speed below which it stands, and turns to where it would rather go."""
+    """Share of the drive's speed below which it stands, and turns to the target."""
+    spot_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
+    """Direction of the permitted velocity from which it turns on the spot [degrees]; backwards it drives straight."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Orca":
         """Builds the agent."""
@@ -79,6 +82,7 @@ class Orca(NoValues):
         self.options = options
         self._sensor, self._limits, self._drive = vehicle.sensor, vehicle.limits, drive
         self._scale = scale = length_scale(vehicle.footprint)
+        self._spot = np.radians(options.spot_degrees)
         box = vehicle.footprint
         self._centre = np.array([box.x, box.y])
         self._radius = float(np.hypot(box.half_length, box.half_width)) + options.margin * scale
@@ -149,14 +153,14 @@ class Orca(NoValues):
 
     def _nearest(self, permitted: Array, target_bearing: Array) -> Actions:
         """The manoeuvres nearest to velocities (n, 2) [m/s] of the circle's centre."""
-        along, aside = permitted.T
-        stands = np.hypot(along, aside) < self.options.least_share * self._drive.speed
-        direction = np.where(stands, target_bearing, np.arctan2(aside, along))
+        speeds, direction = np.hypot(*permitted.T), np.arctan2(permitted[:, 1], permitted[:, 0])
+        stands = speeds < self.options.least_share * self._drive.speed
         backs = ~stands & (np.abs(direction) > np.pi - LARGEST_TURN)
-        turns_round = ~stands & ~backs & (np.abs(direction) > 1.5 * LARGEST_TURN)
-        turns = np.where(backs, 0.0, direction)
-        actions = nearest_actions(turns, target_bearing)
-        return np.where(stands | turns_round, actions + STOP, actions + nearest_paces(along, self._drive))
+        turns = np.where(stands, target_bearing, np.where(backs, 0.0, direction))
+        slowest = self._drive.reverse_share * self._drive.speed
+        paces = nearest_paces(np.where(backs, -slowest, np.maximum(speeds, slowest)), self._drive)
+        on_the_spot = stands | (np.abs(turns) > self._spot)
+        return nearest_actions(turns, target_bearing) + np.where(on_the_spot, STOP, paces)
 
 
 @njit(nogil=True)

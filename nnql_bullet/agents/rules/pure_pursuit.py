@@ -13,7 +13,7 @@ from pydantic import Field
 from nnql_bullet.agents.base import Rule
 from nnql_bullet.agents.turns import nearest_actions, nearest_paces, offered_turns
 from nnql_bullet.config import options
-from nnql_bullet.env import ACTIONS, REVERSE, SLOW, STOP, Observation
+from nnql_bullet.env import SLOW, STOP, Observation
 from nnql_bullet.geometry import Array, as_rows
 from nnql_bullet.mapping.point_cloud import point_cloud
 from nnql_bullet.mapping.prediction import PREDICTION_STEP, predicted_poses, scan_clearances
