@@ -1,8 +1,9 @@
 """Optimal reciprocal collision avoidance (ORCA) among points that are seen, with the velocities that scans show.
 
-Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance" (Robotics Research, 2011). Each point
-forbids a half-plane of velocities; of the others the one nearest to the preferred velocity is found by a linear
-program. What is seen does not give way here, so the vehicle takes all of the responsibility, and not half of it.
+Van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance" (Robotics Research, 2011). Each
+obstacle forbids a half-plane of velocities; of the others the one nearest to the preferred velocity is found by a
+linear program. An obstacle is a group of points between which the vehicle does not pass. It does not give way here, so
+the vehicle takes all of the responsibility, and not half of it.
 """
 
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ from nnql_bullet.agents.foresight import FASTEST, displacements
 from nnql_bullet.agents.turns import nearest_actions, nearest_paces
 from nnql_bullet.config import options
 from nnql_bullet.env import LARGEST_TURN, STOP, Observation
-from nnql_bullet.geometry import Array
+from nnql_bullet.geometry import Array, wrap_angle
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.grid_map import first_poses, tracked
 from nnql_bullet.mapping.point_cloud import point_cloud
@@ -167,37 +168,62 @@ class Orca(NoValues):
 def half_planes(points: Array, moving: Array, now: Array, radius: float, horizon: float, period: float) -> Array:
     """The lines that bound the permitted velocities (m, 4): a point of each and its direction, permitted on the left.
 
+    The velocity obstacle of a group of points is the cone between its tangents, cut off by the line beyond which its
+    nearest point is met within the horizon. The side that is nearest to the present velocity bounds what is permitted.
+    A group that reaches round the vehicle has no tangents: each of its points cuts off what meets it.
+
     Args:
-        points: From the vehicle (m, 2) [m].
-        moving: Their velocities (m, 2) [m/s].
+        points: From the vehicle, in the order of their directions (k, 2) [m].
+        moving: Their velocities (k, 2) [m/s].
         now: Velocity of the vehicle (2,) [m/s].
         radius: Distance to keep from each [m].
         horizon: Time for which to keep it [s].
-        period: Time within which to get clear of what is nearer than that [s].
+        period: Time within which to get as far away from what is nearer [s].
     """
-    lines = np.empty((len(points), 4))
+    lines, count = np.empty((len(points), 4)), 0
+    group = _groups(points, moving, 2 * radius)
+    away, bearings = np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+    for g in range(group.max() + 1 if len(group) else 0):
+        members = np.flatnonzero(group == g)
+        left = right = 0.0
+        nearest, middle = members[0], bearings[members[0]]
+        for k in members:
+            half = np.arcsin(radius / away[k]) if away[k] > radius else np.pi / 2
+            turn = wrap_angle(bearings[k] - middle)
+            left, right = max(left, turn + half), min(right, turn - half)
+            nearest = k if away[k] < away[nearest] else nearest
+        wide = left - right >= np.pi
+        for k in members:
+            if wide or k == nearest:
+                nx, ny = np.cos(bearings[k]), np.sin(bearings[k])
+                room = away[k] - radius
+                most = room / (horizon if room > 0.0 else period)
+                lines[count] = moving[k, 0] + most * nx, moving[k, 1] + most * ny, -ny, nx
+                count += 1
+        if not wide:
+            vx, vy = now[0] - moving[nearest, 0], now[1] - moving[nearest, 1]
+            outside = most - vx * nx - vy * ny
+            for angle, side in ((middle + left, 1.0), (middle + right, -1.0)):
+                dx, dy = side * np.cos(angle), side * np.sin(angle)
+                if dx * vy - dy * vx > outside:
+                    outside = dx * vy - dy * vx
+                    lines[count - 1] = moving[nearest, 0], moving[nearest, 1], dx, dy
+    return lines[:count]
+
+
+@njit(nogil=True)
+def _groups(points: Array, moving: Array, gap: float) -> NDArray[np.int64]:
+    """Numbers the groups of neighbours (k,) with the same velocity that are at most a gap apart, all around."""
+    group, number = np.zeros(len(points), np.int64), 0
     for k in range(len(points)):
-        px, py = points[k]
-        vx, vy = now[0] - moving[k, 0], now[1] - moving[k, 1]
-        squared = px * px + py * py
-        time = horizon if squared > radius * radius else period
-        wx, wy = vx - px / time, vy - py / time  # from the centre of the cut-off circle
-        along = wx * px + wy * py
-        length = max(np.hypot(wx, wy), 1e-12)
-        if squared <= radius * radius or (along < 0.0 and along * along > radius * radius * length * length):
-            nx, ny = wx / length, wy / length
-            ux, uy = (radius / time - length) * nx, (radius / time - length) * ny
-            dx, dy = ny, -nx
+        apart = points[k] - points[k - 1]  # the last is the neighbour of the first
+        same = np.hypot(apart[0], apart[1]) <= gap and (moving[k] == moving[k - 1]).all()
+        if k == 0:
+            closed = same
         else:
-            leg = np.sqrt(squared - radius * radius)
-            if px * wy - py * wx > 0.0:  # the left leg
-                dx, dy = (px * leg - py * radius) / squared, (px * radius + py * leg) / squared
-            else:
-                dx, dy = -(px * leg + py * radius) / squared, -(-px * radius + py * leg) / squared
-            dot = vx * dx + vy * dy
-            ux, uy = dot * dx - vx, dot * dy - vy
-        lines[k] = now[0] + ux, now[1] + uy, dx, dy
-    return lines
+            number += not same
+            group[k] = number
+    return np.where(group == number, 0, group) if len(points) and closed else group
 
 
 @njit(nogil=True)
