@@ -32,11 +32,11 @@ class DwaOptions:
     """Time that is predicted: the turn, and straight on after it [s]."""
     margin: Reach = 0.2
     """Clearance from the last scan below which the footprint counts as in contact [m]."""
-    heading_weight: NonNegative = 2.0
+    heading_weight: NonNegative = 1.0
     """alpha, weight of the direction of the target after the turn."""
-    distance_weight: NonNegative = 0.2
+    distance_weight: NonNegative = 1.0
     """beta, weight of the way until contact."""
-    velocity_weight: NonNegative = 0.2
+    velocity_weight: NonNegative = 1.0
     """gamma, weight of the speed."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Dwa":

@@ -41,7 +41,7 @@ class OrcaOptions:
     kind: Literal["orca"] = "orca"
     horizon: Period = 2.0
     """tau, time for which velocities have to be free of contact [s]."""
-    margin: Reach = 0.1
+    margin: Reach = 0.3
     """Clearance of the circle that holds the footprint [m]."""
     window: Reach = 6.0
     """Distance from the vehicle beyond which points do not count [m]."""
