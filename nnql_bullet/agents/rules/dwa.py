@@ -28,15 +28,15 @@ class DwaOptions:
     """The article's weights, and how far it looks."""
 
     kind: Literal["dwa"] = "dwa"
-    horizon: Annotated[float, Field(ge=PREDICTION_STEP, le=60)] = 3.0
+    horizon: Annotated[float, Field(ge=PREDICTION_STEP, le=60)] = 3.8
     """Time that is predicted: the turn, and straight on after it [s]."""
-    margin: Reach = 0.2
+    margin: Reach = 0.14
     """Clearance from the last scan below which the footprint counts as in contact [m]."""
     heading_weight: NonNegative = 1.0
     """alpha, weight of the direction of the target after the turn."""
-    distance_weight: NonNegative = 1.0
+    distance_weight: NonNegative = 3.3
     """beta, weight of the way until contact."""
-    velocity_weight: NonNegative = 1.0
+    velocity_weight: NonNegative = 3.1
     """gamma, weight of the speed."""
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Dwa":

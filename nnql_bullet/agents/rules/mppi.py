@@ -34,6 +34,9 @@ PER_DECISION = 2
 COLLISION = 100.0
 """Cost of a sample that is in contact from the start; in proportion to the time in contact."""
 
+KEPT = 0.8
+"""Share of the present clearance up to which a nearer obstacle is no contact: a vehicle within the margin gets out."""
+
 
 @options
 class MppiOptions:
@@ -144,9 +147,11 @@ class Mppi(NoValues):
         for i, generator in state.generators.items():
             controls = state.plans[i] + self._sigma * generator.standard_normal(shape)
             seen = points[i][np.isfinite(points[i, :, 0])]
+            here = clearance_at(0.0, 0.0, 0.0, seen, len(seen), self._setting.footprint)
+            setting = self._setting._replace(margin=min(self._setting.margin, KEPT * here))
             actions[i], chosen[i] = best_manoeuvre(
                 *(controls, turns[i], seen, aims[:, i], bool(on_way[i])),
-                *(float(o.speed[i]), float(o.yaw_rate[i]), self._setting),
+                *(float(o.speed[i]), float(o.yaw_rate[i]), setting),
             )
         return actions, MppiState(chosen, actions, chosen, state.generators)
 

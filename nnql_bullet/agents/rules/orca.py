@@ -39,13 +39,13 @@ class OrcaOptions:
     """The article's parameters."""
 
     kind: Literal["orca"] = "orca"
-    horizon: Period = 2.0
+    horizon: Period = 1.9
     """tau, time for which velocities have to be free of contact [s]."""
     margin: Reach = 0.3
     """Clearance of the circle that holds the footprint [m]."""
-    window: Reach = 6.0
+    window: Reach = 7.0
     """Distance from the vehicle beyond which points do not count [m]."""
-    least_share: UnitInterval = 0.1
+    least_share: UnitInterval = 0.04
     """Share of the drive's speed below which it stands, and turns to the target."""
     spot_degrees: Annotated[float, Field(gt=0, le=180)] = 60.0
     """Direction of the permitted velocity from which it turns on the spot [degrees]; backwards it drives straight."""
