@@ -45,7 +45,8 @@ SLOW = 3 * ACTIONS
 """Added to an action: the same turn, while the vehicle drives ahead as slowly as it reverses."""
 MANOEUVRES = 4 * ACTIONS
 """An action ahead, with `STOP`, with `REVERSE` or with `SLOW`: what a policy may choose. Most agents of this package
-choose among the actions alone; `guided_search`, `distilled` and a shield choose among all, and so may your policy."""
+choose among the actions alone; `guided_search`, `dwa`, `pure_pursuit`, `mppi`, `orca`, `distilled` and a shield choose
+among all, and so may your policy."""
 LARGEST_TURN = max(paper.TURNS)
 _TURNS = np.tile([*paper.TURNS, np.nan], MANOEUVRES // ACTIONS)
 

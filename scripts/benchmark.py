@@ -9,7 +9,7 @@ import argparse
 import json
 import platform
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from typing import get_args
 
@@ -28,6 +28,7 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     """What there is to measure: key, what it is, and how."""
     # Not at the top: worker processes import this file again, and would carry along all that these need.
     from benchmarks.contact import contact_over_bare
+    from benchmarks.decisions import BESIDE, decision_times
     from benchmarks.engines import mujoco_over_bullet
     from benchmarks.floor import fast_over_floor
     from benchmarks.kinematic import kinematic_steps_per_second
@@ -36,8 +37,11 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
     from benchmarks.training import VEHICLES, nnql_over_sb3, paper_training_s
     from benchmarks.workers import simulator_mb, two_workers_over_one
 
+    from nnql_bullet.agents import RULES
     from nnql_bullet.run_config import SimulatorName
     from nnql_bullet.sim.engines import PhysicsName
+
+    decisions = cache(partial(decision_times, *(60, 2) if quick else (200, 5)))  # of all rules in turn
 
     table: dict[str, tuple[str, Callable[[], float]]] = {
         "contact_over_bare": (
@@ -69,6 +73,21 @@ def measurements(quick: bool) -> dict[str, tuple[str, Callable[[], float]]]:
                 partial(mujoco_over_bullet, physics, *(4, 30) if quick else (12, 60)),
             )
             for physics in get_args(PhysicsName)
+        },
+        **{
+            f"decision_us_{kind}": (
+                f"processor time of one decision of `{kind}` [us]",
+                lambda kind=kind: 1e6 * decisions()[kind],
+            )
+            for kind in RULES
+        },
+        **{
+            f"decision_{kind}_over_{BESIDE}": (
+                f"processor time of one decision of `{kind}` over that of `{BESIDE}`",
+                lambda kind=kind: decisions()[kind] / decisions()[BESIDE],
+            )
+            for kind in RULES
+            if kind != BESIDE
         },
         "paper_training_kinematic_s": (
             f"1000 paper episodes in the kinematic model, {VEHICLES} vehicles [s]",

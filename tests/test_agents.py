@@ -30,7 +30,7 @@ from nnql_bullet.worlds.spec import WorldSpec
 NEEDS_BASELINES = pytest.mark.skipif(
     find_spec("skfuzzy") is None, reason="needs the extra: pip install 'nnql-bullet[baselines]'"
 )
-BRAKES = ("guided_search", "distilled")
+BRAKES = ("dwa", "pure_pursuit", "mppi", "orca", "guided_search", "distilled")
 """Kinds that choose among all manoeuvres; the others know the six actions ahead alone."""
 kinds = pytest.mark.parametrize(
     "kind", [pytest.param(kind, marks=NEEDS_BASELINES) if kind == "fuzzy" else kind for kind in KINDS]
@@ -238,6 +238,10 @@ SUCCESS = {
     "fuzzy": (0.85, 1.0),
     "vfh": (0.9, 1.0),
     "look_ahead": (0.9, 1.0),
+    "dwa": (0.7, 1.0),
+    "pure_pursuit": (0.0, 0.2),
+    "mppi": (0.7, 1.0),
+    "orca": (0.2, 0.9),
     "guided_search": (0.95, 1.0),
 }
 """Least and largest share of goals in the first 60 validation worlds at 10 % cover."""

@@ -310,6 +310,7 @@ class TestContract:
         [
             ("look_ahead", "c", "kind 'look_ahead'"),
             ("random", "c", "kind 'random'"),
+            *((kind, "c", f"kind '{kind}'") for kind in ("dwa", "pure_pursuit", "mppi", "orca")),
             ("double_dqn", "c", "kind 'double_dqn'"),
             ("vfh", "onnx", "kind 'vfh'"),
             (load_policy("straight", {"shield": {}}), "c", "--with-shield"),

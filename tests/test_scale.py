@@ -31,6 +31,10 @@ POLICIES = (
     "fuzzy",
     "vfh",
     "look_ahead",
+    "dwa",
+    "pure_pursuit",
+    "mppi",
+    "orca",
     pytest.param("guided_search", marks=pytest.mark.slow),
     pytest.param("distilled", marks=pytest.mark.slow),
 )

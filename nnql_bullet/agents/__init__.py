@@ -10,11 +10,15 @@ from pydantic import Field
 from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions, Sb3DqnOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
+from nnql_bullet.agents.rules.dwa import DwaOptions
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
 from nnql_bullet.agents.rules.guided_search import GuidedSearchOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
+from nnql_bullet.agents.rules.mppi import MppiOptions
+from nnql_bullet.agents.rules.orca import OrcaOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
+from nnql_bullet.agents.rules.pure_pursuit import PurePursuitOptions
 from nnql_bullet.agents.rules.random_turns import RandomTurnsOptions
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import VfhOptions
@@ -31,6 +35,10 @@ RuleOptions: TypeAlias = (
     | FuzzyOptions
     | VfhOptions
     | LookAheadOptions
+    | DwaOptions
+    | PurePursuitOptions
+    | MppiOptions
+    | OrcaOptions
     | GuidedSearchOptions
 )
 AgentOptions: TypeAlias = LearnerOptions | RuleOptions

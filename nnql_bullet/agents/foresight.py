@@ -32,7 +32,7 @@ from nnql_bullet.types import Bytes, NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.scale import length_scale
-from nnql_bullet.vehicle.spec import VehicleSpec
+from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 SECTORS = 24
 """Readings of a scan in what a network sees: each the nearest of three of 72 rays."""
@@ -144,7 +144,6 @@ class Foresight:
 
     def __init__(self, vehicle: VehicleSpec, drive: DriveOptions) -> None:
         self._scale, self._limits, self._drive = length_scale(vehicle.footprint), vehicle.limits, drive
-        self._times = drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
         sensor = vehicle.sensor
         self._sensor = sensor
         self._seen, self._taken = np.flatnonzero(sensor.seen), nearest_rays(sensor.rays)
@@ -295,12 +294,8 @@ class Foresight:
         planned: NDArray[np.int64] | None = None,
     ) -> Memory:
         """The memory of vehicles after they were given manoeuvres (n,), and planned what follows (n,)."""
-        o, memory = observations, look.memory
-        commands = commands_of(actions, o.target_bearing, self._drive)
-        headings = turn_headings(o.yaw_rate, commands.heading_changes, self._limits, self._times)
-        goals = self._drive.speed * commands.speed_scales
-        ways = ramp_distances(o.speed, goals, self._limits.acceleration, self._times)
-        steps = rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
+        memory = look.memory
+        steps = displacements(observations, actions, self._drive, self._limits)
         planned = np.full(len(actions), -1) if planned is None else planned
         return replace(memory, age=memory.age + 1, steps=steps, planned=planned)
 
@@ -355,6 +350,15 @@ class Foresight:
             phi.reshape(n, -1),
         ]
         return np.concatenate([scan, earlier.reshape(n, -1), _as_bytes(np.concatenate(rest, axis=-1))], axis=-1)
+
+
+def displacements(observations: Observation, actions: NDArray[np.int64], drive: DriveOptions, limits: Limits) -> Array:
+    """Foresees the displacements of vehicles by manoeuvres (n,) until the next decision, in their frames (n, 2) [m]."""
+    o, times = observations, drive.decision_period * np.arange(1, _INSTANTS + 1) / _INSTANTS
+    commands = commands_of(actions, o.target_bearing, drive)
+    headings = turn_headings(o.yaw_rate, commands.heading_changes, limits, times)
+    ways = ramp_distances(o.speed, drive.speed * commands.speed_scales, limits.acceleration, times)
+    return rolled_path(0.0, ways, np.diff(headings, prepend=0.0, axis=-1))[:, -1]
 
 
 def _as_bytes(numbers: Array) -> Bytes:

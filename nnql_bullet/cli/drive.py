@@ -32,7 +32,8 @@ def drive(
 
     A learned policy takes the action that it values most. Every seed below a million is a world that no training draws.
     A rule has nothing to learn: straight (at the target), random (turns where something is near), hand_rule,
-    potential_field, fuzzy, vfh (VFH+), look_ahead, or guided_search (plans several manoeuvres on a map of what it saw).
+    potential_field, fuzzy, vfh (VFH+), look_ahead, dwa (dynamic window), pure_pursuit (along a plan), mppi, orca, or
+    guided_search (plans several manoeuvres on a map of what it saw).
 
     For example:
 
