@@ -167,8 +167,8 @@ def comes_near(
         return True
     for cell in range(min(count, len(cells))):
         x, y, direction = cells[cell, 0], cells[cell, 1], cells[cell, 2]
-        long, wide = cells[cell, 3], cells[cell, 4]
-        if shown_free(x, y, direction, long, wide, radius, scans, 1, known, sensor, first_angle):
+        half_length, half_width = cells[cell, 3], cells[cell, 4]
+        if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, known, sensor, first_angle):
             continue
         here = np.sqrt(squared_distance(x, y, footprint))
         least = min(grown, here - CONTACT)
