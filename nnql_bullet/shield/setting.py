@@ -129,6 +129,10 @@ class Memory(NamedTuple):
     """See `seen_space.unseen_cells` (k, 5)."""
 
 
+WORKED_IN = "courses", "driven", "then", "frames", "cells"
+"""Members of `Memory` that are room to work in."""
+
+
 def setting_of(lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions) -> Setting:
     """What a shield's decisions depend on.
 

@@ -34,7 +34,7 @@ from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.perception import perceive
 from nnql_bullet.shield.prediction import can_stop, clear_by_margin, foresee
 from nnql_bullet.shield.recovery import Recovery
-from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, memory_of, setting_of
+from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, WORKED_IN, memory_of, setting_of
 from nnql_bullet.shield.setting import Memory as Known
 from nnql_bullet.task import NON_SAFE, SAFE, TaskOptions, is_safe
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -174,9 +174,10 @@ class Shield:
         """Takes the scans of n vehicles in: what they see, with dead sensors completed, and their memories of it."""
         p, rays, readings, after = self._setting, o.ray_distances.copy(), np.empty_like(o.readings), []
         sights = zip(o.landmark_distance.tolist(), o.landmark_bearing.tolist(), o.speed.tolist(), strict=True)
-        for memory, its, sight, reading in zip(memories, rays, sights, readings, strict=True):
-            known = Known(*(array.copy() for array in memory.known))
-            perceive(p, known, its, *sight, reading)
+        for memory, scan, sight, reading in zip(memories, rays, sights, readings, strict=True):
+            members = memory.known._asdict().items()
+            known = Known(**{name: its if name in WORKED_IN else its.copy() for name, its in members})
+            perceive(p, known, scan, *sight, reading)
             after.append(replace(memory, known=known))
         unsafe = (o.state_property == SAFE) & ~is_safe(readings, self._task) & (readings < o.readings).any(axis=-1)
         state = np.where(unsafe, NON_SAFE, o.state_property)
