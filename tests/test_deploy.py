@@ -100,7 +100,12 @@ def same_drive(policy: str, world: str, seed: int, shield: bool) -> Replay:
 class TestDrives:
     @pytest.mark.parametrize(
         ("policy", "world", "seed", "shield"),
-        [("paper", "cover_10", 1, False), ("vfh", "aisles", 2, False), ("double_dqn", "cover_10", 1, True)],
+        [
+            ("paper", "cover_10", 1, False),
+            ("vfh", "aisles", 2, False),
+            ("double_dqn", "cover_10", 1, True),
+            ("distilled", "cover_10", 1, True),
+        ],
     )
     def test_it_drives_as_the_simulators_loop_does(self, policy: str, world: str, seed: int, shield: bool) -> None:
         same_drive(policy, world, seed, shield)

@@ -32,7 +32,18 @@ from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy, load_policy
 
 HERE = Path(__file__).with_name("exports")
-KINDS = ("paper", "genetic", "q_table", "distance", "straight", "hand_rule", "fuzzy", "potential_field", "vfh")
+KINDS = (
+    "paper",
+    "genetic",
+    "q_table",
+    "distance",
+    "straight",
+    "hand_rule",
+    "fuzzy",
+    "potential_field",
+    "vfh",
+    "look_ahead",
+)
 KINDS += ("paper of another robot", "vfh of another robot", "potential_field of another robot")
 NETWORKS = ("paper", "genetic", "q_table", "distance")
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -45,7 +56,7 @@ def policy_of(kind: str) -> LoadedPolicy:
     if kind.endswith(" of another robot"):
         conditions = {"rays": 180, "sensor_range": 6.0, "blind_arc_degrees": (150.0, 210.0)}
         return load_policy(kind.split()[0], {"robot": "jackal_tricycle", "conditions": conditions})
-    if kind in ("paper", "straight", "hand_rule", "fuzzy", "potential_field", "vfh"):
+    if kind in ("paper", "straight", "hand_rule", "fuzzy", "potential_field", "vfh", "look_ahead"):
         return load_policy(kind)
     config = load_config("paper" if kind == "distance" else kind, {})
     if kind == "distance":
@@ -189,7 +200,12 @@ class TestC:
         counted = np.array(run(program, input=case.fed).split(), int)
         stated = np.array([o.additions, o.multiplications, o.divisions, o.comparisons, o.functions])
         assert (counted <= stated).all()
-        if case.policy.name not in ("vfh", "potential_field", "distance"):  # theirs depend on where obstacles are
+        if case.policy.name not in (
+            "vfh",
+            "potential_field",
+            "look_ahead",
+            "distance",
+        ):  # theirs depend on where obstacles are
             assert (counted >= stated - [1, 0, 0, 3, 0]).all()
 
     def test_drives_as_the_policy_does(self, case: Case) -> None:
@@ -308,7 +324,7 @@ class TestContract:
     @pytest.mark.parametrize(
         ("policy", "to", "named"),
         [
-            ("look_ahead", "c", "kind 'look_ahead'"),
+            ("guided_search", "c", "kind 'guided_search'"),
             ("random", "c", "kind 'random'"),
             *((kind, "c", f"kind '{kind}'") for kind in ("dwa", "pure_pursuit", "mppi", "orca")),
             ("double_dqn", "c", "kind 'double_dqn'"),

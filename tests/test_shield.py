@@ -35,10 +35,9 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.policies import open_policies
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, OrientedBox, Pose, as_rows, ray_distances, wrap_angle
-from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
+from nnql_bullet.mapping.localization import found_pose
 from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
-from nnql_bullet.mapping.sector_faults import completed, contradictions
-from nnql_bullet.mapping.seen_space import no_scans
+from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions
 from nnql_bullet.presets import load_config
 from nnql_bullet.recording import Recorder, load_recording
 from nnql_bullet.rollout import Decision, EpisodeSummary, decide, run_episode, run_episodes
@@ -48,7 +47,7 @@ from nnql_bullet.shield.courses import fill_drive, join, time_to_stop
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.prediction import can_stop
 from nnql_bullet.shield.recovery import FIRST_GAIN, GAIN_GROWTH, STUCK_AFTER, Recovery
-from nnql_bullet.shield.setting import KNOWN, POINTS, Memory, Setting, memory_of, setting_of
+from nnql_bullet.shield.setting import KNOWN, MOVING, POINTS, STANDING, Memory, Setting, memory_of, setting_of
 from nnql_bullet.shield.shield import Shield
 from nnql_bullet.sim.base import Sample, Simulator
 from nnql_bullet.sim.engines import contact_simulator
@@ -145,10 +144,16 @@ def setting_with(vehicle: VehicleSpec) -> Setting:
 
 def beside(p: Setting, pole: Array) -> Memory:
     """What is known after one scan that met nothing, beside a thin pole (2,) that stands."""
-    m, seen = memory_of(p), no_scans().followed_by(NOTHING, np.zeros(3), 0.0)
+    m = memory_of(p)
     m.numbers[KNOWN] = m.numbers[POINTS] = 1
-    m.cloud[0] = pole
-    return m._replace(scans=seen.rays, poses=seen.poses, strayed=seen.strayed)
+    m.cloud[0], m.scans[0] = pole, NOTHING
+    return m
+
+
+def seen_from(pose: Array, points: Array) -> Array:
+    """Points (n, 2) in the frame of a pose, by complex numbers."""
+    there = (points @ [1, 1j] - complex(pose[0], pose[1])) * np.exp(-1j * pose[2])
+    return np.stack([there.real, there.imag], axis=-1)
 
 
 def rays_from(pose: Pose, *boxes: OrientedBox) -> Array:
@@ -441,7 +446,7 @@ class TestMemory:
             pose, observed = row(transition.motion, 0).pose, transition.s_t
             memory, dx, dy = shield.state.memories[0], pose.x - before.x, pose.y - before.y
             c, s = cos(before.yaw), sin(before.yaw)
-            assert memory.scan.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
+            assert memory.known.moved[:2] == pytest.approx([c * dx + s * dy, c * dy - s * dx], abs=2e-3)
             before = pose
 
     @pytest.mark.parametrize("seed", range(3))
@@ -454,7 +459,8 @@ class TestMemory:
         observed, pose, missed = begun(navigation, world), world.start, 0
         for _ in range(40):
             actions = shield.act(observed)
-            points = shield.state.memories[0].scan.standing
+            known = shield.state.memories[0].known
+            points = known.standing[: known.numbers[STANDING]]
             places = (points[:, :2] @ [1, 1j]) * np.exp(1j * pose.yaw) + complex(pose.x, pose.y)
             apart = shapely.distance(shapely.points(places.real, places.imag), solids.boundary)
             assert (apart < 0.05).all()
@@ -525,10 +531,12 @@ def arc(way: float, turn: float) -> Array:
     return np.array([chord * cos(turn / 2), chord * sin(turn / 2), turn])
 
 
-def sight(target: complex, pose: Array) -> TargetFix:
-    """Of a place in the frame of the pose, by complex numbers."""
+def found(reckoned: Array, target: complex, pose: Array) -> Array:
+    """The pose that is found by a target that is seen from the true one."""
     seen = (target - complex(pose[0], pose[1])) * np.exp(-1j * pose[2])
-    return TargetFix(abs(seen), float(np.angle(seen)))
+    corrected = np.empty(3)
+    found_pose(corrected, reckoned, np.array([target.real, target.imag]), abs(seen), float(np.angle(seen)))
+    return corrected
 
 
 class TestReckoning:
@@ -537,7 +545,7 @@ class TestReckoning:
         self, way: float, turn: float, distance: float, bearing: float
     ) -> None:
         pose, target = arc(way, turn), distance * np.exp(1j * bearing)
-        assert found_pose(pose, sight(target, np.zeros(3)), sight(target, pose)) == pytest.approx(pose, abs=1e-9)
+        assert found(pose, target, pose) == pytest.approx(pose, abs=1e-9)
 
     @given(
         st.tuples(st.floats(0.5, 1.0), st.floats(-0.6, 0.6)),
@@ -550,15 +558,10 @@ class TestReckoning:
     ) -> None:
         """With a target ahead: the length of the way shows in its distance as far as that is along it."""
         true, target = arc(way[0] + off[0], way[1] + off[1]), distance * np.exp(1j * bearing)
-        found = found_pose(arc(*way), sight(target, np.zeros(3)), sight(target, true))
+        went = found(arc(*way), target, true)
         across = abs(off[0]) * abs(sin(bearing - true[2] / 2))
-        assert np.hypot(*(found - true)[:2]) < across + 0.03
-        assert found[2] == pytest.approx(true[2], abs=2 * (across + 0.03) / distance)
-
-    def test_points_are_seen_from_a_pose_as_complex_numbers_say(self) -> None:
-        points, pose = np.random.default_rng(0).normal(size=(9, 2)), np.array([0.7, -0.2, 0.5])
-        expected = (points @ [1, 1j] - complex(0.7, -0.2)) * np.exp(-0.5j)
-        assert seen_from(pose, points) @ [1, 1j] == pytest.approx(expected)
+        assert np.hypot(*(went - true)[:2]) < across + 0.03
+        assert went[2] == pytest.approx(true[2], abs=2 * (across + 0.03) / distance)
 
     @pytest.mark.parametrize(("friction", "load"), [(0.4, 0.0), (0.8, 80.0)])
     def test_what_slips_takes_nothing_that_stands_for_what_moves(
@@ -573,7 +576,7 @@ class TestReckoning:
                 navigation = Navigation(simulator, TaskOptions())
                 observed, moving = begun(navigation, load_world("cover_20").draw(seed, 0.8)), 0
                 for _ in range(80):
-                    moving += int(bare.perceived(observed, shield.state.memories).moving.any())
+                    moving += int(bare.perceived(observed, shield.state.memories)[1][0].known.numbers[MOVING] > 0)
                     transition = navigation.step(shield.act(observed))
                     assert not transition.motion.touching
                     observed = transition.s_t
@@ -679,7 +682,7 @@ class TestSectorFaults:
             observed = begun(navigation, load_world("cover_10").draw(seed, 0.8))
             for _ in range(90):
                 transition = navigation.step(shield.act(observed))
-                doubted += int(shield.state.memories[0].scan.dead.any())
+                doubted += int((shield.state.memories[0].known.evidence >= ENOUGH).any())
                 decisions += 1
                 if ending(transition):
                     break

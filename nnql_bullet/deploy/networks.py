@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
+from nnql_bullet.agents.foresight import CONTEXT, PHI
+from nnql_bullet.agents.foresight import Look as Foreseen
 from nnql_bullet.agents.learning.frame_driver import FrameDriver
 from nnql_bullet.agents.learning.frames import Look, frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
+from nnql_bullet.agents.learning.manoeuvre_driver import MANNERS, ManoeuvreDriver
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.learning.q_learning import encode
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.learning.weights import check
-from nnql_bullet.env import ACTIONS, Observation
+from nnql_bullet.env import ACTIONS, MANOEUVRES, Observation
 from nnql_bullet.errors import UserError
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Policy
@@ -57,16 +60,49 @@ class DuelingDriver(FrameDriver):
 
     def values(self, look: Look) -> Array:
         """Q(s, a) of the six actions (n, 6)."""
-        x = look.stacked.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
-        for weight, bias, gain, shift in self._layers:
-            x = x @ weight.T + bias
-            x -= x.mean(axis=-1, keepdims=True)
-            x /= np.sqrt((x * x).mean(axis=-1, keepdims=True) + np.float32(_LAYER_NORM))
-            x = np.maximum(gain * x + shift, 0)
+        x: NDArray[Any] = look.stacked.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+        for layer in self._layers:
+            x = np.maximum(_normed(x, *layer), 0)
         value, value_bias, advantage, advantage_bias = self._heads
         over = x @ advantage.T + advantage_bias
         q = x @ value.T + value_bias + over - over.mean(axis=-1, keepdims=True)
         return np.asarray(q, np.float64)
+
+
+class ForeseeingDriver(ManoeuvreDriver):
+    """A `distilled` that drives, in single precision as it learned."""
+
+    def __init__(self, options: DistilledOptions, arrays: Arrays, vehicle: VehicleSpec, drive: DriveOptions) -> None:
+        super().__init__(options, vehicle, drive)
+        places = ((f"surroundings.{3 * i}", f"surroundings.{3 * i + 1}") for i in range(len(options.hidden)))
+        *self._layers, self._last = [
+            [arrays[f"{place}.{part}"] for place in two for part in PARTS if f"{place}.{part}" in arrays]
+            for two in places
+        ]
+        weight, bias = (arrays[f"foreseen.{part}"] for part in PARTS)
+        self._foreseen = weight[:, :PHI].T.copy()
+        self._manners = np.repeat(weight[:, PHI:].T + bias, ACTIONS, axis=0)
+        self._value = [arrays[f"value.{layer}.{part}"] for layer in (1, 3) for part in PARTS]
+
+    def values(self, look: Foreseen) -> Array:
+        """What the network says of the manoeuvres (n, 24) [m]."""
+        numbers: NDArray[Any] = look.stacked.astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+        x, phi = numbers[:, :CONTEXT], numbers[:, CONTEXT:].reshape(-1, MANOEUVRES, PHI)
+        for layer in self._layers:
+            x = np.maximum(_normed(x, *layer), 0)
+        weight, bias = self._last
+        each = phi @ self._foreseen + self._manners + (x @ weight.T + bias)[:, None]
+        w1, b1, w2, b2 = self._value
+        q = np.maximum(np.maximum(each, 0) @ w1.T + b1, 0) @ w2[0] + b2[0]
+        return np.asarray(q, np.float64)
+
+
+def _normed(x: Array, weight: Array, bias: Array, gain: Array, shift: Array) -> Array:
+    """A layer and the layer norm after it."""
+    x = x @ weight.T + bias
+    x -= x.mean(axis=-1, keepdims=True)
+    x /= np.sqrt((x * x).mean(axis=-1, keepdims=True) + np.float32(_LAYER_NORM))
+    return np.asarray(gain * x + shift)
 
 
 def in_numpy(options: Any, arrays: Arrays, vehicle: VehicleSpec, drive: DriveOptions) -> Policy:
@@ -92,9 +128,18 @@ def in_numpy(options: Any, arrays: Arrays, vehicle: VehicleSpec, drive: DriveOpt
         layers = [(f"hidden.{3 * i}", ends) for i, ends in enumerate(pairwise(units))]
         heads = [("value", (units[-1], 1)), ("advantage", (units[-1], ACTIONS))]
         norms = [(f"hidden.{3 * i + 1}", one) for i, one in enumerate(options.hidden)]
-        shapes = _linear([*layers, *heads]) | {f"{name}.{part}": (one,) for name, one in norms for part in PARTS}
+        shapes = _linear([*layers, *heads]) | _normal(norms)
         check(arrays, shapes, "a dueling network", (*units, ACTIONS))
         return DuelingDriver(options, arrays, vehicle, drive)
+    if isinstance(options, DistilledOptions):
+        units = CONTEXT, *options.hidden
+        layers = [(f"surroundings.{3 * i}", ends) for i, ends in enumerate(pairwise(units))]
+        norms = [(f"surroundings.{3 * i + 1}", one) for i, one in enumerate(options.hidden[:-1])]
+        each = [("foreseen", (PHI + MANNERS, units[-1]))]
+        heads = [("value.1", (units[-1], options.per_action)), ("value.3", (options.per_action, 1))]
+        shapes = _linear([*layers, *each, *heads]) | _normal(norms)
+        check(arrays, shapes, "a network of manoeuvres", (*units, options.per_action, MANOEUVRES))
+        return ForeseeingDriver(options, arrays, vehicle, drive)
     if isinstance(options, QTableOptions):
         table = options.make_agent(0, vehicle, drive)
         table.load_state_dict(dict(arrays))
@@ -111,3 +156,8 @@ def _linear(layers: Iterable[tuple[str, tuple[int, int]]]) -> dict[str, tuple[in
     for name, (inputs, outputs) in layers:
         shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
     return shapes
+
+
+def _normal(layers: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
+    """Shapes of gains and shifts of layer norms, each with its units."""
+    return {f"{name}.{part}": (units,) for name, units in layers for part in PARTS}

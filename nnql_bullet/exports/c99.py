@@ -17,6 +17,7 @@ from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.rules import fuzzy
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import CLOSEST, PotentialFieldOptions
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
@@ -27,6 +28,7 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
 from nnql_bullet.exports.cost import FRAME, Cost, Operations
 from nnql_bullet.geometry import wrap_angles
+from nnql_bullet.mapping.prediction import PREDICTION_STEP
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
 from nnql_bullet.vehicle.scale import length_scale, scaled
 
@@ -231,6 +233,24 @@ def _vfh(experiment: Experiment, o: VfhOptions) -> Body:
     return Body("vfh", values, operations, arrays, depth=4)
 
 
+def _look_ahead(experiment: Experiment, o: LookAheadOptions) -> Body:
+    vehicle, drive = experiment.vehicle, experiment.config.drive
+    sensor, limits, box = vehicle.sensor, vehicle.limits, vehicle.footprint
+    steps = int(o.horizon / PREDICTION_STEP + 1e-9)
+    values = {
+        **{"steps": steps, "step": PREDICTION_STEP, "stride": drive.speed * PREDICTION_STEP, "pi": pi},
+        **{"margin": o.margin * length_scale(box), "sensor": sensor.position, "directions": sensor.directions},
+        **{"yaw_rate": limits.yaw_rate, "yaw_acceleration": limits.yaw_acceleration},
+        **{"rear": box.x - box.half_length, "front": box.x + box.half_length},
+        **{"right": box.y - box.half_width, "left": box.y + box.half_width},
+    }
+    point = _N(additions=7, multiplications=6, comparisons=6)
+    pose = _N(additions=14, multiplications=11, divisions=5, comparisons=11, functions=4) + sensor.rays * point
+    action = _N(additions=7, multiplications=11, divisions=6, comparisons=16, functions=2) + _TOWARD + steps * pose
+    scanned = sensor.rays * _N(additions=2, multiplications=2, comparisons=1)
+    return Body("look_ahead", values, scanned + (len(paper.TURNS) + 1) * action, 2 * sensor.rays + 5, depth=3)
+
+
 _BODIES: dict[Any, Callable[[Experiment, Any], Body]] = {
     NnqlOptions: _network,
     GeneticOptions: _network,
@@ -240,4 +260,5 @@ _BODIES: dict[Any, Callable[[Experiment, Any], Body]] = {
     FuzzyOptions: _fuzzy,
     PotentialFieldOptions: _potential_field,
     VfhOptions: _vfh,
+    LookAheadOptions: _look_ahead,
 }

@@ -14,6 +14,7 @@ from nnql_bullet.agents.learning.frames import frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
+from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
 from nnql_bullet.env import ACTIONS, MANOEUVRES, MOST_YAW_RATE, REVERSE, SLOW, STOP, Observation, as_numbers
@@ -31,7 +32,7 @@ STATUSES = ("OK", "BAD_DISTANCE", "BAD_TARGET_DISTANCE", "BAD_TARGET_BEARING", "
 """What a decision says of its input, by number; on all but the first it stops."""
 WIDEST_BEARING = 3.1415928
 """Largest bearing that is taken: pi rounds up in single precision [rad]."""
-BY_RAYS = (PotentialFieldOptions, VfhOptions, DoubleDqnOptions)
+BY_RAYS = (PotentialFieldOptions, VfhOptions, LookAheadOptions, DoubleDqnOptions)
 """Agents that see the rays; the others see the readings of the eight sectors."""
 
 

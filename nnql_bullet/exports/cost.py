@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from nnql_bullet.exports.translation import Do, Expr, For, Function, If, Item, Kind, Op, Set, Statement
+from nnql_bullet.exports.translation import Do, Expr, For, Function, If, Item, Kind, Leave, Op, Set, Statement
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,8 @@ _COUNTED = {
 def cost_of(function: Function) -> Cost:
     """What a call of a translated function takes at most.
 
-    Of a branch, the larger number of each kind of operation counts; every loop is gone through as often as it can be.
+    Of a branch, the larger number of each kind of operation counts, and what follows one that leaves counts for the
+    other alone; every loop is gone through as often as it can be.
     """
     return Cost(_operations(function.body, {}), function.deepest(_frame))
 
@@ -74,12 +75,19 @@ def _frame(f: Function) -> int:
 
 def _operations(body: list[Statement], known: dict[int, Operations]) -> Operations:
     total = Operations()
-    for its in body:
+    for place, its in enumerate(body, 1):
         match its:
             case Set(target, value):
                 total += _of(value) + (_of(target.place) if isinstance(target, Item) else Operations())
             case If(test, then, other):
-                total += _of(test) + _operations(then, known).larger(_operations(other, known))
+                ways = [_operations(way, known) for way in (then, other)]
+                leave = [bool(way) and isinstance(way[-1], Leave) for way in (then, other)]
+                if any(leave):
+                    rest = _operations(body[place:], known)
+                    ways = [way if leaves else way + rest for way, leaves in zip(ways, leave, strict=True)]
+                total += _of(test) + ways[0].larger(ways[1])
+                if any(leave):
+                    return total
             case For(_, start, stop, most, inner):
                 total += _of(start) + _of(stop) + most * _operations(inner, known)
             case Do(function, args, _):

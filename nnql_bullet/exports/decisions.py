@@ -13,7 +13,8 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, encoding_of
 from nnql_bullet.geometry import Array
-from nnql_bullet.shield.alone import choose, perceive
+from nnql_bullet.shield.alone import choose
+from nnql_bullet.shield.perception import perceive
 from nnql_bullet.shield.setting import FASTEST, Memory, Setting
 from nnql_bullet.vehicle.scale import length_scale
 

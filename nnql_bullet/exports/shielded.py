@@ -12,7 +12,8 @@ from nnql_bullet.exports.cost import BYTES, FRAME, Cost, cost_of
 from nnql_bullet.exports.translation import ArrayOf, Function, Known, Struct, Translator, Var, group_of, struct_of
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy
-from nnql_bullet.shield.alone import choose, perceive
+from nnql_bullet.shield.alone import choose
+from nnql_bullet.shield.perception import perceive
 from nnql_bullet.shield.setting import Setting
 
 SOURCE, HEADER = "shield.c", "shield.h"

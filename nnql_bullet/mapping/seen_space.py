@@ -7,7 +7,6 @@ what lies between two rays, behind an obstacle, in a blind arc, or out of range.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nnql_bullet.geometry import Array, squared_distance
 from nnql_bullet.jit import njit
@@ -31,30 +30,6 @@ class RecentScans(NamedTuple):
     """Poses of the vehicle at the scans, in its present frame (k, 3)."""
     strayed: Array
     """Possible position errors of these poses (k,) [m]."""
-
-    def followed_by(self, rays: Array, moved: Array, strayed: float) -> "RecentScans":
-        """Returns the scans with a new one in front, and without those that tell no more.
-
-        Args:
-            rays: The new scan (r,) [m]; 0 for a ray that tells nothing.
-            moved: The present pose in the frame of the last (3,).
-            strayed: Possible position error of that pose [m].
-        """
-        c, s = np.cos(moved[2]), np.sin(moved[2])
-        poses = self.poses - moved
-        poses[:, :2] = poses[:, :2] @ np.array([[c, -s], [s, c]])
-        stands = np.hypot(moved[0], moved[1]) < APART and abs(moved[2]) < TURNED
-        kept = slice(int(stands), SCANS - 1 + int(stands))
-        return RecentScans(
-            np.concatenate([rays[None], self.rays[kept]]) if len(self.rays) else rays[None],
-            np.concatenate([np.zeros((1, 3)), poses[kept]]),
-            np.concatenate([[0.0], self.strayed[kept] + strayed]),
-        )
-
-
-def no_scans() -> RecentScans:
-    """The scans of a vehicle that has seen nothing."""
-    return RecentScans(np.empty((0, 0)), np.empty((0, 3)), np.empty(0))
 
 
 @njit()
@@ -146,13 +121,15 @@ def meets_unseen(
     frames, steps = np.empty((len(path), 4)), len(path)
     for k in range(steps):
         frames[k] = path[k, 0], path[k, 1], np.cos(path[k, 2]), np.sin(path[k, 2])
+    cells, known = np.empty((1 << 16, 5)), len(scans.rays)
     return comes_near(
-        frames, steps, footprint, margin, width, scans, len(scans.rays), sensor, first_angle, 1 << 30, 1 << 30
+        cells, frames, steps, footprint, margin, width, scans, known, sensor, first_angle, 1 << 30, 1 << 30
     )
 
 
 @njit()
 def comes_near(
+    cells: Array,
     frames: Array,
     steps: int,
     footprint: Array,
@@ -168,6 +145,7 @@ def comes_near(
     """`meets_unseen` of poses as frames: x, y, cosine and sine of the heading (k, 4).
 
     Args:
+        cells: Room for `unseen_cells`; where there are more, the vehicle is taken to come near one.
         frames: Poses of the vehicle, in its present frame, and room for more.
         steps: Number of them.
         footprint: See `meets_unseen`.
@@ -180,10 +158,63 @@ def comes_near(
         most_along: Bound on the cells along a ray.
         most_across: Bound on the cells across it.
     """
-    rays = scans.rays
-    count, radius = rays.shape[1], width / 2
+    radius = width / 2
+    grown = radius + margin
+    count = unseen_cells(
+        cells, frames, steps, footprint, grown, radius, scans.rays, sensor, first_angle, most_along, most_across
+    )
+    if count > len(cells):
+        return True
+    for cell in range(min(count, len(cells))):
+        x, y, direction = cells[cell, 0], cells[cell, 1], cells[cell, 2]
+        half_length, half_width = cells[cell, 3], cells[cell, 4]
+        if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, known, sensor, first_angle):
+            continue
+        here = np.sqrt(squared_distance(x, y, footprint))
+        least = min(grown, here - CONTACT)
+        for k in range(min(steps, len(frames))):
+            dx, dy = x - frames[k, 0], y - frames[k, 1]
+            ahead, beside = frames[k, 2] * dx + frames[k, 3] * dy, frames[k, 2] * dy - frames[k, 3] * dx
+            if least > 0 and squared_distance(ahead, beside, footprint) < least * least:
+                return True
+    return False
+
+
+@njit()
+def unseen_cells(
+    cells: Array,
+    frames: Array,
+    steps: int,
+    footprint: Array,
+    grown: float,
+    radius: float,
+    rays: Array,
+    sensor: Array,
+    first_angle: float,
+    most_along: int,
+    most_across: int,
+) -> int:
+    """Lists the places about a path that the present scan does not show to be free, as rectangles.
+
+    Args:
+        cells: Room for their centres x, y [m], directions [rad], half lengths and half widths [m] (m, 5).
+        frames: See `comes_near`.
+        steps: See `comes_near`.
+        footprint: See `meets_unseen`.
+        grown: Distance from the footprint within which they count [m].
+        radius: Of an obstacle, and the largest length and width of a cell [m].
+        rays: Ray distances (j, r) [m], the first those of the present scan; 0 for a ray that tells nothing.
+        sensor: See `meets_unseen`.
+        first_angle: See `meets_unseen`.
+        most_along: See `comes_near`.
+        most_across: See `comes_near`.
+
+    Returns:
+        How many there are. Those that there is no room for are not listed.
+    """
+    count, found = rays.shape[1], 0
     step = 2 * np.pi / count
-    sine, grown = np.sin(step / 2), radius + margin
+    sine = np.sin(step / 2)
     together = radius / sine  # up to where two rays leave no room for a disc between them
     # A circle round the grown footprint at every frame: a ray that leaves it before its gap opens meets nothing.
     middle_x = middle_y = away = 0.0
@@ -206,8 +237,8 @@ def comes_near(
         near = max(near, start)
         if far <= near:
             continue
-        cells = int(np.ceil((far - near) / radius))
-        for cell in range(min(cells, most_along)):
+        lengths = int(np.ceil((far - near) / radius))
+        for cell in range(min(lengths, most_along)):
             end = far - cell * radius
             half_length = min(radius, end - near) / 2
             low = -end * sine + covered_half_width(radius, end - right)
@@ -216,17 +247,11 @@ def comes_near(
             for piece in range(min(pieces, most_across)):
                 half_width = (high - low) / pieces / 2
                 along, across = end - half_length, low + (2 * piece + 1) * half_width
-                x, y = sensor[0] + c * along - s * across, sensor[1] + s * along + c * across
-                if shown_free(x, y, direction, half_length, half_width, radius, scans, 1, known, sensor, first_angle):
-                    continue
-                here = np.sqrt(squared_distance(x, y, footprint))
-                least = min(grown, here - CONTACT)
-                for k in range(min(steps, len(frames))):
-                    dx, dy = x - frames[k, 0], y - frames[k, 1]
-                    ahead, beside = frames[k, 2] * dx + frames[k, 3] * dy, frames[k, 2] * dy - frames[k, 3] * dx
-                    if least > 0 and squared_distance(ahead, beside, footprint) < least * least:
-                        return True
-    return False
+                if found < len(cells):
+                    x, y = sensor[0] + c * along - s * across, sensor[1] + s * along + c * across
+                    cells[found] = x, y, direction, half_length, half_width
+                found += 1
+    return found
 
 
 @njit()
@@ -255,13 +280,14 @@ def _span(
 
 
 @njit()
-def missed(
-    points: Array, rays: Array, sensor: Array, first_angle: float, reach: float, slack: float, close: float
-) -> NDArray[np.bool_]:
-    """Whether the rays of a scan miss remembered points, and so neither refute nor replace them (k,).
+def is_missed(
+    x: float, y: float, rays: Array, sensor: Array, first_angle: float, reach: float, slack: float, close: float
+) -> bool:
+    """Whether the rays of a scan miss a remembered point, and so neither refute nor replace it.
 
     Args:
-        points: Remembered, in the vehicle frame (k, 2) [m].
+        x: Of the point, in the vehicle frame [m].
+        y: The same [m].
         rays: The scan (r,) [m]; 0 for a ray that tells nothing.
         sensor: Origin of the rays in the vehicle frame: x, y [m].
         first_angle: Of the first ray in the vehicle frame [rad].
@@ -269,17 +295,6 @@ def missed(
         slack: Distance beside a ray within which it would have met the point [m].
         close: Distance within which a point of the scan replaces a remembered one [m].
     """
-    found = np.zeros(len(points), np.bool_)
-    for k in range(len(points)):
-        found[k] = is_missed(points[k, 0], points[k, 1], rays, sensor, first_angle, reach, slack, close)
-    return found
-
-
-@njit()
-def is_missed(
-    x: float, y: float, rays: Array, sensor: Array, first_angle: float, reach: float, slack: float, close: float
-) -> bool:
-    """Whether the rays of a scan miss a remembered point [m], see `missed`."""
     step = 2 * np.pi / len(rays)
     x, y = x - sensor[0], y - sensor[1]
     if x * x + y * y > reach * reach:

@@ -56,6 +56,44 @@ def fill_drive(
 
 
 @njit()
+def fill_course(
+    course: Array,
+    yaw_rate: float,
+    speed: float,
+    turn: float,
+    goal: float,
+    max_rate: float,
+    yaw_acceleration: float,
+    acceleration: float,
+    times: Array,
+    steps: Array,
+) -> None:
+    """Predicts a vehicle that turns while it changes its speed: its poses at given times, in its present frame.
+
+    Args:
+        course: Room for x, y [m], yaw [rad] and the distance driven until then [m] (k, 4).
+        yaw_rate: At the start [rad/s].
+        speed: At the start [m/s].
+        turn: Heading change that is asked for [rad].
+        goal: Speed that is asked for [m/s].
+        max_rate: Limit on the yaw rate [rad/s].
+        yaw_acceleration: Limit on the yaw acceleration [rad/s2].
+        acceleration: Limit on acceleration and deceleration [m/s2].
+        times: Of the poses (k,) [s].
+        steps: From each time to the next, the first from 0 (k,) [s].
+    """
+    peak, rise, hold, fall = turn_profile(yaw_rate, turn, max_rate, yaw_acceleration)
+    x, y, before, was, along = 0.0, 0.0, 0.0, speed, 0.0
+    for k in range(len(times)):
+        _, heading = profile_at(yaw_rate, peak, rise, hold, fall, times[k])
+        now = ramp_at(speed, goal, acceleration, times[k])
+        length, middle = (now + was) / 2 * steps[k], heading - (heading - before) / 2
+        x, y, along = x + length * np.cos(middle), y + length * np.sin(middle), along + length
+        before, was = heading, now
+        course[k] = x, y, heading, along
+
+
+@njit()
 def time_to_stop(
     rate: float, speed: float, turn: float, max_rate: float, yaw_acceleration: float, deceleration: float, slides: bool
 ) -> float:
@@ -81,8 +119,7 @@ def join(poses: Array, first: Array, count: int, then: Array, more: int) -> int:
 
 @njit()
 def is_clear(
-    poses: Array,
-    distances: Array,
+    course: Array,
     points: Array,
     closing: Array,
     count: int,
@@ -98,8 +135,7 @@ def is_clear(
     It has to be clear over the look-ahead, and up to where the vehicle has stopped and can turn round.
 
     Args:
-        poses: Of the vehicle on the course, in its present frame (k, 3).
-        distances: Driven until then (k,) [m].
+        course: Poses of the vehicle, in its present frame, and distances driven, see `fill_course` (k, 4).
         points: Around the vehicle, in its present frame (r, 2) [m].
         closing: Speed at which each point may come nearer (r,) [m/s].
         count: Number of the points.
@@ -111,12 +147,12 @@ def is_clear(
         turning_circle: Radius about the axle that is free where the vehicle can turn round [m].
     """
     ahead = turns = False
-    for k in range(len(poses)):
-        x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
+    for k in range(len(course)):
+        x, y, yaw, along = course[k, 0], course[k, 1], course[k, 2], course[k, 3]
         if not _keeps_distance(x, y, yaw, points, closing, count, times[k], footprint, margin):
             return False
-        ahead = ahead or distances[k] >= look_ahead
-        turns = turns or (distances[k] >= stop and _has_room(x, y, points, count, turning_circle))
+        ahead = ahead or along >= look_ahead
+        turns = turns or (along >= stop and _has_room(x, y, points, count, turning_circle))
         if ahead and turns:
             return True
     return False

@@ -13,6 +13,7 @@ from nnql_bullet.jit import njit
 from nnql_bullet.shield.prediction import (
     can_stop,
     can_turn_round,
+    carried_out,
     clear_actions,
     course,
     first_safe,
@@ -94,12 +95,14 @@ def fall_back(
     m.numbers[SIDE], m.numbers[DECISIONS], m.numbers[BACKS] = side, m.numbers[DECISIONS] + 1, 0
     turn = turn_on_the_spot(p, m, turns, side, yaw_rate, speed, tight)
     if turn < 0 or m.numbers[DECISIONS] > FULL_TURN:
-        clear = np.empty(ACTIONS, np.bool_)
+        clear, safe = np.empty(ACTIONS, np.bool_), np.empty(ACTIONS, np.int64)
+        for a in range(ACTIONS):
+            safe[a] = carried_out(p, m, a, turns[a], True, True, yaw_rate, speed, tight)
         for distance in (margin, margin / 2, tight):
             clear_actions(p, m, turns, yaw_rate, speed, distance, False, clear)
-            action = first_safe(p, m, turns, order, clear, clear, yaw_rate, speed, tight)
-            if action >= 0:
-                return action
+            for place in range(ACTIONS):
+                if clear[order[place]] and safe[order[place]] >= 0:
+                    return int(safe[order[place]])
         action = reverses(p, m, turns, yaw_rate, speed, tight)
         if action >= 0:
             m.numbers[DECISIONS], m.numbers[BACKS] = 0, 1

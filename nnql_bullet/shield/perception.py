@@ -5,139 +5,174 @@ point where nothing was seen before belongs to a moving obstacle. Points that st
 miss them for a while, and whole scans for what they showed to be free (`seen_space`).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
-from nnql_bullet.env import Observation
 from nnql_bullet.geometry import Array
-from nnql_bullet.mapping.localization import TargetFix, found_pose, seen_from
-from nnql_bullet.mapping.point_cloud import moving_points, point_cloud
+from nnql_bullet.jit import njit
+from nnql_bullet.mapping.localization import found_pose
+from nnql_bullet.mapping.point_cloud import is_moving
 from nnql_bullet.mapping.sector_faults import ENOUGH, completed, contradictions, silent_sectors
-from nnql_bullet.mapping.seen_space import RecentScans, missed, no_scans
-from nnql_bullet.sensing import Sensor
-from nnql_bullet.shield.lengths import Lengths
-from nnql_bullet.task import StateProperty, TaskOptions, is_safe, readings_of
-
-REMEMBERED = 20
-"""Number of scans for which a point is remembered that their rays miss."""
+from nnql_bullet.mapping.seen_space import APART, SCANS, TURNED, is_missed
+from nnql_bullet.sensing import first_ray
+from nnql_bullet.shield.setting import BEGUN, KNOWN, MOVING, POINTS, REMEMBERED, STANDING, Memory, Setting
 
 
-@dataclass(frozen=True, slots=True)
-class LastScan:
-    """One vehicle's scan at its last decision, and what it remembers. The defaults are those without a scan."""
-
-    points: Array = field(default_factory=lambda: np.full((1, 2), np.nan))
-    """Points in the vehicle frame of then (rays, 2) [m]; NaN for none."""
-    rays: Array = field(default_factory=lambda: np.full(paper.SECTORS, np.nan))
-    """Ray distances (rays,) [m]; NaN where the sensor sees nothing."""
-    target: TargetFix = field(default_factory=lambda: TargetFix(0.0, 0.0))
-    """The landmark as seen then."""
-    moved: Array = field(default_factory=lambda: np.zeros(3))
-    """Predicted pose of now in the vehicle frame of then (3,)."""
-    evidence: Array = field(default_factory=lambda: np.zeros(paper.SECTORS))
-    """Contradictions against each sensor since it last read something (8,)."""
-    standing: Array = field(default_factory=lambda: np.empty((0, 3)))
-    """Points that stand still: x, y in the vehicle frame of then [m], and the number of scans since they were seen
-    (k, 3)."""
-    recent: RecentScans = field(default_factory=no_scans)
-    """That scan and those before."""
-
-    @property
-    def dead(self) -> NDArray[np.bool_]:
-        """Whether each sensor counts as dead (8,)."""
-        return np.asarray(self.evidence >= ENOUGH)
-
-
-@dataclass(frozen=True, slots=True)
-class Perception:
-    """What a shield knows of the surroundings of n vehicles."""
-
-    observation: Observation
-    """With dead sensors completed."""
-    points: Array
-    """Points of obstacles in the vehicle frame, seen or remembered (n, m, 2) [m]; NaN for none."""
-    moving: NDArray[np.bool_]
-    """Whether they belong to moving obstacles (n, m)."""
-    moved: Array
-    """Present poses in the vehicle frames of the decisions before (n, 3)."""
-    scans: list[LastScan]
-    """The scans for the next decision."""
-
-
-def perceived(
-    o: Observation,
-    last: Sequence[LastScan],
-    standing: Sequence[bool],
-    sensor: Sensor,
-    lengths: Lengths,
-    task: TaskOptions,
-) -> Perception:
-    """Completes the scans of n vehicles, finds what moves, and remembers.
+@njit()
+def perceive(
+    p: Setting,
+    m: Memory,
+    distances: Array,
+    target_distance: float,
+    target_bearing: float,
+    speed: float,
+    readings: Array,
+) -> None:
+    """Takes a scan in: completes it, tells what moves, and remembers.
 
     Args:
-        o: What the sensors read.
-        last: The scan of each vehicle at its last decision.
-        standing: Whether each vehicle stands. The same scan again is then no further evidence against a sensor.
-        sensor: That reads them.
-        lengths: Of the shield.
-        task: Says what sensors read of rays, and which states are safe.
+        p: The setting.
+        m: The memory; it is changed. `moved` becomes the present pose in the vehicle frame of the last decision.
+        distances: Of the rays (rays,) [m]; they are completed.
+        target_distance: Distance of a target that stays [m].
+        target_bearing: Its bearing [rad].
+        speed: Of the vehicle [m/s].
+        readings: Room for the readings of the sectors by the completed scan (8,) [m].
     """
-    rays, origin = o.ray_distances.copy(), np.array(sensor.position[:2])
-    scans, clouds, movers, moves = [], [], [], []
-    for i, before in enumerate(last):
-        points = point_cloud(rays[i], sensor)
-        target = TargetFix(float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
-        moved = found_pose(before.moved, before.target, target)
-        strayed = float(np.hypot(*(moved - before.moved)[:2]))
-        moving = moving_points(points, before.rays, moved, strayed, origin)
-        expected = seen_from(moved, before.points)
-        evidence = (
-            before.evidence
-            if standing[i]
-            else before.evidence + contradictions(rays[i], expected, origin, sensor.range)
-        )
-        evidence = np.where(silent_sectors(rays[i], sensor.range), evidence, 0.0)
-        scan = LastScan(points, rays[i], target, before.moved, evidence)
-        if scan.dead.any():
-            rays[i], remembered = completed(rays[i], scan.dead, expected, origin, sensor.range)
-            scan = replace(scan, points=np.where(np.isnan(remembered), points, remembered))
-            points = point_cloud(rays[i], sensor)
-        telling = np.where(sensor.seen, rays[i], 0.0)
-        kept = remembered_points(before.standing, moved, telling, sensor, lengths)
-        stands = points[~moving & np.isfinite(points[:, 0])]
-        stands = np.concatenate([np.c_[stands, np.zeros(len(stands))], kept])
-        recent = before.recent.followed_by(telling, moved, strayed)
-        scans.append(replace(scan, rays=np.where(sensor.seen, rays[i], np.nan), standing=stands, recent=recent))
-        clouds.append(np.concatenate([points, kept[:, :2]]))
-        movers.append(moving)
-        moves.append(moved)
-    cloud = np.full((len(clouds), max(map(len, clouds)), 2), np.nan)
-    mover = np.zeros(cloud.shape[:2], np.bool_)
-    for i, (some, moving) in enumerate(zip(clouds, movers, strict=True)):
-        cloud[i, : len(some)], mover[i, : len(moving)] = some, moving
-    readings = readings_of(rays, task)
-    unsafe = (o.state_property == StateProperty.SAFE) & ~is_safe(readings, task) & (readings < o.readings).any(axis=-1)
-    state = np.where(unsafe, StateProperty.NON_SAFE, o.state_property)
-    completed_o = replace(o, ray_distances=rays, readings=readings, state_property=state)
-    return Perception(completed_o, cloud, mover, np.array(moves), scans)
+    target_x, target_y = target_distance * np.cos(target_bearing), target_distance * np.sin(target_bearing)
+    if m.numbers[BEGUN] == 0:
+        m.numbers[BEGUN] = 1
+        for k in range(p.rays):
+            m.rays[k] = -1.0
+            m.points[k] = np.nan, np.nan
+    moved = np.empty(3)
+    found_pose(moved, m.moved, m.target, target_distance, target_bearing)
+    strayed = np.hypot(moved[0] - m.moved[0], moved[1] - m.moved[1])
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    expected, seen = np.empty((p.rays, 2)), np.empty((p.rays, 2))
+    for k in range(p.rays):
+        m.moving[k] = False
+        seen[k] = np.nan, np.nan
+        if distances[k] < p.range:
+            x = distances[k] * p.directions[k, 0] + p.sensor[0]
+            y = distances[k] * p.directions[k, 1] + p.sensor[1]
+            seen[k] = x, y
+            m.moving[k] = is_moving(x, y, m.rays, moved, strayed, p.sensor)
+        expected[k] = np.nan, np.nan
+        if not np.isnan(m.points[k, 0]):
+            dx, dy = m.points[k, 0] - moved[0], m.points[k, 1] - moved[1]
+            expected[k] = dx * c + dy * s, dx * (-s) + dy * c
+    dead = np.zeros(paper.SECTORS, np.bool_)
+    if judge(p, m, distances, expected, speed, dead):
+        whole, remembered = completed(distances, dead, expected, p.sensor, p.range)
+        for k in range(p.rays):
+            distances[k] = whole[k]
+            if np.isnan(remembered[k, 0]):
+                m.points[k] = seen[k, 0], seen[k, 1]
+            else:
+                m.points[k] = remembered[k, 0], remembered[k, 1]
+            seen[k] = np.nan, np.nan
+            if distances[k] < p.range:
+                x = distances[k] * p.directions[k, 0] + p.sensor[0]
+                y = distances[k] * p.directions[k, 1] + p.sensor[1]
+                seen[k] = x, y
+    else:
+        for k in range(p.rays):
+            m.points[k] = seen[k, 0], seen[k, 1]
+    remember_scan(p, m, distances, moved, strayed)
+    remember_points(p, m, seen, moved)
+    m.target[0], m.target[1] = target_x, target_y
+    m.moved[0], m.moved[1], m.moved[2] = moved[0], moved[1], moved[2]
+    read(p, distances, readings)
 
 
-def remembered_points(standing: Array, moved: Array, rays: Array, sensor: Sensor, lengths: Lengths) -> Array:
-    """The points to remember that a scan misses, see `LastScan.standing` (k, 3).
+@njit()
+def judge(p: Setting, m: Memory, distances: Array, expected: Array, speed: float, dead: NDArray[np.bool_]) -> bool:
+    """Updates the evidence against each sensor, marks the dead ones (8,), and tells whether there are any."""
+    against = contradictions(distances, expected, p.sensor, p.range)
+    silent = silent_sectors(distances, p.range)
+    found = False
+    for sector in range(paper.SECTORS):
+        if not silent[sector]:
+            m.evidence[sector] = 0.0
+        elif speed >= p.standstill:
+            m.evidence[sector] = m.evidence[sector] + against[sector]
+        dead[sector] = m.evidence[sector] >= ENOUGH
+        found = found or dead[sector]
+    return found
 
-    Args:
-        standing: Points at the last decision (m, 3).
-        moved: The present pose in the vehicle frame of then (3,).
-        rays: The scan (r,) [m]; 0 for a ray that tells nothing.
-        sensor: That made it.
-        lengths: Of the shield.
-    """
-    places = seen_from(moved, standing[:, :2])
-    origin, slack, close = np.array(sensor.position[:2]), lengths.least_width / 4, lengths.margin / 2
-    kept = missed(places, rays, origin, float(sensor.angles[0]), lengths.corridor, slack, close)
-    kept &= standing[:, 2] < REMEMBERED
-    return np.concatenate([places, standing[:, 2:] + 1], axis=-1)[kept]
+
+@njit()
+def remember_scan(p: Setting, m: Memory, distances: Array, moved: Array, strayed: float) -> None:
+    """Puts a scan in front of those before; it replaces one from the same place, which tells no more."""
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    stands = np.hypot(moved[0], moved[1]) < APART and abs(moved[2]) < TURNED
+    known = min(m.numbers[KNOWN], SCANS)
+    for back in range(SCANS):
+        j = SCANS - 1 - back  # the oldest first
+        source = j if stands else j - 1
+        if j >= 1 and source < known:
+            dx, dy = m.poses[source, 0] - moved[0], m.poses[source, 1] - moved[1]
+            m.poses[j] = dx * c + dy * s, dx * (-s) + dy * c, m.poses[source, 2] - moved[2]
+            m.strayed[j] = m.strayed[source] + strayed
+            for k in range(p.rays):
+                m.scans[j, k] = m.scans[source, k]
+    m.poses[0] = 0.0, 0.0, 0.0
+    m.strayed[0] = 0.0
+    m.numbers[KNOWN] = max(known, 1) if stands else min(known + 1, SCANS)
+    for k in range(p.rays):
+        m.scans[0, k] = distances[k] if p.seen[k] else 0.0
+        m.rays[k] = distances[k] if p.seen[k] else -1.0
+
+
+@njit()
+def remember_points(p: Setting, m: Memory, seen: Array, moved: Array) -> None:
+    """Keeps the points that the scan misses, adds those that it sees, and gathers all that there are now."""
+    c, s = np.cos(moved[2]), np.sin(moved[2])
+    count = 0
+    for k in range(p.rays):
+        if m.moving[k]:
+            m.cloud[count] = seen[k, 0], seen[k, 1]
+            m.closing[count] = p.box_speed
+            count += 1
+    m.numbers[MOVING] = count
+    for k in range(p.rays):
+        if not m.moving[k] and not np.isnan(seen[k, 0]):
+            m.cloud[count] = seen[k, 0], seen[k, 1]
+            m.closing[count] = 0.0
+            count += 1
+    kept = 0
+    telling = np.empty(p.rays)
+    for k in range(p.rays):
+        telling[k] = m.scans[0, k]
+    for k in range(min(m.numbers[STANDING], len(m.standing))):
+        dx, dy, age = m.standing[k, 0] - moved[0], m.standing[k, 1] - moved[1], m.standing[k, 2]
+        x, y = dx * c + dy * s, dx * (-s) + dy * c
+        if age < REMEMBERED and is_missed(
+            x, y, telling, p.sensor, p.first_angle, p.corridor, p.least_width / 4, p.margin / 2
+        ):
+            m.standing[kept] = x, y, age + 1.0
+            kept += 1
+            m.cloud[count] = x, y
+            m.closing[count] = 0.0
+            count += 1
+    for k in range(p.rays):
+        if not m.moving[k] and not np.isnan(seen[k, 0]):
+            m.standing[kept] = seen[k, 0], seen[k, 1], 0.0
+            kept += 1
+    m.numbers[STANDING], m.numbers[POINTS] = kept, count
+
+
+@njit()
+def read(p: Setting, distances: Array, readings: Array) -> None:
+    """The readings of the sectors (8,) [m]."""
+    for sector in range(paper.SECTORS):
+        first, last = first_ray(sector, p.rays), first_ray(sector + 1, p.rays)
+        if p.middle:
+            readings[sector] = min(distances[(first + last - 1) // 2], distances[(first + last) // 2])
+        else:
+            readings[sector] = distances[first]
+            for k in range(p.rays):
+                if first < k and k < last:
+                    readings[sector] = min(readings[sector], distances[k])

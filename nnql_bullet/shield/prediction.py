@@ -12,21 +12,23 @@ from nnql_bullet.geometry import Array, wrap_angle
 from nnql_bullet.jit import njit
 from nnql_bullet.mapping.prediction import clearance_at
 from nnql_bullet.mapping.seen_space import RecentScans, comes_near
-from nnql_bullet.shield.courses import fill_drive, is_clear, join, time_to_stop
+from nnql_bullet.shield.courses import fill_course, fill_drive, is_clear, join, time_to_stop
 from nnql_bullet.shield.setting import (
     ASKED,
+    BACKS,
     CHANGING,
+    DECISIONS,
     FASTEST,
     FOLLOWED,
     KNOWN,
     MOVING,
     ON_THE_SPOT,
     POINTS,
+    SIDE,
     SLOWLY_FOLLOWED,
     Memory,
     Setting,
 )
-from nnql_bullet.vehicle.profiles import profile_at, ramp_at, turn_profile
 
 SLIDING = 0.1
 """Share of the drive's speed below which a vehicle that is to stop turns as on the spot."""
@@ -127,20 +129,11 @@ def keeps(
     which: int,
 ) -> bool:
     """`stays_clear` under the limits that the vehicle follows."""
-    peak, rise, hold, fall = turn_profile(yaw_rate, turn, p.limits[which, 0], p.limits[which, 1])
-    poses, distances = np.empty((len(p.times), 3)), np.empty(len(p.times))
-    x, y, before, was, along = 0.0, 0.0, 0.0, speed, 0.0
-    for k in range(len(p.times)):
-        _, heading = profile_at(yaw_rate, peak, rise, hold, fall, p.times[k])
-        now = ramp_at(speed, p.speed, p.acceleration, p.times[k])
-        length, middle = (now + was) / 2 * p.steps[k], heading - (heading - before) / 2
-        x, y, along = x + length * np.cos(middle), y + length * np.sin(middle), along + length
-        poses[k] = x, y, heading
-        distances[k] = along
-        before, was = heading, now
+    course = np.empty((len(p.times), 4))
+    most, sharpest = p.limits[which, 0], p.limits[which, 1]
+    fill_course(course, yaw_rate, speed, turn, p.speed, most, sharpest, p.acceleration, p.times, p.steps)
     return is_clear(
-        poses,
-        distances,
+        course,
         m.cloud,
         m.closing,
         m.numbers[POINTS],
@@ -181,11 +174,30 @@ def first_safe(
         margin: Clearance that it keeps up to the stop [m].
     """
     for place in range(ACTIONS):
-        action: int = order[place]
-        if admitted[action] and can_stop(p, m, action, turns[action], yaw_rate, speed, margin):
-            return action
-        if slowly[action] and can_stop(p, m, action + SLOW, turns[action], yaw_rate, speed, margin):
-            return action + SLOW
+        a = order[place]
+        manoeuvre = carried_out(p, m, a, turns[a], admitted[a], slowly[a], yaw_rate, speed, margin)
+        if manoeuvre >= 0:
+            return manoeuvre
+    return -1
+
+
+@njit()
+def carried_out(
+    p: Setting,
+    m: Memory,
+    action: int,
+    turn: float,
+    admitted: bool,
+    slowly: bool,
+    yaw_rate: float,
+    speed: float,
+    margin: float,
+) -> int:
+    """How a vehicle carries an action out so that it can stop after it, see `first_safe`; -1 if it cannot."""
+    if admitted and can_stop(p, m, action, turn, yaw_rate, speed, margin):
+        return action
+    if slowly and can_stop(p, m, action + SLOW, turn, yaw_rate, speed, margin):
+        return action + SLOW
     return -1
 
 
@@ -209,8 +221,8 @@ def can_stop(p: Setting, m: Memory, manoeuvre: int, turn: float, yaw_rate: float
         return False  # beyond what courses have room for
     goal = wanted_speed(p, manoeuvre)
     change = p.acceleration if goal > speed else p.braking
-    for v in range(4):
-        turned, which, slides = variant(p, v, turn, yaw_rate, speed, goal)
+    for v in range(len(p.variants)):
+        turned, which, slides = variant(p, p.variants[v], turn, yaw_rate, speed, goal)
         if which >= 0:
             count = fill_drive(
                 m.driven,
@@ -225,8 +237,8 @@ def can_stop(p: Setting, m: Memory, manoeuvre: int, turn: float, yaw_rate: float
                 slides,
             )
             rate, fast = m.driven[count - 1, 3], m.driven[count - 1, 4]
-            for w in range(4):
-                back, limits, skids = variant(p, w, 0.0, rate, fast, 0.0)
+            for w in range(len(p.variants)):
+                back, limits, skids = variant(p, p.variants[w], 0.0, rate, fast, 0.0)
                 if limits >= 0 and not stops_clear(p, m, count, back, rate, fast, limits, skids, margin):
                     return False
     return True
@@ -248,6 +260,7 @@ def stops_clear(
         m.frames[k] = x, y, np.cos(yaw), np.sin(yaw)
     scans = RecentScans(m.scans, m.poses, m.strayed)
     return not comes_near(
+        m.cells,
         m.frames,
         steps,
         p.footprint,
@@ -357,15 +370,11 @@ def follow(
     which: int,
 ) -> None:
     """Lowers the clearances along a course (k,) [m] to those under the limits that the vehicle follows."""
-    peak, rise, hold, fall = turn_profile(yaw_rate, turn, p.limits[which, 0], p.limits[which, 1])
-    x, y, before, was = 0.0, 0.0, 0.0, speed
-    change = p.acceleration if goal > 0 else p.braking
+    course, change = np.empty((len(p.stop_times), 4)), p.acceleration if goal > 0 else p.braking
+    most, sharpest = p.limits[which, 0], p.limits[which, 1]
+    fill_course(course, yaw_rate, speed, turn, goal, most, sharpest, change, p.stop_times, p.stop_steps)
     for k in range(len(p.stop_times)):
-        _, heading = profile_at(yaw_rate, peak, rise, hold, fall, p.stop_times[k])
-        now = ramp_at(speed, goal, change, p.stop_times[k])
-        length, middle = (now + was) / 2 * p.stop_steps[k], heading - (heading - before) / 2
-        x, y = x + length * np.cos(middle), y + length * np.sin(middle)
-        before, was = heading, now
+        x, y, heading = course[k, 0], course[k, 1], course[k, 2]
         worst[k] = min(worst[k], clearance_at(x, y, heading, m.cloud, m.numbers[POINTS], p.footprint))
         if moves:
             came = clearance_at(x, y, heading, m.cloud, m.numbers[MOVING], p.footprint)
@@ -396,3 +405,15 @@ def open_side(p: Setting, m: Memory, target_bearing: float) -> int:
             if angle <= 0:
                 right = min(right, cost)
     return 1 if left <= right else -1
+
+
+@njit()
+def foresee(p: Setting, m: Memory, manoeuvre: int, turn: float, yaw_rate: float, speed: float) -> None:
+    """Remembers the pose that the vehicle should have at the next decision, and ends its turning on the spot."""
+    goal, course = wanted_speed(p, manoeuvre), np.empty((len(p.moved_times), 4))
+    most, sharpest = p.limits[ASKED, 0], p.limits[ASKED, 1]
+    fill_course(course, yaw_rate, speed, turn, goal, most, sharpest, p.acceleration, p.moved_times, p.moved_steps)
+    for k in range(3):
+        m.moved[k] = course[len(course) - 1, k]
+    if goal > 0 and speed >= 0.9 * goal:
+        m.numbers[SIDE], m.numbers[DECISIONS], m.numbers[BACKS] = 0, 0, 0

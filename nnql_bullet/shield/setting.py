@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.env import LARGEST_TURN, MOST_YAW_RATE
 from nnql_bullet.geometry import Array, as_rows
-from nnql_bullet.jit import njit
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
 from nnql_bullet.mapping.seen_space import SCANS
 from nnql_bullet.shield.lengths import Lengths
-from nnql_bullet.shield.perception import REMEMBERED
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.limits import followed_limits, side_grip
@@ -25,6 +23,8 @@ APPROACH = 0.03
 """Distance by which that vehicle may get nearer still in a decision if it is nearer than the margin [m]."""
 LEAST_CLEARANCE = 0.1
 """Clearance below which it may hardly get nearer [m]."""
+REMEMBERED = 20
+"""Number of scans for which a point is remembered that their rays miss."""
 
 BEGUN, KNOWN, STANDING, MOVING, POINTS, SIDE, DECISIONS, BACKS = range(8)
 """Places in `Memory.numbers`: whether a scan was seen, how many scans are known, points remembered, points that move
@@ -57,6 +57,8 @@ class Setting(NamedTuple):
     """Yaw rate and yaw acceleration (5, 2): asked for, followed at speed, slowly, while the speed changes, standing."""
     alike: NDArray[np.bool_]
     """Whether the limits of two rows are the same (5, 5)."""
+    variants: NDArray[np.int64]
+    """Numbers of the ways to turn that the vehicle may have, see `prediction.variant`."""
     slides: bool
     """Whether load and grip do not let the vehicle follow its turns on the spot: it slides as they end."""
     brakes_straight_above: float
@@ -89,6 +91,8 @@ class Setting(NamedTuple):
     most_along: int
     most_across: int
     """Most cells along a ray, and across it, in which an obstacle may stand unseen."""
+    most_cells: int
+    """Most of them all that are looked into: of a course that has more, none is known to be free."""
 
 
 class Memory(NamedTuple):
@@ -96,16 +100,17 @@ class Memory(NamedTuple):
 
     numbers: NDArray[np.int64]
     moved: Array
-    """Predicted pose of now in the vehicle frame of the last decision (3,)."""
+    """Pose of now in the vehicle frame of the last decision (3,), as predicted until the scan of now corrects it."""
     target: Array
     """The target in that frame (2,) [m]."""
     evidence: Array
+    """Contradictions against each sensor since it last read something (8,)."""
     points: Array
     """Of the last scan (rays, 2) [m]."""
     rays: Array
     """Of the last scan (rays,) [m]; -1 for a blind one."""
     standing: Array
-    """See `perception.LastScan.standing` (m, 3)."""
+    """Points that stand still: x, y in the vehicle frame [m], and the number of scans since they were seen (m, 3)."""
     scans: Array
     """See `seen_space.RecentScans` (12, rays)."""
     poses: Array
@@ -120,6 +125,12 @@ class Memory(NamedTuple):
     driven: Array
     then: Array
     frames: Array
+    cells: Array
+    """See `seen_space.unseen_cells` (k, 5)."""
+
+
+WORKED_IN = "courses", "driven", "then", "frames", "cells"
+"""Members of `Memory` that are room to work in."""
 
 
 def setting_of(lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions, task: TaskOptions) -> Setting:
@@ -155,6 +166,13 @@ def setting_of(lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions, task
     driven = int(np.ceil(drive.decision_period / PREDICTION_STEP)) + 1
     far = fastest * drive.decision_period + fastest**2 / lengths.deceleration
     reach = far + 2 * hypot(abs(box[0]) + box[2], abs(box[1]) + box[3]) + hypot(*sensor.position[:2]) + lengths.margin
+    alike = np.array([[a == b for b in rows] for a in rows])
+    slides = rows[ON_THE_SPOT] != asked
+    straight_above = side_grip(vehicle, asked.acceleration) / asked.yaw_rate
+    falls_behind = not alike[ASKED, [CHANGING, ON_THE_SPOT]].all()
+    variants = np.flatnonzero([True, falls_behind, slides, fastest > straight_above])
+    along = int(np.ceil(2 * reach / lengths.least_width)) + 1
+    beside = int(np.ceil(2 * (lengths.turning_radius + lengths.tight_margin) / lengths.least_width)) + 1
     return Setting(
         range=sensor.range,
         rays=sensor.rays,
@@ -170,9 +188,10 @@ def setting_of(lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions, task
         acceleration=asked.acceleration,
         braking=lengths.deceleration,
         limits=np.array([(its.yaw_rate, its.yaw_acceleration) for its in rows]),
-        alike=np.array([[a == b for b in rows] for a in rows]),
-        slides=rows[ON_THE_SPOT] != asked,
-        brakes_straight_above=side_grip(vehicle, asked.acceleration) / asked.yaw_rate,
+        alike=alike,
+        variants=variants,
+        slides=slides,
+        brakes_straight_above=straight_above,
         turning_circle=lengths.turning_radius + lengths.times(LEAST_CLEARANCE),
         look_ahead=lengths.look_ahead,
         margin=lengths.margin,
@@ -194,8 +213,10 @@ def setting_of(lengths: Lengths, vehicle: VehicleSpec, drive: DriveOptions, task
         most_yaw_rate=largest,
         most_driven=driven,
         most_braking=int(np.ceil(braking / PREDICTION_STEP)) + 1,
-        most_along=int(np.ceil(2 * reach / lengths.least_width)) + 1,
+        most_along=along,
         most_across=int(np.ceil(4 * reach * np.sin(np.pi / sensor.rays) / lengths.least_width)) + 1,
+        # Twice those all round the vehicle, and those on a straight course to either side of it.
+        most_cells=2 * (sensor.rays + 2 * along) * beside,
     )
 
 
@@ -222,18 +243,5 @@ def memory_of(p: Setting) -> Memory:
         driven=np.zeros((p.most_driven, 5)),
         then=np.zeros((p.most_braking, 5)),
         frames=np.zeros((course, 4)),
+        cells=np.zeros((p.most_cells, 5)),
     )
-
-
-@njit()
-def moving_first(points: Array, moving: NDArray[np.bool_]) -> tuple[Array, int]:
-    """The points (k, 2) that are none of NaN, those that move before the others, and the number of those that move."""
-    found, count, first = np.empty_like(points), 0, 0
-    for moves in (True, False):
-        for k in range(len(points)):
-            if moving[k] == moves and not np.isnan(points[k, 0]):
-                found[count] = points[k]
-                count += 1
-        if moves:
-            first = count
-    return found[:count], first

@@ -24,22 +24,20 @@ from numpy.typing import NDArray
 from nnql_bullet import paper
 from nnql_bullet.agents.base import Knowing, Overridable
 from nnql_bullet.agents.turns import nearest_turns, offered_turns
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation, heading_change, speed_scale
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, SLOW, STOP, Observation
 from nnql_bullet.geometry import Array, wrap_angles
-from nnql_bullet.mapping.prediction import predicted_poses
 from nnql_bullet.mapping.way import first_surroundings, moved_on, place_seen, way_ahead, with_scan
 from nnql_bullet.rollout import Actions, Policy, PolicyState
 from nnql_bullet.sensing import smallest
 from nnql_bullet.shield.fallback import first_choice
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
-from nnql_bullet.shield.perception import LastScan, Perception, perceived
-from nnql_bullet.shield.prediction import can_stop, clear_by_margin
+from nnql_bullet.shield.perception import perceive
+from nnql_bullet.shield.prediction import can_stop, clear_by_margin, foresee
 from nnql_bullet.shield.recovery import Recovery
-from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, memory_of, moving_first, setting_of
-from nnql_bullet.shield.setting import Memory as Room
-from nnql_bullet.task import TaskOptions
+from nnql_bullet.shield.setting import BACKS, DECISIONS, MOVING, SIDE, WORKED_IN, memory_of, setting_of
+from nnql_bullet.shield.setting import Memory as Known
+from nnql_bullet.task import NON_SAFE, SAFE, TaskOptions, is_safe
 from nnql_bullet.vehicle.controller import DriveOptions
-from nnql_bullet.vehicle.profiles import ramp_distances
 from nnql_bullet.vehicle.spec import VehicleSpec
 
 __all__ = ["Shield", "ShieldOptions"]
@@ -54,23 +52,11 @@ NARROW = 1.25
 
 
 @dataclass(frozen=True, slots=True)
-class Spin:
-    """How one vehicle turns on the spot."""
-
-    side: int = 0
-    """Side to which it turns: 1 left, -1 right, 0 while it does not turn on the spot."""
-    decisions: int = 0
-    """Decisions to turn on the spot since it last drove on."""
-    backs: bool = False
-    """Whether it backs out of where it can neither drive on nor turn round."""
-
-
-@dataclass(frozen=True, slots=True)
 class Memory:
     """The shield's memory of one vehicle."""
 
-    spin: Spin = field(default_factory=Spin)
-    scan: LastScan = field(default_factory=LastScan)
+    known: Known
+    """What its kernels remember."""
     recovery: Recovery = field(default_factory=Recovery)
     """Progress and recovery."""
 
@@ -116,16 +102,15 @@ class Shield:
         self._vehicle, self._drive, self._task, self._carrot = vehicle, drive, task, carrot
         self._lengths = lengths_of(options, vehicle, drive)
         self._setting = setting_of(self._lengths, vehicle, drive, task)
-        self._room = memory_of(self._setting)
+        self._nothing = Memory(memory_of(self._setting))
 
     def initial_state(self, size: int) -> ShieldState:
         """Returns the state of n vehicles that have seen nothing."""
-        memories = (Memory(),) * size
-        return ShieldState(memories, np.zeros(size, np.bool_), self.agent.initial_state(size))
+        return ShieldState((self._nothing,) * size, np.zeros(size, np.bool_), self.agent.initial_state(size))
 
     def reset(self, state: ShieldState, world_seeds: Mapping[int, int]) -> ShieldState:
         """Forgets vehicles that are put into worlds."""
-        memories = tuple(Memory() if i in world_seeds else memory for i, memory in enumerate(state.memories))
+        memories = tuple(self._nothing if i in world_seeds else memory for i, memory in enumerate(state.memories))
         return replace(state, memories=memories, agent=self.agent.reset(state.agent, world_seeds))
 
     def action_values(self, observations: Observation, state: ShieldState) -> Array:
@@ -142,8 +127,7 @@ class Shield:
         What the agent wants beyond the actions (`env.MANOEUVRES`) is done where the vehicle can stop after it;
         elsewhere, and beside moving obstacles, its heading change counts alone.
         """
-        seen = self.perceived(observations, state.memories)
-        o = seen.observation
+        o, memories = self.perceived(observations, state.memories)
         wanted, agent_state = self.agent.act(o, state.agent)
         values = (
             self._knowing.values_of(agent_state)[:, : len(paper.TURNS)]
@@ -151,9 +135,9 @@ class Shield:
             else self.agent.action_values(o, state.agent)
         )
         turns = offered_turns(o.target_bearing)
-        ranks, memories = action_ranks(values, wanted % ACTIONS, turns), state.memories
+        ranks = action_ranks(values, wanted % ACTIONS, turns)
         led, headings = np.zeros(len(wanted), np.bool_), np.zeros(len(wanted))
-        p, around = self._setting, [self._known(seen, i, memory.spin) for i, memory in enumerate(memories)]
+        p, around = self._setting, [memory.known for memory in memories]
         motions = list(zip(o.yaw_rate.tolist(), o.speed.tolist(), strict=True))
         clear = np.empty(turns.shape, np.bool_)
         situations = zip(around, turns, motions, clear, strict=True)
@@ -164,10 +148,10 @@ class Shield:
             at_speed = np.take_along_axis(clear, (wanted % ACTIONS)[:, None], axis=1)[:, 0]
             led, headings = ~at_speed | self._is_led_by_plan(o), o.target_bearing
         elif self.options.recovers:
-            memories, led, headings = self._recovering(seen, memories)
+            memories, led, headings = self._recovering(o, memories)
         away = np.abs(wrap_angles(turns - headings[:, None]))
         ranks, along = np.where(led[:, None], -away, ranks), ~led[:, None] | (away <= ALONG)
-        chosen, spins = np.empty(len(wanted), np.int64), []
+        chosen = np.empty(len(wanted), np.int64)
         orders, bearings = np.argsort(-ranks, axis=-1, kind="stable"), o.target_bearing.tolist()
         for i, (m, motion, margin) in enumerate(zip(around, motions, margins, strict=True)):
             admitted, action = clear[i] & along[i], int(wanted[i] % ACTIONS)
@@ -179,30 +163,25 @@ class Shield:
                     *(p, m, turns[i], orders[i], admitted, along[i] if led[i] else admitted),
                     *(bearings[i], *motion, margin, int(np.sign(headings[i]))),
                 )
-            side, decisions, backs = m.numbers[[SIDE, DECISIONS, BACKS]].tolist()
-            drives_on = self._carrot is not None and not STOP <= chosen[i] < SLOW
-            spins.append(Spin() if drives_on else Spin(side, decisions, bool(backs)))
+            if self._carrot is not None and not STOP <= chosen[i] < SLOW:
+                m.numbers[[SIDE, DECISIONS, BACKS]] = 0
+            foresee(p, m, int(chosen[i]), float(turns[i, chosen[i] % ACTIONS]), *motion)
         if self._overridable is not None:
             agent_state = self._overridable.override(agent_state, chosen)
-        after = self._remembered(o, chosen, memories, spins, seen.scans)
-        return chosen, ShieldState(after, np.asarray(chosen != wanted), agent_state)
+        return chosen, ShieldState(memories, np.asarray(chosen != wanted), agent_state)
 
-    def _known(self, seen: Perception, vehicle: int, spin: Spin) -> Room:
-        """What the kernels take of what one vehicle knows."""
-        cloud, moving = moving_first(seen.points[vehicle], seen.moving[vehicle])
-        rays, poses, strayed = seen.scans[vehicle].recent
-        closing = np.zeros(len(cloud))
-        closing[:moving] = self._lengths.box_speed
-        numbers = np.array([1, len(rays), 0, moving, len(cloud), spin.side, spin.decisions, spin.backs])
-        return self._room._replace(
-            numbers=numbers, cloud=cloud, closing=closing, scans=rays, poses=poses, strayed=strayed
-        )
-
-    def perceived(self, observations: Observation, memories: Sequence[Memory]) -> Perception:
-        """What n vehicles know of their surroundings; see `perception.perceived`."""
-        standing = observations.speed < self._lengths.standstill
-        last = [memory.scan for memory in memories]
-        return perceived(observations, last, standing.tolist(), self._vehicle.sensor, self._lengths, self._task)
+    def perceived(self, o: Observation, memories: Sequence[Memory]) -> tuple[Observation, tuple[Memory, ...]]:
+        """Takes the scans of n vehicles in: what they see, with dead sensors completed, and their memories of it."""
+        p, rays, readings, after = self._setting, o.ray_distances.copy(), np.empty_like(o.readings), []
+        sights = zip(o.landmark_distance.tolist(), o.landmark_bearing.tolist(), o.speed.tolist(), strict=True)
+        for memory, scan, sight, reading in zip(memories, rays, sights, readings, strict=True):
+            members = memory.known._asdict().items()
+            known = Known(**{name: its if name in WORKED_IN else its.copy() for name, its in members})
+            perceive(p, known, scan, *sight, reading)
+            after.append(replace(memory, known=known))
+        unsafe = (o.state_property == SAFE) & ~is_safe(readings, self._task) & (readings < o.readings).any(axis=-1)
+        state = np.where(unsafe, NON_SAFE, o.state_property)
+        return replace(o, ray_distances=rays, readings=readings, state_property=state), tuple(after)
 
     def _is_led_by_plan(self, o: Observation) -> NDArray[np.bool_]:
         """Whether the plan, not the agent, leads each vehicle (n,): where it is narrow, or the plan leads back."""
@@ -210,19 +189,19 @@ class Shield:
         return np.asarray(narrow | (np.abs(o.target_bearing) > LARGEST_TURN))
 
     def _recovering(
-        self, seen: Perception, memories: Sequence[Memory]
+        self, o: Observation, memories: Sequence[Memory]
     ) -> tuple[tuple[Memory, ...], NDArray[np.bool_], Array]:
         """Updates the recoveries; also whether each leads its vehicle (n,), and to which heading change (n,) [rad]."""
-        after, o = [], seen.observation
+        after = []
         led, headings = np.zeros(len(memories), np.bool_), np.zeros(len(memories))
         for i, memory in enumerate(memories):
             left, place = float(o.distance_left[i]), (float(o.landmark_distance[i]), float(o.landmark_bearing[i]))
             recovery = memory.recovery.updated(left, self._drive.decision_period, self._lengths.scale)
             around = None
             if recovery.leads(left):
-                rays = np.where(seen.moving[i, : o.ray_distances.shape[1]], 0.0, seen.scans[i].recent.rays[0])
+                rays = np.where(memory.known.moving, 0.0, memory.known.scans[0])
                 around = recovery.surroundings
-                around = moved_on(around, seen.moved[i], *place) if around else None
+                around = moved_on(around, memory.known.moved, *place) if around else None
                 around = with_scan(around or first_surroundings(*place), rays, self._vehicle)
                 tight, reach = self._lengths.tight_margin, self._lengths.turning_radius
                 target = float(o.target_distance[i]), float(o.target_bearing[i])
@@ -230,28 +209,6 @@ class Shield:
                 led[i], headings[i] = True, way_ahead(around, self._vehicle, tight, reach, goal)
             after.append(replace(memory, recovery=replace(recovery, surroundings=around)))
         return tuple(after), led, headings
-
-    def _remembered(
-        self,
-        o: Observation,
-        chosen: NDArray[np.int64],
-        memories: Sequence[Memory],
-        spins: Sequence[Spin],
-        scans: Sequence[LastScan],
-    ) -> tuple[Memory, ...]:
-        """The memories after the decisions, with the pose that each vehicle should have then."""
-        limits, times = self._vehicle.limits, np.linspace(0.0, self._drive.decision_period, 11)[1:]
-        goals = speed_scale(chosen, self._drive) * self._drive.speed
-        distances = ramp_distances(o.speed, goals, limits.acceleration, times)
-        turns = heading_change(chosen, o.target_bearing)
-        moved = predicted_poses(o.yaw_rate, turns[:, None], distances, limits, times)[:, 0, -1]
-        after = []
-        for i, memory in enumerate(memories):
-            spin = spins[i]
-            if o.speed[i] >= 0.9 * goals[i] > 0:
-                spin = Spin()
-            after.append(Memory(spin, replace(scans[i], moved=moved[i]), memory.recovery))
-        return tuple(after)
 
 
 def action_ranks(values: Array, wanted: NDArray[np.int64], turns: Array) -> Array:

@@ -6,8 +6,7 @@ network learns from all that was said so far. The search sees no more than the n
 map of what was seen; what is learned is to know its outcome from what one step ahead and the surroundings look like.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,9 +14,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nnql_bullet import paper
-from nnql_bullet.agents.foresight import CONTEXT, MIRRORED_MANOEUVRES, PHI, WIDTH, Foresight, Look, Memory
+from nnql_bullet.agents.foresight import CONTEXT, MIRRORED_MANOEUVRES, PHI, WIDTH, Look, Memory
 from nnql_bullet.agents.learning import weights
+from nnql_bullet.agents.learning.manoeuvre_driver import MANNERS, DistilledState, ManoeuvreDriver
 from nnql_bullet.agents.learning.optimizers import without_cache_folder
 from nnql_bullet.agents.learning.options import DistilledOptions
 from nnql_bullet.env import ACTIONS, MANOEUVRES, Observation, Transition
@@ -27,8 +26,6 @@ from nnql_bullet.rollout import Actions
 from nnql_bullet.seeding import Stream, fenced, rng
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.spec import VehicleSpec
-
-_MANNERS = MANOEUVRES // ACTIONS
 
 
 class ManoeuvreNetwork(torch.nn.Module):
@@ -40,13 +37,13 @@ class ManoeuvreNetwork(torch.nn.Module):
         for sizes in pairwise((CONTEXT, *hidden)):
             layers += [torch.nn.Linear(*sizes), torch.nn.LayerNorm(sizes[1]), torch.nn.ReLU()]
         self.surroundings = torch.nn.Sequential(*layers[:-2])
-        self.foreseen = torch.nn.Linear(PHI + _MANNERS, hidden[-1])
+        self.foreseen = torch.nn.Linear(PHI + MANNERS, hidden[-1])
         self.value = torch.nn.Sequential(
             torch.nn.ReLU(), torch.nn.Linear(hidden[-1], per_action), torch.nn.ReLU(), torch.nn.Linear(per_action, 1)
         )
         for parameter in self.value[-1].parameters():  # no manoeuvre is better than another yet
             torch.nn.init.zeros_(parameter)
-        self.manners = torch.eye(_MANNERS).repeat_interleave(ACTIONS, dim=0)
+        self.manners = torch.eye(MANNERS).repeat_interleave(ACTIONS, dim=0)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
         """Values (m, 24) of what was seen (m, WIDTH), as bytes."""
@@ -57,68 +54,18 @@ class ManoeuvreNetwork(torch.nn.Module):
         return q
 
 
-@dataclass(frozen=True, slots=True)
-class DistilledState:
-    """Memory of n vehicles, and what the last manoeuvres were chosen by."""
-
-    memory: Memory
-    last: tuple[Look, Observation] | None = None
-    values: Array | None = None
-    """What the network said of the manoeuvres (n, 24) [m]; None where it was not asked."""
-    scores: Array | None = None
-    """What the search said of the manoeuvres (n, 24) [m]; None where it was not asked."""
-
-
-class Distilled:
+class Distilled(ManoeuvreDriver):
     """Takes the manoeuvre that its network values most, of those that are not foreseen to meet anything."""
 
     def __init__(self, options: DistilledOptions, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> None:
-        self.options, self._seed = options, seed
-        self._foresight = Foresight(vehicle, drive)
+        super().__init__(options, vehicle, drive)
+        self._seed = seed
         with fenced(rng(seed, Stream.WEIGHTS)):
             self.network = ManoeuvreNetwork(options.hidden, options.per_action)
         self._optimizer: torch.optim.Optimizer | None = None
         self._count = 0
         self._seen = np.zeros((0, WIDTH), np.uint8)
         self._scores = np.zeros((0, MANOEUVRES), np.float32)
-
-    def initial_state(self, size: int) -> DistilledState:
-        """Returns an empty memory of n vehicles."""
-        return DistilledState(self._foresight.nothing(size))
-
-    def reset(self, state: DistilledState, world_seeds: Mapping[int, int]) -> DistilledState:
-        """Forgets these vehicles."""
-        age = state.memory.age.copy()
-        age[list(world_seeds)] = 0
-        return replace(state, memory=replace(state.memory, age=age))
-
-    def act(self, observations: Observation, state: DistilledState) -> tuple[Actions, DistilledState]:
-        """Chooses the manoeuvre with the largest value of those that are foreseen to meet nothing."""
-        look = self._look(observations, state)
-        values = self._values(look)
-        actions = self._chosen(look, values)
-        return actions, replace(self._after(look, observations, actions), values=values)
-
-    def override(self, state: DistilledState, actions: Actions) -> DistilledState:
-        """Returns the state after these manoeuvres in place of those last chosen."""
-        return replace(self._after(*state.last, actions), values=state.values) if state.last else state
-
-    def action_values(self, observations: Observation, state: DistilledState) -> Array:
-        """Values of the five turns at full speed less that of the best manoeuvre (n, 5) [m].
-
-        The network knows values but for a constant: it learns from differences.
-        """
-        return _of_turns(self._values(self._look(observations, state)))
-
-    def values_of(self, state: DistilledState) -> Array:
-        """Returns `action_values` of the last decision, which `act` has made (n, 5) [m].
-
-        Raises:
-            ValueError: If there was none.
-        """
-        if state.values is None:
-            raise ValueError("values_of needs the state that act returned")
-        return _of_turns(state.values)
 
     def act_exploring(
         self, observations: Observation, state: DistilledState, episodes: NDArray[np.int64], uniforms: Array
@@ -127,7 +74,7 @@ class Distilled:
         o, look = self.options, self._look(observations, state)
         scores, _ = self._foresight.searched(look, observations, o.search)
         led = uniforms >= 1.0 - o.led(episodes) * (1.0 - o.random_share)
-        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look, self._values(look)))
+        actions = np.where(led, scores.argmax(axis=-1), self._chosen(look, self.values(look)))
         drawn = np.minimum(uniforms / max(o.random_share, 1e-9) * MANOEUVRES, MANOEUVRES - 1).astype(np.int64)
         actions = np.where(uniforms < o.random_share, drawn, actions)
         return actions, replace(self._after(look, observations, actions), scores=scores)
@@ -212,24 +159,11 @@ class Distilled:
         with without_cache_folder():
             return torch.optim.Adam(self.network.parameters(), fused=True)
 
-    def _look(self, observations: Observation, state: DistilledState) -> Look:
-        return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
-
-    def _chosen(self, look: Look, values: Array) -> Actions:
-        return self._foresight.chosen(look, values, self.options.search.margin)
-
-    def _values(self, look: Look) -> Array:
+    def values(self, look: Look) -> Array:
+        """What the network says of the manoeuvres (n, 24) [m]."""
         with torch.no_grad():
             values: Array = self.network(torch.from_numpy(look.stacked)).numpy().astype(np.float64)
         return values
-
-    def _after(self, look: Look, observations: Observation, actions: Actions) -> DistilledState:
-        return DistilledState(self._foresight.after(look, observations, actions), (look, observations))
-
-
-def _of_turns(values: Array) -> Array:
-    """The values (n, 24) of the five turns, less the largest (n, 5)."""
-    return np.asarray(values[:, : len(paper.TURNS)] - values.max(axis=-1, keepdims=True))
 
 
 def divergence(q: torch.Tensor, scores: torch.Tensor, softness: float) -> torch.Tensor:

@@ -7,6 +7,7 @@ Fox, Burgard and Thrun, "The dynamic window approach to collision avoidance" (IE
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from nnql_bullet.agents.base import Rule
@@ -114,6 +115,6 @@ class Dwa(Rule):
         )
 
 
-def _free_times(free: np.ndarray, times: Array) -> Array:  # type: ignore[type-arg]
+def _free_times(free: NDArray[np.bool_], times: Array) -> Array:
     """The first times (...) [s] at which poses (..., k) are not free; infinite if all are."""
     return np.where(free.all(axis=-1), np.inf, times[free.argmin(axis=-1)])

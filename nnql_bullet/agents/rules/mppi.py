@@ -237,7 +237,7 @@ def best_manoeuvre(
             mean += weights[k] / together[best] * controls[k]
     mean[:-1] = mean[1:]
     mean[-1, 0] = 0.0
-    return best, mean
+    return int(best), mean
 
 
 @njit(nogil=True)
