@@ -191,16 +191,12 @@ class TestOrca:
             away = point - times[:, None, None] * (permitted - its)
             assert np.hypot(away[..., 0], away[..., 1]).min() >= radius - 0.2 * (np.hypot(*point) > points[:, 0].min())
 
-    def test_it_gives_way_to_what_crosses(self, make: Make) -> None:
-        """A box comes from the right: seen three times, it is passed behind, and a standing one straight on."""
-        chosen = {}
-        for speed in (0.0, 1.0):
-            agent, away, bearings = make("orca", margin=0.3, horizon=3.0), 4.0, np.radians(DEGREES)
-            for k in range(4):
-                across = -3.0 + speed * k * DRIVE.decision_period
-                met = (np.cos(bearings) > 0) & (np.abs(away * np.tan(bearings) - across) < 0.6)
-                rays = np.where(met, away / np.cos(bearings), NOTHING)
-                chosen[speed] = action(agent, observed(rays))
-                agent.override(np.array([STOP]))
-        assert chosen[0.0] in (0, TOWARD_TARGET)
-        assert chosen[1.0] not in (0, TOWARD_TARGET)
+    def test_what_crosses_bends_the_way_and_what_stands_there_does_not(self) -> None:
+        """A point off the way, that stands or comes toward it."""
+        now, point = np.array([2.0, 0.0]), np.array([[4.0, -2.0]])
+        ways = [
+            nearest_permitted(half_planes(point, np.array([its]), now, 0.8, 3.0, DRIVE.decision_period), now, 2.0)
+            for its in ([0.0, 0.0], [0.0, 1.0])
+        ]
+        assert ways[0] == pytest.approx(now)
+        assert np.hypot(*(ways[1] - now)) > 0.1
