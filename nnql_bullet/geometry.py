@@ -153,23 +153,51 @@ def _corners_to_box(a: Array, b: Array) -> float:
 
 
 @njit()
-def _gap_along_axes_of(a: Array, b: Array) -> float:
-    """The larger gap between the projections of two boxes on the axes of row `a` [m]; 0 or less if both overlap.
+def _gap_along_axes_of(a: Array, b: Array) -> tuple[float, float, float]:
+    """The larger gap between the projections of two boxes on the axes of row `a` [m], and that axis from `a` to `b`.
 
-    That is one half of the separating-axis test; no distance between the boxes is smaller than a gap.
+    That is one half of the separating-axis test. The gap is 0 or less if both projections overlap; no distance between
+    the boxes is smaller than a gap.
     """
     dx, dy = b[0] - a[0], b[1] - a[1]
     c, s = abs(a[4] * b[4] + a[5] * b[5]), abs(a[4] * b[5] - a[5] * b[4])
-    along = abs(a[4] * dx + a[5] * dy) - (a[2] + b[2] * c + b[3] * s)
-    across = abs(a[4] * dy - a[5] * dx) - (a[3] + b[2] * s + b[3] * c)
-    return float(max(along, across))
+    ahead, left = a[4] * dx + a[5] * dy, a[4] * dy - a[5] * dx
+    along = abs(ahead) - (a[2] + b[2] * c + b[3] * s)
+    across = abs(left) - (a[3] + b[2] * s + b[3] * c)
+    if along >= across:
+        side = np.copysign(1.0, ahead)
+        return along, side * a[4], side * a[5]
+    side = np.copysign(1.0, left)
+    return across, -side * a[5], side * a[4]
+
+
+@njit()
+def separation(a: Array, b: Array) -> tuple[float, float, float]:
+    """Finds the widest gap between the projections of two boxes on one of their axes (separating-axis test).
+
+    Args:
+        a: A row (7,) of `as_rows`, whose radius does not count.
+        b: Another one.
+
+    Returns:
+        The gap [m], 0 or less if the boxes overlap, and the unit vector x, y along that axis from `a` to `b`.
+    """
+    (gap, x, y), (other, back_x, back_y) = _gap_along_axes_of(a, b), _gap_along_axes_of(b, a)
+    return (gap, x, y) if gap >= other else (other, -back_x, -back_y)
+
+
+@njit()
+def distance_apart(a: Array, b: Array) -> float:
+    """Computes the distance between the shapes of two rows (7,) of `as_rows` whose boxes do not overlap [m].
+
+    Two disjoint convex polygons are closest at a corner of one of them. Overlapping radii make it negative.
+    """
+    return float(np.sqrt(min(_corners_to_box(a, b), _corners_to_box(b, a))) - a[6] - b[6])
 
 
 @njit()
 def clearance(footprint: Array, shapes: Array, most: float = np.inf) -> float:
     """Computes the distance from a shape to the nearest of several [m]: 0 if they overlap, `most` if none is nearer.
-
-    Two disjoint convex polygons are closest at a corner of one of them; the separating-axis theorem finds the overlap.
 
     Args:
         footprint: One row (7,) of `as_rows`.
@@ -183,13 +211,12 @@ def clearance(footprint: Array, shapes: Array, most: float = np.inf) -> float:
         most_near = closest + reach + np.sqrt(shape[2] * shape[2] + shape[3] * shape[3]) + shape[6]
         if dx * dx + dy * dy >= most_near * most_near:
             continue
-        gap = max(_gap_along_axes_of(footprint, shape), _gap_along_axes_of(shape, footprint))
+        gap, _, _ = separation(footprint, shape)
         if gap <= 0.0:
             return 0.0
         if gap - footprint[6] - shape[6] >= closest:
             continue
-        squared = min(_corners_to_box(footprint, shape), _corners_to_box(shape, footprint))
-        distance = np.sqrt(squared) - footprint[6] - shape[6]
+        distance = distance_apart(footprint, shape)
         if distance <= 0.0:
             return 0.0
         closest = min(closest, distance)
@@ -237,7 +264,7 @@ def _common_point(a: Array, b: Array) -> tuple[float, float]:
 @njit()
 def closest_points(a: Array, b: Array) -> tuple[float, float, float, float]:
     """Finds the closest points x, y of row `a` and x, y of row `b` (7,) of `as_rows` [m]; one point if they overlap."""
-    if max(_gap_along_axes_of(a, b), _gap_along_axes_of(b, a)) <= 0.0:
+    if separation(a, b)[0] <= 0.0:
         x, y = _common_point(a, b)
         return x, y, x, y
     closest, found = np.inf, (0.0, 0.0, 0.0, 0.0)

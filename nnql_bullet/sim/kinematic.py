@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 
 from nnql_bullet.blocks import SHAPES_PER_BLOCK, bounds_of, cast_rays, clearance_among, squared_distance_to_bounds
 from nnql_bullet.errors import UserError
-from nnql_bullet.geometry import COLUMNS, Array, Pose, as_rows, clearance_at, squared_distance, wrap_angle
+from nnql_bullet.geometry import (
+    COLUMNS,
+    Array,
+    Pose,
+    as_rows,
+    clearance_at,
+    distance_apart,
+    row_at,
+    separation,
+    squared_distance,
+    wrap_angle,
+)
 from nnql_bullet.jit import announced, njit
 from nnql_bullet.machine import allowed_cores
 from nnql_bullet.sim.base import SAMPLE_EVERY, Motion, Sample, Traces
@@ -35,6 +46,9 @@ STILL = 1e-9
 """Lower bound on displacement per wheel command [m]; avoids division by zero."""
 ROUNDING = 1e-6
 """By how much the number of commands that are skipped is smaller than it may be."""
+SAME = 1e-12
+"""Difference up to which clearances count as equal [m]: beside a corner the clearance stays the same but for rounding,
+and one computation is enough."""
 
 _NO_EVENT, _TOUCHING, _AT_TARGET = 0, 1, 2
 
@@ -362,7 +376,7 @@ def _advance_one(
     hop = max(hop + _fastest(tracks) / COMMAND_RATE, STILL)
     near, near_tracks = _near(i, hop * (len(path) - 1), constants, state, period)
     last, event, smallest, left = _follow(
-        path, state.target[i], state.clearance[i], hop, constants.footprint, near, near_tracks, clock
+        path, state.target[i], state.clearance[i], hop, constants, near, near_tracks, clock
     )
     state.pose[i, 0], state.pose[i, 1], state.pose[i, 2] = path[last, 0], path[last, 1], wrap_angle(path[last, 2])
     state.yaw_rate[i], state.speed[i] = rates[last], speeds[last]
@@ -429,22 +443,19 @@ def _follow(
     target: Array,
     clearance: float,
     hop: float,
-    footprint: Array,
+    constants: _Constants,
     solids: Array,
     tracks: Array,
     clock: int,
 ) -> tuple[int, int, float, float]:
     """Follows a path up to the first contact or the target.
 
-    The clearance is computed only where it may be the smallest: from one command to the next it changes by `hop` at
-    most.
-
     Args:
         path: Poses (k + 1, 3).
         target: x, y, radius [m].
         clearance: Clearance at the path's start [m].
         hop: Largest change of the clearance from one pose to the next [m].
-        footprint: A row (7,) in the vehicle's frame.
+        constants: See there.
         solids: Rows (n, 7) of `as_rows`; the last m are patrols, which this moves.
         tracks: Tracks of the patrols (m, 6).
         clock: Number of commands up to the path's start.
@@ -452,38 +463,70 @@ def _follow(
     Returns:
         Index of the last pose reached, the event that ended it, the smallest clearance, and that at the end [m].
     """
-    last, event, movers = len(path) - 1, _NO_EVENT, solids[len(solids) - len(tracks) :]
+    last, event, still = len(path) - 1, _NO_EVENT, len(solids) - len(tracks)
     to_target = np.hypot(path[0, 0] - target[0], path[0, 1] - target[1]) - target[2]
     for k in range(1, len(path) if to_target <= hop * last else 0):
         if np.hypot(path[k, 0] - target[0], path[k, 1] - target[1]) <= target[2]:
             last, event = k, _AT_TARGET
             break
-    follow_tracks(tracks, (clock + last) / COMMAND_RATE, movers)
-    end = clearance_at(path[last, 0], path[last, 1], path[last, 2], footprint, solids)
-    now, smallest = clearance, min(clearance, end)
-    k = 1 + _commands_farther_off(now, smallest, hop)
-    while k < last:
-        follow_tracks(tracks, (clock + k) / COMMAND_RATE, movers)
-        now = clearance_at(path[k, 0], path[k, 1], path[k, 2], footprint, solids)
-        if now <= 0.0:
-            return k, _TOUCHING, 0.0, 0.0
-        smallest = min(smallest, now)
-        k += 1 + _commands_farther_off(now, smallest, hop)
-    if end <= 0.0:
-        return last, _TOUCHING, 0.0, 0.0
+    follow_tracks(tracks, (clock + last) / COMMAND_RATE, solids[still:])
+    end = clearance_at(path[last, 0], path[last, 1], path[last, 2], constants.footprint, solids)
+    smallest, touch = min(clearance, end), last
+    for j in range(len(solids)):
+        track = tracks[max(j - still, 0) : max(j - still + 1, 0)]
+        touch, smallest = _pass(path[: touch + 1], solids[j : j + 1], track, smallest, hop, constants, clock)
+    if touch < last or end <= 0.0:
+        return touch, _TOUCHING, 0.0, 0.0
     return last, event, smallest, end
 
 
 @njit()
-def _commands_farther_off(now: float, smallest: float, hop: float) -> int:
-    """Counts the next commands after which the clearance is surely above the smallest one, and so above 0.
+def _pass(
+    path: Array, solid: Array, track: Array, smallest: float, hop: float, constants: _Constants, clock: int
+) -> tuple[int, float]:
+    """Follows a path past one solid up to the first contact with it, between the path's ends.
+
+    The distance is computed only where it may be the smallest one. Whatever separates the footprint from the solid
+    along an axis shrinks by no more than the way that the vehicle goes along it, what it turns, and what the solid
+    moves; nor by more than `hop` from one pose to the next. So contacts are exact, and the smallest clearance is that
+    of all poses within `SAME`.
 
     Args:
-        now: Clearance now [m].
-        smallest: Smallest clearance so far, or a later one [m].
+        path: Poses (k + 1, 3).
+        solid: A row (1, 7) of `as_rows`, which this moves if it has a track.
+        track: Its track (1, 6), or none (0, 6).
+        smallest: Smallest clearance that is known [m].
         hop: See `_follow`.
+        constants: See there.
+        clock: See `_follow`.
+
+    Returns:
+        Index of the last pose, and the smallest clearance [m].
     """
-    return int(max((now - smallest) / hop - ROUNDING, 0.0))
+    last, k, drift = len(path) - 1, 1, _fastest(track) / COMMAND_RATE
+    while k < last:
+        follow_tracks(track, (clock + k) / COMMAND_RATE, solid)
+        x, y, yaw = path[k]
+        footprint = row_at(x, y, yaw, constants.footprint)
+        gap, ahead_x, ahead_y = separation(footprint, solid[0])
+        away = gap - footprint[6] - solid[0, 6]
+        if gap > 0.0 and away < max(smallest - SAME, SAME):
+            away = distance_apart(footprint, solid[0])
+            smallest = min(smallest, away)
+        if gap <= 0.0 or away <= 0.0:
+            return k, 0.0
+        gap -= footprint[6] + solid[0, 6]
+        begin = k
+        k += 1 + int(max((away - smallest) / hop - ROUNDING, 0.0))
+        while k < last and (
+            gap
+            - (ahead_x * (path[k, 0] - x) + ahead_y * (path[k, 1] - y))
+            - constants.farthest * abs(path[k, 2] - yaw)
+            - drift * (k - begin)
+            > max(smallest - SAME, SAME)
+        ):
+            k += 1
+    return last, smallest
 
 
 @njit()
