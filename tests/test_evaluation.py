@@ -6,12 +6,14 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.stats import binom
 
+import nnql_bullet as nb
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.drives import Drawn, DriveTask, Tier, draw_tiers, drive, drive_tasks
 from nnql_bullet.evaluation.metrics import EVERYWHERE, Evaluation, comparisons, rows
@@ -360,6 +362,20 @@ def evaluated(
     arguments = ("evaluate", tiny_run, "straight", *where)
     assert main([str(part) for part in (*arguments, "--executor", "inline", "--out", out)]) == 0
     return out, arguments
+
+
+def test_a_plan_of_a_policy_s_own_leads_it_alone(tmp_path: Path) -> None:
+    planned = tmp_path / "planned.toml"
+    planned.write_text('[agent]\nkind = "straight"\n[plan]\n', encoding="utf-8")
+    asked: dict[str, Any] = {"worlds": ["cover_20"], "n_worlds": 4, "simulator": "kinematic", "workers": 1}
+
+    def endings(policies: list[str], **more: Any) -> dict[str, list[str]]:
+        rows = nb.evaluate(policies, **asked, **more).episodes
+        return {name: [its["ending"] for its in rows if its["method"] == name] for name in ("planned", "straight")}
+
+    together, led = endings([str(planned), "straight"]), endings(["straight"], plan=True)["straight"]
+    assert together == {"planned": led, "straight": endings(["straight"])["straight"]}
+    assert led != together["straight"]
 
 
 class TestCommand:

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from nnql_bullet.evaluation.policies import Policy
 from nnql_bullet.evaluation.splits import BLOCK, Draws, check_frozen, load_frozen
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file, real
+from nnql_bullet.planning.planner import PlanOptions
 from nnql_bullet.provenance import made_by
 from nnql_bullet.recording import Recorder, Recording
 from nnql_bullet.rollout import EpisodeSummary, run_episode, run_episodes
@@ -48,7 +49,7 @@ class Drawn:
     """Its hash."""
 
 
-_kept: OrderedDict[Drawn, WorldSpec] = OrderedDict()
+_kept: OrderedDict[tuple[Drawn, PlanOptions | None], WorldSpec] = OrderedDict()
 """Worlds that this process has drawn, the last used at the end; their hashes say that they are the same."""
 
 
@@ -210,11 +211,13 @@ def draw_tiers(
         if name in [tier.name for tier in tiers]:
             raise UserError(f"there are two worlds named '{name}'; give each once")
         checked = (
-            not (setting.allow_impassable or setting.plan or any(setting.ends.values()))
+            not (setting.allow_impassable or any(setting.ends.values()))
             and draws.split is not None
             and isinstance(one, str)
             and check_frozen(
-                one, draws.split, len(draws.seeds), policies[0].vehicle_width, experiment.world, load_frozen()
+                *(one, draws.split, len(draws.seeds), policies[0].vehicle_width),
+                partial(kind.draw, vehicle_width=policies[0].vehicle_width),  # a plan only turns the vehicle
+                load_frozen(),
             )
         )
         cover = None if of_folder else _cover_of(kind)
@@ -305,17 +308,18 @@ def drive(task: DriveTask) -> list[EpisodeSummary]:
 
 def _drawn(experiment: Experiment, task: _BlockTask) -> list[WorldSpec]:
     """Draws the worlds of a piece, or takes them as this process has drawn them before."""
-    block = task.tier.block(task.first)
-    new = [world for world in block if world not in _kept]
+    plan = experiment.config.plan  # which turns the vehicle at its start
+    keys = [(world, plan) for world in task.tier.block(task.first)]
+    new = [world for world, _ in keys if (world, plan) not in _kept]
     kinds = {world.file: experiment.kind(task.tier.kind(world)) for world in new}
-    drawn = {world: _kept[world] for world in block if world in _kept}
-    drawn |= {world: experiment.draw(kinds[world.file], world.seed) for world in new}
-    for world in block:
-        _kept[world] = drawn[world]
-        _kept.move_to_end(world)
+    drawn = {key: _kept[key] for key in keys if key in _kept}
+    drawn |= {(world, plan): experiment.draw(kinds[world.file], world.seed) for world in new}
+    for key in keys:
+        _kept[key] = drawn[key]
+        _kept.move_to_end(key)
     while len(_kept) > MOST_KEPT:
         _kept.popitem(last=False)
-    return [drawn[world] for world in block]
+    return [drawn[key] for key in keys]
 
 
 class SurveyTask(_BlockTask):

@@ -20,7 +20,7 @@ from nnql_bullet.executors import Executor, ExecutorArguments, executor_of
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.files import is_file
 from nnql_bullet.geometry import Array
-from nnql_bullet.run_config import RunConfig
+from nnql_bullet.run_config import DRIVING, RunConfig
 from nnql_bullet.runs import LoadedPolicy, PolicyLike, load_policy, tell_differences
 from nnql_bullet.setting import Setting
 from nnql_bullet.vehicle.urdf import load_vehicle
@@ -234,8 +234,7 @@ def fingerprint(experiment: Experiment) -> str:
         return ""
     values = to_values(experiment.config)
     values["robot"] = _robot(experiment.config)
-    tables = ("seed", "robot", "conditions", "drive", "task", "agent", "shield")
-    driving = {key: values[key] for key in tables if key in values}
+    driving = {key: values[key] for key in ("seed", "conditions", *DRIVING) if key in values}
     whole = hashlib.sha256(json.dumps(driving, sort_keys=True).encode())
     for name, array in sorted(_learned(experiment.agent).items()):
         whole.update(name.encode())
