@@ -303,7 +303,7 @@ def test_shadows_fall_where_the_light_throws_them() -> None:
     """A box's shadow is its foot and all that lies between it and its top's, a metre up."""
     layer = np.zeros((200, 200), np.uint8)
     box = OrientedBox(5.0, 5.0, 1.0, 0.5, 0.4)
-    shading.paint_shadow(layer, 0.05, as_rows((box,))[0], 1.0)
+    shading.paint_shadow(layer, shading.blocks_of(layer), 0.05, as_rows((box,))[0], 1.0)
     centres = (np.arange(200) + 0.5) * 0.05
     x, y = np.meshgrid(centres, centres)
     inside = np.zeros_like(layer, dtype=bool)
@@ -318,7 +318,7 @@ def test_shadows_fall_where_the_light_throws_them() -> None:
 
 def test_a_line_of_the_path_covers_its_area() -> None:
     layer = np.zeros((100, 100), np.uint8)
-    shading.paint_line(layer, 0.05, np.array([1.0, 1.0]), np.array([4.0, 3.0]), 0.1)
+    shading.paint_line(layer, shading.blocks_of(layer), 0.05, np.array([1.0, 1.0]), np.array([4.0, 3.0]), 0.1)
     area = layer.sum() / 255 * 0.05**2
     assert area == pytest.approx(np.hypot(3.0, 2.0) * 0.2 + pi * 0.1**2, rel=0.03)
 
