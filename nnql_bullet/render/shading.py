@@ -29,6 +29,8 @@ BEND = 0.01
 HALF_ROOT = 0.5**0.5
 WIDE, NARROW = 10.0, 2.0
 """Sides of the squares of the floor's two grids [m]; lines of the wide one lie on lines of the narrow one."""
+TINT = 0.24
+"""Share of a sector's colour in the free part of the sector."""
 RUN = 16
 """Number of pixels of a row that are left out together where the floor is empty."""
 BLOCK = 16
@@ -247,16 +249,19 @@ def shade(
                 behind[1][column] = inks.horizon[1] * (1 - 0.14 * up)
                 behind[2][column] = inks.horizon[2] * (1 - 0.08 * up)
         for column in range(w):
-            colour = behind[0][column], behind[1][column], behind[2][column]
-            away = distance
-            if depths[row, column] < 1.0:
-                colour = float(colours[row, column, 0]), float(colours[row, column, 1]), float(colours[row, column, 2])
-                away = distance_ahead(depths[row, column], eye)
-            share, bright = _haze(away, steep[column]), light[row, column]
+            share = _haze(distance, steep[column])
             for i in range(3):
-                shown = bright * colour[i]
-                shown += share * (inks.horizon[i] - shown)
-                picture[row, column, i] = np.uint8(min(max(shown, 0.0), 255.0))
+                shown = light[row, column] * behind[i][column]
+                behind[i][column] = shown + share * (inks.horizon[i] - shown)
+        for column in range(w):
+            if depths[row, column] < 1.0:
+                share, bright = _haze(distance_ahead(depths[row, column], eye), steep[column]), light[row, column]
+                for i in range(3):
+                    shown = bright * colours[row, column, i]
+                    behind[i][column] = shown + share * (inks.horizon[i] - shown)
+        for column in range(w):
+            for i in range(3):
+                picture[row, column, i] = np.uint8(min(max(behind[i][column], 0.0), 255.0))
     return picture
 
 
@@ -612,12 +617,22 @@ def _tint_sector(
     c, s = np.cos(edge), np.sin(edge)
     x, y = line[0] - scan[0], line[1] - scan[1]
     u, v, du, dv = c * x + s * y, c * y - s * x, c * line[2] + s * line[3], c * line[3] - s * line[2]
-    for column in range(begin, end):
-        along, off = u + du * column, v + dv * column  # along the right edge, and to the left of it
-        side = min(off, (along - off) * HALF_ROOT)  # distance from the nearer edge
-        sharp = 1 / max(fine, 0.5 * coarse[column])
-        rim = 0.75 * _inside(0.07 - (reach - np.sqrt(along * along + off * off)), sharp)
-        _blend(behind, column, tint, 1.0 - (1.0 - 0.24) * (1.0 - max(rim, 0.25 * _inside(0.015 - side, sharp))))
+    for first in range(begin, end, RUN):
+        last = min(first + RUN, end)
+        margin = 0.07 + max(fine, 0.5 * coarse[first], 0.5 * coarse[last - 1]) / 2
+        ends = u + du * first, v + dv * first, u + du * (last - 1), v + dv * (last - 1)
+        farthest = np.sqrt(max(ends[0] * ends[0] + ends[1] * ends[1], ends[2] * ends[2] + ends[3] * ends[3]))
+        if min(ends[1], ends[3], (ends[0] - ends[1]) * HALF_ROOT, (ends[2] - ends[3]) * HALF_ROOT, reach - farthest) > margin:
+            for column in range(first, last):
+                _blend(behind, column, tint, TINT)
+            continue
+        for column in range(first, last):
+            along, off = u + du * column, v + dv * column  # along the right edge, and to the left of it
+            side = min(off, (along - off) * HALF_ROOT)  # distance from the nearer edge
+            sharp = 1 / max(fine, 0.5 * coarse[column])
+            rim = 0.75 * _inside(0.07 - (reach - np.sqrt(along * along + off * off)), sharp)
+            edge = max(rim, 0.25 * _inside(0.015 - side, sharp))
+            _blend(behind, column, tint, TINT + (1.0 - TINT) * edge)
 
 
 @_part
