@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import floor
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.errors import WorkFailed
 from nnql_bullet.executors import Executor
@@ -17,6 +19,8 @@ from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.types import Bytes
+
+T = TypeVar("T", bound=np.generic)
 
 HOLD = 1.5
 """Time for which a video shows its last frame [s]."""
@@ -128,7 +132,12 @@ class Studio:
         moment = self._timeline.at(time)
         cameras = [path(moment) for path in self._paths]
         pictures, depths = zip(*(self._painter.paint(moment, camera) for camera in cameras), strict=True)
-        return self._overlay.write(np.hstack(pictures), np.hstack(depths), moment, cameras)
+        return self._overlay.write(_abreast(pictures), _abreast(depths), moment, cameras)
+
+
+def _abreast(views: Sequence[NDArray[T]]) -> NDArray[T]:
+    """Joins views side by side; one alone is not copied."""
+    return views[0] if len(views) == 1 else np.hstack(views)
 
 
 @lru_cache(maxsize=1)  # a process draws many pieces of one film
