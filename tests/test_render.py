@@ -21,7 +21,7 @@ from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.env import SLOW, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
-from nnql_bullet.executors import InlineExecutor, ProcessExecutor
+from nnql_bullet.executors import Executor, InlineExecutor, ProcessExecutor, ThreadExecutor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
@@ -477,11 +477,14 @@ def test_a_film_has_as_many_frames_as_time_and_speed_say(speed: float, count: in
     assert len(frame_times(2.0, 5.0, 30.0, speed, hold=1.5)) == count + 45
 
 
-def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("executor", [ProcessExecutor(2), ThreadExecutor(3)], ids=["processes", "threads"])
+def test_frames_are_the_same_by_any_number_of_workers(
+    executor: Executor, drive_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     film, times = Film(drive_file, "split", 160, 90, "raster"), frame_times(0.0, 3.0, 10.0, 1.0, hold=0.2)
     monkeypatch.setattr("nnql_bullet.render.film.PIECE", 4 * 160 * 90 * 3)
     alone = np.stack(list(frames(film, times, InlineExecutor())))
-    shared = np.stack(list(frames(film, times, ProcessExecutor(2))))
+    shared = np.stack(list(frames(film, times, executor)))
     assert alone.shape == (33, 90, 160, 3)
     assert (alone == shared).all()
     assert (alone[-1] == alone[-2]).all()  # the ending stays

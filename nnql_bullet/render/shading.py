@@ -48,8 +48,8 @@ Line = tuple[float, float, float, float]
 """Place on the ground that the first pixel of a row shows, and the step to the next pixel: x, y, dx, dy [m]."""
 
 
-kernel = njit(fastmath=True, error_model="numpy")
-"""Compiles a function with fast arithmetic."""
+kernel = njit(fastmath=True, error_model="numpy", nogil=True)
+"""Compiles a function with fast arithmetic; several threads may run it at once."""
 _part = njit(fastmath=True, error_model="numpy", inline="always")
 """Compiles a function with fast arithmetic into the functions that call it."""
 
@@ -497,7 +497,9 @@ def _mark_floor(
         if low < high:
             middle = (low + high - 1) / 2
             bearing = np.arctan2(y + line[3] * middle, x + line[2] * middle) - ground.scan[2]
-            _tint_sector(line, fine, coarse, low, high, int(np.floor(bearing / (np.pi / 4) + 0.5)) % 8, ground, sectors, behind)
+            _tint_sector(
+                line, fine, coarse, low, high, int(np.floor(bearing / (np.pi / 4) + 0.5)) % 8, ground, sectors, behind
+            )
     if begin >= end:
         return
     radius, place = ground.target[2], (ground.target[0], ground.target[1])
@@ -622,7 +624,10 @@ def _tint_sector(
         margin = 0.07 + max(fine, 0.5 * coarse[first], 0.5 * coarse[last - 1]) / 2
         ends = u + du * first, v + dv * first, u + du * (last - 1), v + dv * (last - 1)
         farthest = np.sqrt(max(ends[0] * ends[0] + ends[1] * ends[1], ends[2] * ends[2] + ends[3] * ends[3]))
-        if min(ends[1], ends[3], (ends[0] - ends[1]) * HALF_ROOT, (ends[2] - ends[3]) * HALF_ROOT, reach - farthest) > margin:
+        if (
+            min(ends[1], ends[3], (ends[0] - ends[1]) * HALF_ROOT, (ends[2] - ends[3]) * HALF_ROOT, reach - farthest)
+            > margin
+        ):
             for column in range(first, last):
                 _blend(behind, column, tint, TINT)
             continue
