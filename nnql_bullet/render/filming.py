@@ -159,9 +159,8 @@ def _write_film(
 ) -> None:
     """Draws frames of a film and writes them as a video, as pictures, or both."""
     what = f"drawing {Path(video or pictures or film.recording).name}"
-    drawn = _reported(
-        frames(film, times, film_executor(film.renderer, workers)), what, len(times), on_progress or silent
-    )
+    drawn = frames(film, times, film_executor(film.renderer, workers))
+    drawn = _reported(drawn, what, len(times), on_progress or silent)
     if pictures:
         drawn = write_pictures(Path(pictures), drawn)
     if video:

@@ -497,9 +497,8 @@ def _mark_floor(
         if low < high:
             middle = (low + high - 1) / 2
             bearing = np.arctan2(y + line[3] * middle, x + line[2] * middle) - ground.scan[2]
-            _tint_sector(
-                line, fine, coarse, low, high, int(np.floor(bearing / (np.pi / 4) + 0.5)) % 8, ground, sectors, behind
-            )
+            sector = int(np.floor(bearing / (np.pi / 4) + 0.5)) % 8
+            _tint_sector(line, fine, coarse, low, high, sector, ground, sectors, behind)
     if begin >= end:
         return
     radius, place = ground.target[2], (ground.target[0], ground.target[1])
@@ -624,10 +623,8 @@ def _tint_sector(
         margin = 0.07 + max(fine, 0.5 * coarse[first], 0.5 * coarse[last - 1]) / 2
         ends = u + du * first, v + dv * first, u + du * (last - 1), v + dv * (last - 1)
         farthest = np.sqrt(max(ends[0] * ends[0] + ends[1] * ends[1], ends[2] * ends[2] + ends[3] * ends[3]))
-        if (
-            min(ends[1], ends[3], (ends[0] - ends[1]) * HALF_ROOT, (ends[2] - ends[3]) * HALF_ROOT, reach - farthest)
-            > margin
-        ):
+        nearest = min(ends[1], ends[3], HALF_ROOT * min(ends[0] - ends[1], ends[2] - ends[3]))
+        if min(nearest, reach - farthest) > margin:  # neither edge nor rim
             for column in range(first, last):
                 _blend(behind, column, tint, TINT)
             continue
