@@ -21,7 +21,7 @@ from nnql_bullet.agents.learning.nnql import Nnql
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.env import SLOW, STOP, Navigation, Observation
 from nnql_bullet.errors import UserError, WorkFailed
-from nnql_bullet.executors import InlineExecutor, ProcessExecutor
+from nnql_bullet.executors import Executor, InlineExecutor, ProcessExecutor, ThreadExecutor
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, Circle, OrientedBox, Pose, as_rows, clearance_at
 from nnql_bullet.recording import Recorder, Recording, load_recording
@@ -303,7 +303,7 @@ def test_shadows_fall_where_the_light_throws_them() -> None:
     """A box's shadow is its foot and all that lies between it and its top's, a metre up."""
     layer = np.zeros((200, 200), np.uint8)
     box = OrientedBox(5.0, 5.0, 1.0, 0.5, 0.4)
-    shading.paint_shadow(layer, 0.05, as_rows((box,))[0], 1.0)
+    shading.paint_shadow(layer, shading.blocks_of(layer), 0.05, as_rows((box,))[0], 1.0)
     centres = (np.arange(200) + 0.5) * 0.05
     x, y = np.meshgrid(centres, centres)
     inside = np.zeros_like(layer, dtype=bool)
@@ -318,7 +318,7 @@ def test_shadows_fall_where_the_light_throws_them() -> None:
 
 def test_a_line_of_the_path_covers_its_area() -> None:
     layer = np.zeros((100, 100), np.uint8)
-    shading.paint_line(layer, 0.05, np.array([1.0, 1.0]), np.array([4.0, 3.0]), 0.1)
+    shading.paint_line(layer, shading.blocks_of(layer), 0.05, np.array([1.0, 1.0]), np.array([4.0, 3.0]), 0.1)
     area = layer.sum() / 255 * 0.05**2
     assert area == pytest.approx(np.hypot(3.0, 2.0) * 0.2 + pi * 0.1**2, rel=0.03)
 
@@ -477,11 +477,14 @@ def test_a_film_has_as_many_frames_as_time_and_speed_say(speed: float, count: in
     assert len(frame_times(2.0, 5.0, 30.0, speed, hold=1.5)) == count + 45
 
 
-def test_frames_are_the_same_by_any_number_of_processes(drive_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("executor", [ProcessExecutor(2), ThreadExecutor(3)], ids=["processes", "threads"])
+def test_frames_are_the_same_by_any_number_of_workers(
+    executor: Executor, drive_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     film, times = Film(drive_file, "split", 160, 90, "raster"), frame_times(0.0, 3.0, 10.0, 1.0, hold=0.2)
     monkeypatch.setattr("nnql_bullet.render.film.PIECE", 4 * 160 * 90 * 3)
     alone = np.stack(list(frames(film, times, InlineExecutor())))
-    shared = np.stack(list(frames(film, times, ProcessExecutor(2))))
+    shared = np.stack(list(frames(film, times, executor)))
     assert alone.shape == (33, 90, 160, 3)
     assert (alone == shared).all()
     assert (alone[-1] == alone[-2]).all()  # the ending stays

@@ -69,7 +69,7 @@ def render(
         format: Default by the name given with --out, else mp4.
         frames: Leave every frame as a PNG in this folder.
         sheet: Leave the key moments of the drive as one picture.
-        workers: Processes that draw; default one a core. They do not change the result.
+        workers: Frames drawn at a time; default one a core. It does not change the result.
         keys: Values of that drive in place of the policy's own; its speed is --drive.speed here.
     """
     picture = _size(size)

@@ -1,15 +1,17 @@
-"""Draws the frames of a recording, in one process or several."""
+"""Draws the frames of a recording, several at a time."""
 
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from math import floor
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nnql_bullet.errors import WorkFailed
-from nnql_bullet.executors import Executor
+from nnql_bullet.executors import Executor, ThreadExecutor, at_once, make_executor
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.render.camera import PATHS, CameraName
 from nnql_bullet.render.overlay import Overlay
@@ -17,6 +19,8 @@ from nnql_bullet.render.painter import Painter
 from nnql_bullet.render.renderers import RendererName, make_renderer
 from nnql_bullet.render.timeline import Timeline
 from nnql_bullet.types import Bytes
+
+T = TypeVar("T", bound=np.generic)
 
 HOLD = 1.5
 """Time for which a video shows its last frame [s]."""
@@ -62,14 +66,25 @@ class FrameTask:
     """Number of the first frame."""
 
 
-def draw_frames(task: FrameTask) -> Bytes:
-    """Draws the frames of a task (n, height, width, 3)."""
+def draw_frames(task: FrameTask) -> list[Bytes]:
+    """Draws the frames of a task (height, width, 3)."""
     studio = studio_of(task.film)
-    return np.stack([studio.frame(time) for time in task.times])
+    return [studio.frame(time) for time in task.times]
+
+
+def film_executor(renderer: RendererName, workers: int | None) -> Executor:
+    """Makes the executor of frames: threads where the renderer is compiled code of this package, else processes.
+
+    Raises:
+        UserError: If there is no worker.
+    """
+    if renderer != "raster" or workers == 1:
+        return make_executor(workers=workers)
+    return ThreadExecutor(at_once(workers))
 
 
 def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[Bytes]:
-    """Yields frames (height, width, 3) in order, while processes draw later ones.
+    """Yields frames (height, width, 3) in order, while later ones are drawn.
 
     Args:
         film: The film.
@@ -81,7 +96,7 @@ def frames(film: Film, times: Sequence[float], executor: Executor) -> Iterator[B
     """
     size = max(PIECE // (film.width * film.height * 3), 1)
     tasks = (FrameTask(film, tuple(times[k : k + size]), k) for k in range(0, len(times), size))
-    ahead: dict[int, Bytes] = {}
+    ahead: dict[int, list[Bytes]] = {}
     wanted = 0
     for outcome in executor.map(draw_frames, tasks):
         if outcome.error:
@@ -128,10 +143,27 @@ class Studio:
         moment = self._timeline.at(time)
         cameras = [path(moment) for path in self._paths]
         pictures, depths = zip(*(self._painter.paint(moment, camera) for camera in cameras), strict=True)
-        return self._overlay.write(np.hstack(pictures), np.hstack(depths), moment, cameras)
+        return self._overlay.write(_abreast(pictures), _abreast(depths), moment, cameras)
 
 
-@lru_cache(maxsize=1)  # a process draws many pieces of one film
+def _abreast(views: Sequence[NDArray[T]]) -> NDArray[T]:
+    """Joins views side by side; one alone is not copied."""
+    return views[0] if len(views) == 1 else np.hstack(views)
+
+
+class _Own(threading.local):
+    """What this thread draws with: it draws many pieces of one film."""
+
+    film: Film | None = None
+    studio: Studio
+
+
+_own = _Own()
+
+
 def studio_of(film: Film) -> Studio:
-    """What draws the frames of a film."""
-    return Studio(load_recording(film.recording), film.camera, film.width, film.height, film.renderer)
+    """What draws the frames of a film in this thread."""
+    if _own.film != film:
+        _own.studio = Studio(load_recording(film.recording), film.camera, film.width, film.height, film.renderer)
+        _own.film = film
+    return _own.studio

@@ -7,10 +7,9 @@ from tempfile import TemporaryDirectory
 
 from nnql_bullet.arguments import checked
 from nnql_bullet.errors import UserError
-from nnql_bullet.executors import make_executor
 from nnql_bullet.recording import Recording, load_recording
 from nnql_bullet.render.camera import CameraName
-from nnql_bullet.render.film import HOLD, Film, frame_times, frames
+from nnql_bullet.render.film import HOLD, Film, film_executor, frame_times, frames
 from nnql_bullet.render.renderers import RendererName, check_renderer
 from nnql_bullet.render.sheet import contact_sheet, key_moments
 from nnql_bullet.render.timeline import Timeline
@@ -64,7 +63,7 @@ def render(
         kind: Format of the video; by default the suffix of its file decides.
         pictures: Folder for a PNG of each frame; by default none is written.
         sheet: File for a picture of the key moments; by default none is written.
-        workers: Number of processes that draw; None is one per core. The result does not depend on it.
+        workers: Number of frames that are drawn at a time; None is one per core. The result does not depend on it.
         on_progress: Receives the progress.
 
     Raises:
@@ -90,7 +89,7 @@ def render(
             _write_film(film, times, video, chosen, fps, pictures, workers, on_progress)
         if sheet:
             moments = key_moments(Timeline(loaded))
-            drawn = list(frames(film, [moment.time for moment in moments], make_executor(workers=workers)))
+            drawn = list(frames(film, [moment.time for moment in moments], film_executor(renderer, workers)))
             write_picture(Path(sheet), contact_sheet(moments, drawn))
 
 
@@ -160,7 +159,8 @@ def _write_film(
 ) -> None:
     """Draws frames of a film and writes them as a video, as pictures, or both."""
     what = f"drawing {Path(video or pictures or film.recording).name}"
-    drawn = _reported(frames(film, times, make_executor(workers=workers)), what, len(times), on_progress or silent)
+    drawn = frames(film, times, film_executor(film.renderer, workers))
+    drawn = _reported(drawn, what, len(times), on_progress or silent)
     if pictures:
         drawn = write_pictures(Path(pictures), drawn)
     if video:

@@ -14,6 +14,7 @@ from nnql_bullet.render.shading import (
     SHADOW,
     Ground,
     Inks,
+    blocks_of,
     eye_of,
     paint_line,
     paint_shadow,
@@ -61,8 +62,9 @@ class Painter:
         rows, columns = (int(np.ceil(side / self._cell)) for side in (world.depth, world.width))
         self._cells = np.zeros((rows, columns), "<u4")
         self._layers = self._cells.view(np.uint8).reshape(rows, columns, 4)
+        self._busy = blocks_of(self._cells)
         for box in as_rows(() if renderer.lights else world.obstacles + world.walls):
-            paint_shadow(self._layers[..., SHADOW], self._cell, box, world.obstacle_height)
+            paint_shadow(self._layers[..., SHADOW], self._busy, self._cell, box, world.obstacle_height)
         self._painted = 1
         """Number of positions of the path in the map."""
         self.follow(timeline)
@@ -89,6 +91,7 @@ class Painter:
             self._ground(moment),
             INKS,
             self._cells,
+            self._busy,
             np.column_stack([boxes, self._heights, reaches])[: 0 if self._renderer.lights else None],
             np.column_stack([readings, tint(readings, self._timeline.recording.sensor.range)]),
         )
@@ -102,7 +105,7 @@ class Painter:
             self._painted = 1
         for k in range(self._painted, len(places)):
             layer = self._layers[..., SAFE_PATH if self._safe[k - 1] else NON_SAFE_PATH]
-            paint_line(layer, self._cell, places[k - 1], places[k], PATH_WIDTH / 2)
+            paint_line(layer, self._busy, self._cell, places[k - 1], places[k], PATH_WIDTH / 2)
         self._painted = max(len(places), 1)
 
     def _ground(self, moment: Moment) -> Ground:

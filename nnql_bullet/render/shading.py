@@ -27,6 +27,14 @@ SOFTNESS = 0.12
 BEND = 0.01
 """Largest second difference of depths within one surface, as a share of 1 - depth."""
 HALF_ROOT = 0.5**0.5
+WIDE, NARROW = 10.0, 2.0
+"""Sides of the squares of the floor's two grids [m]; lines of the wide one lie on lines of the narrow one."""
+TINT = 0.24
+"""Share of a sector's colour in the free part of the sector."""
+RUN = 16
+"""Number of pixels of a row that are left out together where the floor is empty."""
+BLOCK = 16
+"""Side of a block of the map of the ground [cells]."""
 TINY = 1e-30
 """Slope that counts as none."""
 
@@ -40,8 +48,8 @@ Line = tuple[float, float, float, float]
 """Place on the ground that the first pixel of a row shows, and the step to the next pixel: x, y, dx, dy [m]."""
 
 
-kernel = njit(fastmath=True, error_model="numpy")
-"""Compiles a function with fast arithmetic."""
+kernel = njit(fastmath=True, error_model="numpy", nogil=True)
+"""Compiles a function with fast arithmetic; several threads may run it at once."""
 _part = njit(fastmath=True, error_model="numpy", inline="always")
 """Compiles a function with fast arithmetic into the functions that call it."""
 
@@ -106,6 +114,12 @@ def _vector(array: Array) -> Vector:
     return x, y, z
 
 
+def blocks_of(cells: NDArray[np.uint32]) -> Bytes:
+    """Makes the table of the blocks of an empty map (rows, columns); 1 will mean that a block may not be empty."""
+    rows, columns = (-(-count // BLOCK) for count in cells.shape)
+    return np.zeros((rows, columns), np.uint8)
+
+
 @kernel
 def shadow_reach(box: Array, height: float) -> float:
     """Computes the largest distance of a shadow from the middle of its box, a row (7,) of `as_rows` [m]."""
@@ -113,11 +127,12 @@ def shadow_reach(box: Array, height: float) -> float:
 
 
 @kernel
-def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
+def paint_shadow(layer: Bytes, busy: Bytes, cell: float, box: Array, height: float) -> None:
     """Adds a box's shadow to the map.
 
     Args:
         layer: Layer of shadows (rows, columns).
+        busy: Receives 1 where a block of the map is not empty, see `blocks_of`.
         cell: Side of a cell [m].
         box: Row (7,) of `as_rows`.
         height: Height of the box [m].
@@ -128,15 +143,16 @@ def paint_shadow(layer: Bytes, cell: float, box: Array, height: float) -> None:
     for row in range(low_y, high_y):
         for column in range(low_x, high_x):
             dark = _shadow((column + 0.5) * cell, (row + 0.5) * cell, box, height)
-            layer[row, column] = max(layer[row, column], np.uint8(255 * dark))
+            _paint(layer, busy, row, column, dark)
 
 
 @kernel
-def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: float) -> None:
+def paint_line(layer: Bytes, busy: Bytes, cell: float, begin: Array, end: Array, half_width: float) -> None:
     """Adds a straight line with round ends and smooth edges to the map.
 
     Args:
         layer: Layer of the map (rows, columns).
+        busy: Receives 1 where a block of the map is not empty, see `blocks_of`.
         cell: Side of a cell [m].
         begin: Begin of the line: x, y [m].
         end: End of the line: x, y [m].
@@ -155,7 +171,15 @@ def paint_line(layer: Bytes, cell: float, begin: Array, end: Array, half_width: 
             along = min(max((x * way_x + y * way_y) / squared, 0.0), 1.0)
             off = np.hypot(x - along * way_x, y - along * way_y)
             cover = min(max((half_width - off) / (2 * cell) + 0.5, 0.0), 1.0)
-            layer[row, column] = max(layer[row, column], np.uint8(255 * cover))
+            _paint(layer, busy, row, column, cover)
+
+
+@_part
+def _paint(layer: Bytes, busy: Bytes, row: int, column: int, cover: float) -> None:
+    """Raises the cover of a cell, from 0 to 1."""
+    if cover * 255 >= 1.0:
+        layer[row, column] = max(layer[row, column], np.uint8(255 * cover))
+        busy[row // BLOCK, column // BLOCK] = 1
 
 
 @kernel
@@ -167,6 +191,7 @@ def shade(
     ground: Ground,
     inks: Inks,
     cells: NDArray[np.uint32],
+    busy: Bytes,
     casters: Array,
     sectors: Array,
 ) -> Bytes:
@@ -181,6 +206,7 @@ def shade(
         inks: Colours of the ground.
         cells: Map of the ground (rows, columns). The bytes of a cell, from the lowest, hold its cover by shadow, by
             the path in safe states and by the path in non-safe states.
+        busy: Which blocks of the map are not empty, see `blocks_of`.
         casters: Moving bodies that cast shadows (k, 9): rows of `as_rows`, height and `shadow_reach` [m].
         sectors: Free distance [m] and colour of each sector (8, 4).
 
@@ -190,14 +216,15 @@ def shade(
     h, w = depths.shape
     picture = np.empty((h, w, 3), np.uint8)
     steep, behind = np.empty(w), (np.empty(w), np.empty(w), np.empty(w))  # of a row: see `_haze`; ground or sky
-    dark, coarse = np.empty(w), np.empty(w)
+    dark, coarse = np.empty(w), np.empty(w)  # in the sky, `coarse` holds the lengths of the rays alone
     pixel = 2 * np.sqrt(dot(eye.up, eye.up)) / h
     for row in range(h):
         first = ray_through(row, 0, h, w, eye)
         rate_x, rate_y = 2 * eye.right[0] / w, 2 * eye.right[1] / w
         for column in range(w):
             x, y = first[0] + rate_x * column, first[1] + rate_y * column
-            steep[column] = abs(first[2]) / np.sqrt(x * x + y * y + first[2] * first[2])
+            coarse[column] = np.sqrt(x * x + y * y + first[2] * first[2])
+            steep[column] = abs(first[2]) / coarse[column]
         distance = 0.0
         if first[2] < -1e-6:
             distance = -eye.place[2] / first[2]
@@ -207,11 +234,14 @@ def shade(
             begin, end = span = _arena_in_row(line, w, ground)
             for i in range(3):
                 behind[i][:] = inks.outside[i]
+            stretch = -fine / first[2]
             for column in range(begin, end):
-                coarse[column] = fine / steep[column]
+                coarse[column] *= stretch
             _lay_floor(line, (x, y), fine, coarse, span, inks, behind)
             _mark_floor(line, fine, coarse, span, ground, inks, sectors, behind)
-            _shade_floor(line, (x, y), fine, coarse, span, depths[row], ground, inks, cells, casters, dark, behind)
+            _shade_floor(
+                line, (x, y), fine, coarse, span, depths[row], ground, inks, cells, busy, casters, dark, behind
+            )
         else:
             for column in range(w):
                 up = min(steep[column] / 0.35, 1.0)
@@ -219,16 +249,19 @@ def shade(
                 behind[1][column] = inks.horizon[1] * (1 - 0.14 * up)
                 behind[2][column] = inks.horizon[2] * (1 - 0.08 * up)
         for column in range(w):
-            colour = behind[0][column], behind[1][column], behind[2][column]
-            away = distance
-            if depths[row, column] < 1.0:
-                colour = float(colours[row, column, 0]), float(colours[row, column, 1]), float(colours[row, column, 2])
-                away = distance_ahead(depths[row, column], eye)
-            share, bright = _haze(away, steep[column]), light[row, column]
+            share = _haze(distance, steep[column])
             for i in range(3):
-                shown = bright * colour[i]
-                shown += share * (inks.horizon[i] - shown)
-                picture[row, column, i] = np.uint8(min(max(shown, 0.0), 255.0))
+                shown = light[row, column] * behind[i][column]
+                behind[i][column] = shown + share * (inks.horizon[i] - shown)
+        for column in range(w):
+            if depths[row, column] < 1.0:
+                share, bright = _haze(distance_ahead(depths[row, column], eye), steep[column]), light[row, column]
+                for i in range(3):
+                    shown = bright * colours[row, column, i]
+                    behind[i][column] = shown + share * (inks.horizon[i] - shown)
+        for column in range(w):
+            for i in range(3):
+                picture[row, column, i] = np.uint8(min(max(behind[i][column], 0.0), 255.0))
     return picture
 
 
@@ -279,9 +312,9 @@ def _unit(x: float, y: float, z: float) -> Vector:
 
 
 @_part
-def _inside(distance: float, soft: float) -> float:
-    """Computes the share of a pixel of size `soft` [m] inside an edge at a distance [m], positive inside."""
-    return min(max(0.5 + distance / soft, 0.0), 1.0)
+def _inside(distance: float, sharp: float) -> float:
+    """Computes the share of a pixel, 1 / `sharp` wide [m], inside an edge at a distance [m], positive inside."""
+    return min(max(0.5 + distance * sharp, 0.0), 1.0)
 
 
 @_part
@@ -406,15 +439,34 @@ def _lay_floor(line: Line, sight: Place, fine: float, coarse: Array, span: Span,
         inks: See `shade`.
         behind: Receives red, green and blue.
     """
-    for column in range(span[0], span[1]):
-        sight_x, sight_y = sight[0] + line[2] * column, sight[1] + line[3] * column
-        share = (coarse[column] - fine) / max(np.sqrt(sight_x * sight_x + sight_y * sight_y), 1e-9)
-        wide_x, wide_y = fine + share * abs(sight_x), fine + share * abs(sight_y)
-        x, y = line[0] + line[2] * column, line[1] + line[3] * column
-        lines = 0.22 * _grid(x, y, wide_x, wide_y, 10.0, 0.035) + 0.09 * _grid(x, y, wide_x, wide_y, 2.0, 0.02)
-        behind[0][column] = inks.floor[0] * (1 - lines)
-        behind[1][column] = inks.floor[1] * (1 - lines)
-        behind[2][column] = inks.floor[2] * (1 - lines)
+    for i in range(3):
+        behind[i][span[0] : span[1]] = inks.floor[i]
+    for begin in range(span[0], span[1], RUN):
+        end = min(begin + RUN, span[1])
+        if not _has_lines(line, begin, end - 1, max(coarse[begin], coarse[end - 1])):
+            continue
+        for column in range(begin, end):
+            sight_x, sight_y = sight[0] + line[2] * column, sight[1] + line[3] * column
+            share = (coarse[column] - fine) / max(np.sqrt(sight_x * sight_x + sight_y * sight_y), 1e-9)
+            wide_x, wide_y = fine + share * abs(sight_x), fine + share * abs(sight_y)
+            x, y = line[0] + line[2] * column, line[1] + line[3] * column
+            lines = 0.22 * _grid(x, y, wide_x, wide_y, WIDE, 0.035) + 0.09 * _grid(x, y, wide_x, wide_y, NARROW, 0.02)
+            behind[0][column] = inks.floor[0] * (1 - lines)
+            behind[1][column] = inks.floor[1] * (1 - lines)
+            behind[2][column] = inks.floor[2] * (1 - lines)
+
+
+@_part
+def _has_lines(line: Line, first: int, last: int, widest: float) -> bool:
+    """Whether columns `first` to `last`, whose pixels are at most `widest` [m], may show a line of the floor's grid."""
+    if widest >= NARROW / 2:
+        return True
+    margin = (widest + NARROW / 50) / 2
+    for i in range(2):
+        a, b = line[i] + line[2 + i] * first, line[i] + line[2 + i] * last
+        if np.floor((min(a, b) - margin) / NARROW) < np.floor((max(a, b) + margin) / NARROW):
+            return True
+    return False
 
 
 @kernel
@@ -430,23 +482,34 @@ def _mark_floor(
 ) -> None:
     """Paints the sectors' free distances and the target on the floor; see `shade` and `_lay_floor`."""
     begin, end = span
-    yaw, scan = ground.scan[2] - np.pi / 8, (ground.scan[0], ground.scan[1])
-    c, s = np.cos(yaw), np.sin(yaw)
+    scan = ground.scan[0], ground.scan[1]
     first, last = _columns_within(line, scan, ground.sensor_range, begin, end)
-    for column in range(first, last):
-        x, y = line[0] + line[2] * column - scan[0], line[1] + line[3] * column - scan[1]
-        _tint_sector(behind, column, c * x + s * y, c * y - s * x, max(fine, 0.5 * coarse[column]), sectors)
+    x, y, crossings = line[0] - scan[0], line[1] - scan[1], np.empty(6)
+    for k in range(4):
+        edge = ground.scan[2] + (k - 0.5) * np.pi / 4
+        c, s = np.cos(edge), np.sin(edge)
+        rate = c * line[3] - s * line[2]
+        crossings[k] = (s * x - c * y) / (rate if abs(rate) > TINY else TINY)
+    crossings[4], crossings[5] = first, last
+    crossings = np.ceil(np.minimum(np.maximum(np.sort(crossings), first), last))
+    for k in range(5 if first < last else 0):
+        low, high = int(crossings[k]), int(crossings[k + 1])
+        if low < high:
+            middle = (low + high - 1) / 2
+            bearing = np.arctan2(y + line[3] * middle, x + line[2] * middle) - ground.scan[2]
+            sector = int(np.floor(bearing / (np.pi / 4) + 0.5)) % 8
+            _tint_sector(line, fine, coarse, low, high, sector, ground, sectors, behind)
     if begin >= end:
         return
     radius, place = ground.target[2], (ground.target[0], ground.target[1])
     widest = max(fine, 0.5 * coarse[begin], 0.5 * coarse[end - 1])
     first, last = _columns_within(line, place, radius + widest, begin, end)
     for column in range(first, last):
-        soft = max(fine, 0.5 * coarse[column])
+        sharp = 1 / max(fine, 0.5 * coarse[column])
         off = np.hypot(line[0] + line[2] * column - place[0], line[1] + line[3] * column - place[1])
-        _blend(behind, column, inks.target, 0.28 * _inside(radius - off, soft))
-        _blend(behind, column, inks.target, 0.9 * _inside(0.1 - abs(radius - 0.1 - off), soft))
-        _blend(behind, column, inks.target, 0.9 * _inside(0.25 - off, soft))
+        _blend(behind, column, inks.target, 0.28 * _inside(radius - off, sharp))
+        _blend(behind, column, inks.target, 0.9 * _inside(0.1 - abs(radius - 0.1 - off), sharp))
+        _blend(behind, column, inks.target, 0.9 * _inside(0.25 - off, sharp))
 
 
 @kernel
@@ -460,6 +523,7 @@ def _shade_floor(
     ground: Ground,
     inks: Inks,
     cells: NDArray[np.uint32],
+    busy: Bytes,
     casters: Array,
     dark: Array,
     behind: Rgb,
@@ -470,23 +534,51 @@ def _shade_floor(
     """
     begin, end = span
     dark[begin:end] = 0.0
+    low, high = end, begin  # where moving bodies may throw a shadow
     for k in range(len(casters)):
         first, last = _columns_within(line, (casters[k, 0], casters[k, 1]), casters[k, 8], begin, end)
+        if first < last:
+            low, high = min(low, first), max(high, last)
         for column in range(first, last):
             x, y = line[0] + line[2] * column, line[1] + line[3] * column
             dark[column] = max(dark[column], _shadow(x, y, casters[k], casters[k, 7]))
-    for column in range(begin, end):
-        if depths[column] < 1.0:
+    for first in range(begin, end, RUN):
+        last = min(first + RUN, end)
+        widest = fine + max(coarse[first], coarse[last - 1])
+        mapped = _is_busy(line, first, last - 1, widest / 2 + 2 * ground.cell, ground.cell * BLOCK, busy)
+        if not mapped and (last <= low or first >= high):
             continue
-        x, y = line[0] + line[2] * column, line[1] + line[3] * column
-        sight_x, sight_y = sight[0] + line[2] * column, sight[1] + line[3] * column
-        shadow, safe, non_safe = _look_up(x, y, sight_x, sight_y, fine, coarse[column], ground.cell, cells)
-        shadow = max(shadow, dark[column])
-        if shadow + safe + non_safe == 0.0:
-            continue
-        _blend(behind, column, (0.0, 0.0, 0.0), 0.42 * shadow)
-        _blend(behind, column, inks.safe, 0.85 * safe)
-        _blend(behind, column, inks.non_safe, 0.85 * non_safe)
+        for column in range(first, last):
+            if depths[column] < 1.0:
+                continue
+            shadow, safe, non_safe = dark[column], 0.0, 0.0
+            if mapped:
+                x, y = line[0] + line[2] * column, line[1] + line[3] * column
+                sight_x, sight_y = sight[0] + line[2] * column, sight[1] + line[3] * column
+                still, safe, non_safe = _look_up(x, y, sight_x, sight_y, fine, coarse[column], ground.cell, cells)
+                shadow = max(shadow, still)
+            if shadow + safe + non_safe == 0.0:
+                continue
+            _blend(behind, column, (0.0, 0.0, 0.0), 0.42 * shadow)
+            _blend(behind, column, inks.safe, 0.85 * safe)
+            _blend(behind, column, inks.non_safe, 0.85 * non_safe)
+
+
+@_part
+def _is_busy(line: Line, first: int, last: int, margin: float, side: float, busy: Bytes) -> bool:
+    """Whether the map may hold something within a margin [m] of what columns `first` to `last` show.
+
+    `side` is that of a block [m].
+    """
+    a, b = line[0] + line[2] * first, line[0] + line[2] * last
+    c, d = line[1] + line[3] * first, line[1] + line[3] * last
+    left, right = int(max((min(a, b) - margin) / side, 0.0)), int((max(a, b) + margin) / side)
+    below, above = int(max((min(c, d) - margin) / side, 0.0)), int((max(c, d) + margin) / side)
+    for row in range(below, min(above + 1, busy.shape[0])):
+        for column in range(left, min(right + 1, busy.shape[1])):
+            if busy[row, column]:
+                return True
+    return False
 
 
 @_part
@@ -503,30 +595,46 @@ def _line(x: float, wide: float, every: float, width: float) -> float:
     return float(line + (width / every - line) * min(max(wide / every - 0.5, 0.0), 1.0))
 
 
-@_part
-def _tint_sector(behind: Rgb, column: int, u: float, v: float, soft: float, sectors: Array) -> None:
-    """Tints the free part of the eight sectors and marks their rims.
+@kernel
+def _tint_sector(
+    line: Line,
+    fine: float,
+    coarse: Array,
+    begin: int,
+    end: int,
+    sector: int,
+    ground: Ground,
+    sectors: Array,
+    behind: Rgb,
+) -> None:
+    """Tints the free part of a sector in the columns from `begin` to before `end`, and marks its rim and its edges.
 
-    Args:
-        behind: Colours of the ground.
-        column: Column of the pixel.
-        u: Place along the right edge of the front sector [m].
-        v: Place to the left of that edge [m].
-        soft: Size of the pixel [m].
-        sectors: See `shade`.
+    All these columns show the sector; see `shade` and `_lay_floor`.
     """
-    # Turned by half and by quarter turns into the first quarter; without branches, so that pixels are done together.
-    over = v >= 0.0
-    p, q = (u, v) if over else (-u, -v)
-    ahead = p >= 0.0
-    p, q = (p, q) if ahead else (q, -p)
-    sector = (0 if over else 4) + (0 if ahead else 2) + (0 if p > q else 1)
-    away, reach = np.sqrt(u * u + v * v), sectors[sector, 0]
-    side = min(p, q, abs(p - q) * HALF_ROOT)  # distance from the nearest edge
-    edge = max(0.75 * _inside(0.07 - (reach - away), soft), 0.25 * _inside(0.015 - side, soft))
-    share = 1.0 - (1.0 - 0.24) * (1.0 - edge) if away <= reach else 0.0
+    scan, reach = (ground.scan[0], ground.scan[1]), sectors[sector, 0]
+    begin, end = _columns_within(line, scan, reach, begin, end)
     tint = sectors[sector, 1], sectors[sector, 2], sectors[sector, 3]
-    _blend(behind, column, tint, share)
+    edge = ground.scan[2] + (sector - 0.5) * np.pi / 4
+    c, s = np.cos(edge), np.sin(edge)
+    x, y = line[0] - scan[0], line[1] - scan[1]
+    u, v, du, dv = c * x + s * y, c * y - s * x, c * line[2] + s * line[3], c * line[3] - s * line[2]
+    for first in range(begin, end, RUN):
+        last = min(first + RUN, end)
+        margin = 0.07 + max(fine, 0.5 * coarse[first], 0.5 * coarse[last - 1]) / 2
+        ends = u + du * first, v + dv * first, u + du * (last - 1), v + dv * (last - 1)
+        farthest = np.sqrt(max(ends[0] * ends[0] + ends[1] * ends[1], ends[2] * ends[2] + ends[3] * ends[3]))
+        nearest = min(ends[1], ends[3], HALF_ROOT * min(ends[0] - ends[1], ends[2] - ends[3]))
+        if min(nearest, reach - farthest) > margin:  # neither edge nor rim
+            for column in range(first, last):
+                _blend(behind, column, tint, TINT)
+            continue
+        for column in range(first, last):
+            along, off = u + du * column, v + dv * column  # along the right edge, and to the left of it
+            side = min(off, (along - off) * HALF_ROOT)  # distance from the nearer edge
+            sharp = 1 / max(fine, 0.5 * coarse[column])
+            rim = 0.75 * _inside(0.07 - (reach - np.sqrt(along * along + off * off)), sharp)
+            edge = max(rim, 0.25 * _inside(0.015 - side, sharp))
+            _blend(behind, column, tint, TINT + (1.0 - TINT) * edge)
 
 
 @_part

@@ -23,8 +23,9 @@ TIMEOUT = 60.0
 THREADS = 2
 """Number of the encoder's threads; it is fixed because the output depends on it."""
 _PARAMETERS: dict[VideoFormat, list[str]] = {
-    # `faststart` lets browsers play the file while they load it.
-    "mp4": ["-preset", "veryfast", "-crf", "21", "-threads", str(THREADS), "-movflags", "+faststart"],
+    # About the likeness (SSIM) of "veryfast" with 21, in half its time and a file half as large again. `faststart` lets
+    # browsers play the file while they load it.
+    "mp4": [*("-preset", "superfast", "-crf", "24", "-bf", "0", "-threads", str(THREADS)), "-movflags", "+faststart"],
     # One palette for each frame; a common palette would need all frames first.
     "gif": ["-filter_complex", "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"],
 }

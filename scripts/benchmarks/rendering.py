@@ -1,7 +1,7 @@
 """Films by the whole command, also against PyBullet's bare `getCameraImage` of about the same scene in one process.
 
 The bare loop draws a floor, 40 boxes and the vehicle with TinyRenderer, from the same cameras; the film has its ground,
-light and overlay besides, and is encoded. Starting the processes that draw counts.
+light and overlay besides, and is encoded. Opening the recording counts.
 """
 
 import time
