@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nnql_bullet.agents.base import Reflex
 from nnql_bullet.agents.foresight import Foresight, SearchOptions
-from nnql_bullet.env import MANOEUVRES, STOP, Navigation
+from nnql_bullet.env import ACTIONS, MANOEUVRES, STOP, Navigation
 from nnql_bullet.mapping.foresight import LASTS, MOST_ROOM, ROOM
+from nnql_bullet.shield.prediction import clear_by_margin
+from nnql_bullet.shield.shield import Shield, ShieldOptions
 from nnql_bullet.sim.kinematic import KinematicSimulator
 from nnql_bullet.task import TaskOptions
 from nnql_bullet.vehicle.controller import DriveOptions
@@ -101,3 +104,25 @@ def test_near_something_thin_it_drives_slowly(vehicle, side, slower):
     for caution, expected in ((0.0, False), (SearchOptions().caution, slower)):
         scores, _ = foresight.searched(look, navigation.observation, SearchOptions(caution=caution))
         assert (scores[0].argmax() >= STOP) == expected
+
+
+def test_it_is_too_fast_where_a_shield_admits_no_full_speed(vehicle):
+    """Against the shield's own kernels, which know the scan alone."""
+    drive, task = DriveOptions(), TaskOptions()
+    foresight = Foresight(vehicle, drive)
+    shield = Shield(ShieldOptions(), Reflex(lambda o: np.zeros(len(o.speed), np.int64)), vehicle, drive, task)
+    navigation = Navigation(KinematicSimulator(vehicle, drive, 24, 1), task)
+    x, y = World.load("paper").start
+    beside = np.linspace(-1.5, 3.0, 24)
+    walls = [[(x + 1.0 + its, y + 2.5, 1.0, 0.4), (x - 2.0, y + 4.0 + its, 0.6, 3.0)] for its in beside]
+    navigation.reset({i: World.from_boxes(its, name="boxes").draw(seed=0) for i, its in enumerate(walls)})
+    o = navigation.observation
+    look = foresight.look(foresight.nothing(24), o, paced=True)
+    _, memories = shield.perceived(o, shield.initial_state(24).memories)
+    admitted = np.empty((24, ACTIONS), np.bool_)
+    for i in range(24):
+        motion = float(o.yaw_rate[i]), float(o.speed[i])
+        clear_by_margin(shield._setting, memories[i].known, look.turns[i, :ACTIONS].copy(), *motion, admitted[i])
+    assert 0.1 < admitted.mean() < 0.9
+    assert (look.too_fast[:, :ACTIONS] != admitted).mean() > 0.97
+    assert not look.too_fast[:, ACTIONS:].any()

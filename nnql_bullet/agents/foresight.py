@@ -25,13 +25,14 @@ from nnql_bullet.mapping import body_map, foresight
 from nnql_bullet.mapping.body_map import FARTHER, SIDE
 from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS, MOST_ROOM, SIGHT, Mover, foresee
 from nnql_bullet.mapping.grid_map import first_poses, places_of, tracked
+from nnql_bullet.mapping.pace import Pace, keeps_pace
 from nnql_bullet.mapping.search import KEPT, searched
 from nnql_bullet.mapping.velocities import PAST, velocities
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.types import Bytes, NonNegative, Reach
 from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
-from nnql_bullet.vehicle.scale import length_scale
+from nnql_bullet.vehicle.scale import length_scale, turning_radius
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
 
 SECTORS = 24
@@ -51,6 +52,11 @@ PHI = COLUMNS + 1
 CONTEXT = SECTORS * SCANS + 3 * BEARINGS + 9
 """Numbers about the vehicle and its surroundings."""
 WIDTH = CONTEXT + MANOEUVRES * PHI
+_MARGIN, _LEAST, _APPROACH, _LOOK_AHEAD, _CORRIDOR = 0.3, 0.1, 0.03, 2.0, 6.0
+"""What full speed asks for, see `Pace`, over the length scale [m]: what a shield asks for by default."""
+_TOO_FAST = 10.0
+"""What a manoeuvre at full speed loses where there is no room for it, likewise [m]: less than one that meets
+something."""
 _ODD = 2
 """How many of the last numbers of the context change their sign in a mirror."""
 _INSTANTS = 5
@@ -81,6 +87,8 @@ class SearchOptions:
     it covers; half the speed costs a quarter."""
     caution: NonNegative = 1.3
     """The same near something thin, whatever the clearance: there may be more that the rays miss."""
+    paced: bool = False
+    """Whether it drives at full speed only where a shield admits that, see `mapping.pace`: for drives in a shield."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +134,8 @@ class Look:
     """Costs of the ways to the targets likewise (n, SIDE, SIDE)."""
     turns: Array
     """Heading changes of the manoeuvres (n, 24) [rad]."""
+    too_fast: NDArray[np.bool_]
+    """Manoeuvres at full speed without the room for it, see `mapping.pace` (n, 24)."""
     foreseen: Array | None = None
     """Of each manoeuvre, see `mapping.foresight` (n, 24, COLUMNS); None where no network is to see it."""
 
@@ -160,6 +170,8 @@ class Foresight:
             acceleration=vehicle.limits.acceleration,
             period=drive.decision_period,
         )
+        lengths = (self._scale * its for its in (_MARGIN, _LEAST, _APPROACH, _LOOK_AHEAD, _CORRIDOR))
+        self._pace = Pace(drive.speed, *lengths, turning_radius(vehicle.footprint) + _LEAST * self._scale)
         parts = [
             *(k * SECTORS + mirrored_rays(SECTORS) for k in range(SCANS)),
             *(SCANS * SECTORS + k * BEARINGS + mirrored_directions(BEARINGS) for k in range(3)),
@@ -186,8 +198,8 @@ class Foresight:
             frames=np.zeros((size, WIDTH), np.uint8),
         )
 
-    def look(self, memory: Memory, observations: Observation) -> Look:
-        """Enters the observations of n vehicles into a copy of their memory."""
+    def look(self, memory: Memory, observations: Observation, paced: bool = False) -> Look:
+        """Enters the observations of n vehicles into a copy of their memory; see `SearchOptions.paced`."""
         o, new, mover = observations, memory.age == 0, self._mover
         first = first_poses(o.landmark_distance, o.landmark_bearing)
         later = tracked(memory.poses, memory.steps, o.landmark_distance, o.landmark_bearing)
@@ -210,6 +222,12 @@ class Foresight:
         targets = places_of(poses, o.target_distance, o.target_bearing)
         turns = heading_change(np.arange(MANOEUVRES), o.target_bearing[:, None])
         factors, left = body_map.ways_to(cells, offsets, corners, poses, targets, mover.cell)
+        too_fast = np.zeros(turns.shape, np.bool_)
+        if paced:
+            too_fast[:, :ACTIONS] = ~keeps_pace(
+                *(cells, offsets, corners, poses, rays, moving, o.speed, o.yaw_rate),
+                *(np.ascontiguousarray(turns[:, :ACTIONS]), mover, self._pace),
+            )
         seen = replace(
             memory,
             planned=np.where(new, -1, memory.planned),
@@ -220,7 +238,7 @@ class Foresight:
             offsets=offsets,
             scans=np.concatenate([scan[:, None], scans[:, :-1]], axis=1),
         )
-        return Look(seen, moving, factors, left, turns)
+        return Look(seen, moving, factors, left, turns, too_fast)
 
     def ahead(self, look: Look, observations: Observation) -> Look:
         """Returns a look with what a network sees: what is foreseen of every manoeuvre, and the surroundings."""
@@ -267,10 +285,14 @@ class Foresight:
             o.constancy * scale,
             self._mover,
         )
-        return scores / scale, then
+        best = scores.argmax(axis=-1)
+        scores -= _TOO_FAST * scale * look.too_fast
+        return scores / scale, np.where(scores.argmax(axis=-1) == best, then, -1)
 
     def chosen(self, look: Look, values: Array, margin: float) -> NDArray[np.int64]:
-        """The best manoeuvres by values (n, 24), of those that meet nothing; if all do, the one that does so last (n,).
+        """The best manoeuvres by values (n, 24), of those that meet nothing and are not too fast (n,).
+
+        If there is none, one that is too fast; if all meet something, the one that does so last.
 
         Args:
             look: What is foreseen.
@@ -284,7 +306,8 @@ class Foresight:
         lasts = look.foreseen[..., foresight.LASTS]
         meets = (lasts < 1.0) | (clear < least[:, None])
         worst = np.ptp(values, axis=-1, keepdims=True) + 1.0
-        return np.asarray(np.where(meets, values - worst * (2.0 + 100.0 * (1.0 - lasts)), values).argmax(axis=-1))
+        values = values - worst * look.too_fast
+        return np.asarray(np.where(meets, values - worst * (3.0 + 100.0 * (1.0 - lasts)), values).argmax(axis=-1))
 
     def after(
         self,

@@ -81,7 +81,8 @@ class ManoeuvreDriver(ABC):
         return _of_turns(state.values)
 
     def _look(self, observations: Observation, state: DistilledState) -> Look:
-        return self._foresight.ahead(self._foresight.look(state.memory, observations), observations)
+        look = self._foresight.look(state.memory, observations, self.options.search.paced)
+        return self._foresight.ahead(look, observations)
 
     def _chosen(self, look: Look, values: Array) -> Actions:
         return self._foresight.chosen(look, values, self.options.search.margin)

@@ -60,7 +60,7 @@ class GuidedSearch(NoValues):
 
     def act(self, observations: Observation, state: GuidedState) -> tuple[Actions, GuidedState]:
         """Chooses the manoeuvre with the best score."""
-        look = self._foresight.look(state.memory, observations)
+        look = self._foresight.look(state.memory, observations, self.options.paced)
         scores, then = self._foresight.searched(look, observations, self.options)
         actions = np.asarray(scores.argmax(axis=-1))
         memory = self._foresight.after(look, observations, actions, then)
