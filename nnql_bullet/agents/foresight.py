@@ -170,8 +170,15 @@ class Foresight:
             acceleration=vehicle.limits.acceleration,
             period=drive.decision_period,
         )
-        lengths = (self._scale * its for its in (_MARGIN, _LEAST, _APPROACH, _LOOK_AHEAD, _CORRIDOR))
-        self._pace = Pace(drive.speed, *lengths, turning_radius(vehicle.footprint) + _LEAST * self._scale)
+        self._pace = Pace(
+            speed=drive.speed,
+            margin=_MARGIN * self._scale,
+            least=_LEAST * self._scale,
+            approach=_APPROACH * self._scale,
+            look_ahead=_LOOK_AHEAD * self._scale,
+            corridor=_CORRIDOR * self._scale,
+            circle=turning_radius(vehicle.footprint) + _LEAST * self._scale,
+        )
         parts = [
             *(k * SECTORS + mirrored_rays(SECTORS) for k in range(SCANS)),
             *(SCANS * SECTORS + k * BEARINGS + mirrored_directions(BEARINGS) for k in range(3)),
