@@ -22,11 +22,11 @@ from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import contract_of
+from nnql_bullet.exports.maps import map_of
 from nnql_bullet.exports.onnx_graph import onnx_model
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import recorded_drives
-from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.rollout import Policy, run_episodes
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy, load_policy
@@ -55,13 +55,12 @@ def exported(policy: LoadedPolicy, folder: Path) -> dict[str, LibraryPolicy | On
     except UserError as error:
         print(f"  {error}")
     try:
+        contract = contract_of(policy, graph=True)
         model = onnx_model(contract, experiment)
         (folder / "policy.onnx").write_bytes(model)
         file = folder / "policy.onnx"
-        with_map = contract.kind == "double_dqn"
-        found["onnx"] = (
-            OnnxMapPolicy(file, contract, frame_maker(experiment)) if with_map else OnnxPolicy(file, contract)
-        )
+        beside = contract.map_beside
+        found["onnx"] = OnnxMapPolicy(file, contract, map_of(experiment)) if beside else OnnxPolicy(file, contract)
         print(f"  onnx: {len(model)} bytes")
     except UserError as error:
         print(f"  {error}")

@@ -23,9 +23,9 @@ from nnql_bullet.exports.contract import Contract, contract_of
 from nnql_bullet.exports.cost import Cost, Operations
 from nnql_bullet.exports.folder import write_export
 from nnql_bullet.exports.parity import Parity, compare
+from nnql_bullet.exports.maps import map_of
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
-from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import changed
@@ -228,26 +228,28 @@ class TestOnnx:
         assert_same_endings(cases[kind], model(cases[kind]))
 
 
-class TestMap:
-    """`double_dqn`, whose graph has its map beside it."""
+@pytest.mark.parametrize("name", ["double_dqn", "distilled"])
+def test_a_graph_with_its_map_beside_it_runs_as_recorded_and_drives_as_the_policy_does(
+    name: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    from nnql_bullet.exports.onnx_graph import onnx_model
 
-    def test_runs_as_recorded_and_drives_as_the_policy_does(self, tmp_path: Path) -> None:
-        pytest.importorskip("onnx")
-        pytest.importorskip("onnxruntime")
-        from nnql_bullet.exports.onnx_graph import onnx_model
-
-        policy = load_policy("double_dqn")
-        contract, e, file = contract_of(policy), policy.experiment, tmp_path / "policy.onnx"
-        file.write_bytes(onnx_model(contract, e))
-        v = vectors_of(contract, e, recorded_drives(e, ("traps",)))
-        exported = OnnxMapPolicy(file, contract, frame_maker(e))
-        outputs = exported.decide(v.inputs, v.frames)
-        assert (outputs["action"] == v.actions).all() and (outputs["status"] == v.statuses).all()
-        steps = (v.drives == 0).sum()
-        assert (outputs["next_frames"][: steps - 1] == v.frames[1:steps]).all()
-        assert (outputs["next_frames"][-7:] == v.frames[-7:]).all()  # bad input changes no memory
-        assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
-        assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported, (7,))
+    policy = load_policy(name)
+    contract, e, file = contract_of(policy, graph=True), policy.experiment, tmp_path / "policy.onnx"
+    file.write_bytes(onnx_model(contract, e))
+    v = vectors_of(contract, e, recorded_drives(e, ("traps",)))
+    exported = OnnxMapPolicy(file, contract, map_of(e))
+    outputs = exported.decide(v.inputs, v.frames)
+    assert (outputs["action"] == v.actions).all() and (outputs["status"] == v.statuses).all()
+    assert np.abs(outputs["heading_change"] - v.turns).max() < 1e-6
+    assert np.abs(outputs["speed_share"] - v.shares).max() < 1e-6
+    steps, bad = (v.drives == 0).sum(), (v.drives < 0).sum()
+    assert (outputs["next_frames"][: steps - 1] == v.frames[1:steps]).all()
+    assert (outputs["next_frames"][-bad:] == v.frames[-bad:]).all()  # bad input changes no memory
+    assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
+    assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported, (7,))
 
 
 def assert_same_endings(case: Case, exported: Any, seeds: tuple[int, ...] = (7, 8)) -> None:
