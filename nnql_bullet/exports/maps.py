@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from nnql_bullet.agents import foresight
 from nnql_bullet.agents.foresight import Foresight
 from nnql_bullet.agents.learning import frames
-from nnql_bullet.agents.learning.frames import Look
-from nnql_bullet.agents.learning.options import DistilledOptions
+from nnql_bullet.agents.learning.frames import FrameMaker, Look
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions
 from nnql_bullet.env import Observation
+from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.gym_env.observations import frame_maker
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,17 @@ class MapBeside(Protocol):
 
 
 def map_of(experiment: Experiment) -> MapBeside:
-    """The map of a `double_dqn` or a `distilled`."""
-    return ForesightMap(experiment) if isinstance(experiment.config.agent, DistilledOptions) else FrameMap(experiment)
+    """The map of a `double_dqn` or a `distilled`.
+
+    Raises:
+        UserError: If the agent is of another kind.
+    """
+    options, vehicle, drive = experiment.config.agent, experiment.vehicle, experiment.config.drive
+    if isinstance(options, DistilledOptions):
+        return ForesightMap(Foresight(vehicle, drive))
+    if isinstance(options, DoubleDqnOptions):
+        return FrameMap(FrameMaker(options.rays, options.frames, options.grid_map, vehicle, drive))
+    raise UserError(f"a policy of kind '{options.kind}' has no map")
 
 
 def forgotten(memory: Any, vehicles: Mapping[int, int]) -> Any:
@@ -64,8 +73,8 @@ def forgotten(memory: Any, vehicles: Mapping[int, int]) -> Any:
 class FrameMap:
     """The map of a `double_dqn`; see `FrameMaker.sense`."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        self._maker = frame_maker(experiment)
+    def __init__(self, maker: FrameMaker) -> None:
+        self._maker = maker
 
     def nothing(self, size: int) -> frames.Memory:
         """See `MapBeside`."""
@@ -92,8 +101,8 @@ class FrameMap:
 class ForesightMap:
     """The map of a `distilled`, and the search that foresees what each manoeuvre comes to; see `agents.foresight`."""
 
-    def __init__(self, experiment: Experiment) -> None:
-        self._foresight = Foresight(experiment.vehicle, experiment.config.drive)
+    def __init__(self, foreseeing: Foresight) -> None:
+        self._foresight = foreseeing
 
     def nothing(self, size: int) -> foresight.Memory:
         """See `MapBeside`."""
