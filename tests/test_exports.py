@@ -22,8 +22,8 @@ from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import Contract, contract_of
 from nnql_bullet.exports.cost import Cost, Operations
 from nnql_bullet.exports.folder import write_export
-from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.maps import map_of
+from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
 from nnql_bullet.presets import load_config

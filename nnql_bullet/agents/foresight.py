@@ -230,7 +230,7 @@ class Foresight:
         return replace(look, memory=replace(m, frames=frames), foreseen=foreseen)
 
     def foreseen(self, look: Look, observations: Observation) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """What `mapping.foresight.foresee` says of n vehicles: of the manoeuvres, around, of the ways, and what is thin."""
+        """What `mapping.foresight.foresee` says of n vehicles: of manoeuvres, around, of the ways, and what is thin."""
         o, m = observations, look.memory
         rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
         told: tuple[Array, Array, Array, NDArray[np.bool_]] = foresee(

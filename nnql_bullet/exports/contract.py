@@ -154,7 +154,7 @@ class Contract:
         return "\n\n".join(parts) + "\n"
 
     def rows(self, observations: Observation) -> NDArray[np.float32]:
-        """The inputs of n vehicles, but for what a map tells, as a machine with single precision has them (n, numbers)."""
+        """The inputs of n vehicles but for what a map tells, in single precision (n, numbers)."""
         o = observations
         distances = o.ray_distances if self.by_rays else o.readings
         speed = [o.speed.astype(np.float32)[:, None]] if self.takes_speed else []

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents import foresight
-from nnql_bullet.agents.foresight import CONTEXT, PHI
+from nnql_bullet.agents.foresight import PHI
 from nnql_bullet.agents.learning.frames import DETOUR, FAR, frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.manoeuvre_driver import MANNERS

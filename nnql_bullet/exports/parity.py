@@ -59,8 +59,8 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     """Compares the decisions by what was seen in a drive (steps, ...).
 
     A policy with a memory decides in the order of the drive. The exported one begins each decision with the policy's
-    own memory, so that each is judged by itself. One that remembers alone, as in a shield, does not: then both decide by
-    inputs in single precision, and what is remembered is compared with thresholds in double precision by both.
+    own memory, so that each is judged by itself. One that remembers alone, as in a shield, does not: then both decide
+    by inputs in single precision, and what is remembered is compared with thresholds in double precision by both.
     """
     policy: Any = experiment.policy
     contract, steps = exported.contract, len(drive.readings)
