@@ -67,7 +67,7 @@ def test_c_decides_as_the_shield_in_drives_and_stops_on_bad_input(
             state = exported.initial_state(1)
         status, outputs, after = exported.decide(v.inputs[k : k + 1], state)
         if v.statuses[k]:
-            assert state is not None and after is not None and after.tobytes() == state.tobytes()
+            assert state is not None and after is not None and (after == state).all()
         state = after
         assert (status[0], outputs["action"][0]) == (v.statuses[k], v.actions[k])
         assert outputs["overridden"][0] == v.overridden[k]
@@ -101,6 +101,8 @@ def test_c_decides_as_the_shield_in_many_drives(name: str, conditions: str, tmp_
 
 
 def test_structured_text_decides_as_the_shield(shielded: LoadedPolicy, vectors: Vectors, tmp_path: Path) -> None:
+    if shielded.name == "double_dqn":
+        pytest.skip("it is not written in Structured Text")
     files, _ = st_files(contract_of(shielded), shielded.experiment)
     assert_decides(Running(files[SOURCE], tmp_path), vectors)
 

@@ -104,7 +104,9 @@ class LibraryPolicy:
         if not self.contract.has_values:
             return np.full((len(outputs), len(paper.TURNS)), np.nan)
         values = outputs["values"][:, : len(paper.TURNS)].astype(np.float64)
-        return np.where(outputs["safe"][:, None] == 0, values, np.nan) if "safe" in (outputs.dtype.names or ()) else values
+        return (
+            np.where(outputs["safe"][:, None] == 0, values, np.nan) if "safe" in (outputs.dtype.names or ()) else values
+        )
 
 
 class OnnxPolicy(NoMemory):
