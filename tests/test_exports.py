@@ -22,10 +22,10 @@ from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import Contract, contract_of
 from nnql_bullet.exports.cost import Cost, Operations
 from nnql_bullet.exports.folder import write_export
+from nnql_bullet.exports.maps import map_of
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
-from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import changed
@@ -228,26 +228,60 @@ class TestOnnx:
         assert_same_endings(cases[kind], model(cases[kind]))
 
 
-class TestMap:
-    """`double_dqn`, whose graph has its map beside it."""
+@pytest.mark.parametrize("name", ["double_dqn", "distilled"])
+def test_a_graph_with_its_map_beside_it_runs_as_recorded_and_drives_as_the_policy_does(
+    name: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    from nnql_bullet.exports.onnx_graph import onnx_model
 
-    def test_runs_as_recorded_and_drives_as_the_policy_does(self, tmp_path: Path) -> None:
-        pytest.importorskip("onnx")
-        pytest.importorskip("onnxruntime")
-        from nnql_bullet.exports.onnx_graph import onnx_model
+    policy = load_policy(name)
+    contract, e, file = contract_of(policy, graph=True), policy.experiment, tmp_path / "policy.onnx"
+    file.write_bytes(onnx_model(contract, e))
+    v = vectors_of(contract, e, recorded_drives(e, ("traps",)))
+    exported = OnnxMapPolicy(file, contract, map_of(e))
+    outputs = exported.decide(v.inputs, v.frames)
+    assert (outputs["action"] == v.actions).all() and (outputs["status"] == v.statuses).all()
+    assert np.abs(outputs["heading_change"] - v.turns).max() < 1e-6
+    assert np.abs(outputs["speed_share"] - v.shares).max() < 1e-6
+    steps, bad = (v.drives == 0).sum(), (v.drives < 0).sum()
+    assert (outputs["next_frames"][: steps - 1] == v.frames[1:steps]).all()
+    assert (outputs["next_frames"][-bad:] == v.frames[-bad:]).all()  # bad input changes no memory
+    assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
+    assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported, (7,))
 
-        policy = load_policy("double_dqn")
-        contract, e, file = contract_of(policy), policy.experiment, tmp_path / "policy.onnx"
-        file.write_bytes(onnx_model(contract, e))
-        v = vectors_of(contract, e, recorded_drives(e, ("traps",)))
-        exported = OnnxMapPolicy(file, contract, frame_maker(e))
-        outputs = exported.decide(v.inputs, v.frames)
-        assert (outputs["action"] == v.actions).all() and (outputs["status"] == v.statuses).all()
-        steps = (v.drives == 0).sum()
-        assert (outputs["next_frames"][: steps - 1] == v.frames[1:steps]).all()
-        assert (outputs["next_frames"][-7:] == v.frames[-7:]).all()  # bad input changes no memory
-        assert (np.abs(outputs["values"] - v.values).max(1) <= 1e-5 * np.abs(v.values).max(1)).all()
-        assert_same_endings(Case(policy, contract, tmp_path, Cost(Operations(), 0), v), exported, (7,))
+
+@needs_gcc
+@pytest.mark.parametrize("with_map", [True, False])
+def test_double_dqn_in_c_does_as_recorded_with_its_own_memory(with_map: bool, tmp_path: Path) -> None:
+    policy = load_policy("double_dqn")
+    if not with_map:
+        config = changed(policy.experiment.config, agent={"grid_map": False, "hidden": (9, 5), "frames": 2})
+        policy = LoadedPolicy("without_map", Experiment(config), 1)
+    contract, e = contract_of(policy), policy.experiment
+    files, cost = c_files(contract, e)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    flags = (*FLAGS, "-Wshadow", "-Wconversion", "-fsanitize=undefined", "-fno-sanitize-recover")
+    exported = LibraryPolicy(build(tmp_path, tmp_path / "policy.so", flags), contract)
+    v = vectors_of(contract, e, recorded_drives(e, ("traps", "cover_20")))
+    for drive in (0, 1):
+        state = exported.initial_state(1)
+        for k in np.flatnonzero(v.drives == drive):
+            status, outputs, state = exported.decide(v.inputs[k : k + 1], state)
+            assert (status[0], outputs["action"][0]) == (0, v.actions[k])
+            assert np.abs(outputs["values"][0] - v.values[k]).max() <= 1e-5 * np.abs(v.values[k]).max()
+            assert outputs["heading_change"][0] == pytest.approx(v.turns[k], abs=1e-6)
+    bad = v.drives < 0
+    statuses, outputs, after = exported.decide(v.inputs[bad], exported.initial_state(int(bad.sum())))
+    assert statuses.tolist() == v.statuses[bad].tolist() and set(outputs["action"].tolist()) == {6}
+    assert after is not None and not any(after[name].any() for name in after.dtype.names or ())
+    assert deepest_stack(tmp_path, "policy.c", "policy_decide", "-O0") <= cost.stack
+    program = tmp_path / "example"
+    run("gcc", *FLAGS, "-fsanitize=address", "-o", program, tmp_path / "example.c", tmp_path / "policy.c", "-lm")
+    assert run(program).count(b"action") == 5
+    assert_same_endings(Case(policy, contract, tmp_path, cost, v), exported, (7,))
 
 
 def assert_same_endings(case: Case, exported: Any, seeds: tuple[int, ...] = (7, 8)) -> None:
@@ -327,7 +361,7 @@ class TestContract:
             ("guided_search", "c", "kind 'guided_search'"),
             ("random", "c", "kind 'random'"),
             *((kind, "c", f"kind '{kind}'") for kind in ("dwa", "pure_pursuit", "mppi", "orca")),
-            ("double_dqn", "c", "kind 'double_dqn'"),
+            *(("distilled", form, "kind 'distilled'") for form in ("c", "st")),
             ("vfh", "onnx", "kind 'vfh'"),
             (load_policy("straight", {"shield": {}}), "c", "--with-shield"),
             (LoadedPolicy("sb3", Experiment(load_config("sb3_dqn", {})), 1), "onnx", "kind 'sb3_dqn'"),

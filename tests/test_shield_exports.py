@@ -43,7 +43,7 @@ def compiled(policy: LoadedPolicy, folder: Path, flags: tuple[str, ...] = FLAGS)
     return LibraryPolicy(build(folder, folder / "policy.so", flags), contract)
 
 
-@pytest.fixture(scope="module", params=["paper", "straight"])
+@pytest.fixture(scope="module", params=["paper", "straight", "double_dqn"])
 def shielded(request: pytest.FixtureRequest) -> LoadedPolicy:
     return in_shield(load_policy(request.param))
 
@@ -67,16 +67,17 @@ def test_c_decides_as_the_shield_in_drives_and_stops_on_bad_input(
             state = exported.initial_state(1)
         status, outputs, after = exported.decide(v.inputs[k : k + 1], state)
         if v.statuses[k]:
-            assert state is not None and after is not None and after.tobytes() == state.tobytes()
+            assert state is not None and after is not None and (after == state).all()
         state = after
         assert (status[0], outputs["action"][0]) == (v.statuses[k], v.actions[k])
         assert outputs["overridden"][0] == v.overridden[k]
         assert outputs["speed_share"][0] == np.float32(v.shares[k])
-    assert v.overridden.sum() > 10 or shielded.name == "paper"  # which avoids obstacles itself
+    assert v.overridden.sum() > 10 or shielded.name != "straight"  # which avoid obstacles themselves
 
 
-def test_c_runs_under_the_address_sanitizer_within_the_stated_stack(tmp_path: Path) -> None:
-    shielded = in_shield(load_policy("paper"))
+@pytest.mark.parametrize("name", ["paper", "double_dqn"])
+def test_c_runs_under_the_address_sanitizer_within_the_stated_stack(name: str, tmp_path: Path) -> None:
+    shielded = in_shield(load_policy(name))
     compiled(shielded, tmp_path)
     program, sources = tmp_path / "example", [tmp_path / name for name in ("example.c", "shield.c", "policy.c")]
     run("gcc", *FLAGS, "-fsanitize=address,undefined", "-fno-sanitize-recover", "-o", program, *sources, "-lm")
@@ -90,7 +91,7 @@ def test_c_runs_under_the_address_sanitizer_within_the_stated_stack(tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("conditions", CONDITIONS)
-@pytest.mark.parametrize("name", ["paper", "straight"])
+@pytest.mark.parametrize("name", ["paper", "straight", "double_dqn"])
 def test_c_decides_as_the_shield_in_many_drives(name: str, conditions: str, tmp_path: Path) -> None:
     policy, total = in_shield(load_policy(name, {"conditions": CONDITIONS[conditions]})), Parity()
     exported = compiled(policy, tmp_path)
@@ -100,6 +101,8 @@ def test_c_decides_as_the_shield_in_many_drives(name: str, conditions: str, tmp_
 
 
 def test_structured_text_decides_as_the_shield(shielded: LoadedPolicy, vectors: Vectors, tmp_path: Path) -> None:
+    if shielded.name == "double_dqn":
+        pytest.skip("it is not written in Structured Text")
     files, _ = st_files(contract_of(shielded), shielded.experiment)
     assert_decides(Running(files[SOURCE], tmp_path), vectors)
 
@@ -170,7 +173,8 @@ def test_a_parser_of_structured_text_takes_the_shield() -> None:
     ("policy", "to", "with_shield", "named"),
     [
         ("vfh", "c", True, "remembers its own actions"),
-        ("double_dqn", "c", True, "remembers its own actions"),
+        ("distilled", "c", True, "remembers its own actions"),
+        ("double_dqn", "st", True, "kind 'double_dqn' cannot be written in Structured Text"),
         ("paper", "onnx", True, "cannot be written in ONNX"),
         ("fuzzy", "st", False, "kind 'fuzzy' cannot be written in Structured Text"),
         (load_policy("straight", {"shield": {}}), "st", False, "--with-shield"),

@@ -249,14 +249,20 @@ class Foresight:
 
     def ahead(self, look: Look, observations: Observation) -> Look:
         """Returns a look with what a network sees: what is foreseen of every manoeuvre, and the surroundings."""
+        foreseen, around, ways, thin = self.foreseen(look, observations)
+        m = look.memory
+        frames = self._frame(observations, m, m.age == 0, foreseen, around, ways, thin, look.turns)
+        return replace(look, memory=replace(m, frames=frames), foreseen=foreseen)
+
+    def foreseen(self, look: Look, observations: Observation) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """What `mapping.foresight.foresee` says of n vehicles: of manoeuvres, around, of the ways, and what is thin."""
         o, m = observations, look.memory
         rays = np.ascontiguousarray(o.ray_distances[:, self._seen])
-        foreseen, around, ways, thin = foresee(
+        told: tuple[Array, Array, Array, NDArray[np.bool_]] = foresee(
             *(m.cells, m.offsets, m.corners, m.poses, m.trails, look.factors, look.left, rays, look.moving),
             *(o.speed, o.yaw_rate, look.turns, self._goals, self._mover),
         )
-        frames = self._frame(o, m, m.age == 0, foreseen, around, ways, thin, look.turns)
-        return replace(look, memory=replace(m, frames=frames), foreseen=foreseen)
+        return told
 
     def searched(self, look: Look, observations: Observation, o: SearchOptions) -> tuple[Array, NDArray[np.int64]]:
         """Scores the manoeuvres by a search over several in a row (n, 24) [m]; says what follows the best (n,).

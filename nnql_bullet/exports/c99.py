@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from math import ceil, floor, hypot, pi, radians
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from numpy.typing import ArrayLike
 
 from nnql_bullet import __version__, paper
+from nnql_bullet.agents.learning import frames
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import NnqlOptions
+from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
 from nnql_bullet.agents.rules import fuzzy
 from nnql_bullet.agents.rules.fuzzy import FuzzyOptions
@@ -22,14 +24,15 @@ from nnql_bullet.agents.rules.potential_field import CLOSEST, PotentialFieldOpti
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
-from nnql_bullet.env import MOST_YAW_RATE, TOWARD_TARGET
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
-from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
+from nnql_bullet.exports.contract import STOPPED, WIDEST_BEARING, Contract, encoding_of
 from nnql_bullet.exports.cost import FRAME, Cost, Operations
 from nnql_bullet.geometry import wrap_angles
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
-from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS
+from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale, scaled
 
 SOURCE, HEADER, EXAMPLE = "policy.c", "policy.h", "example.c"
@@ -88,7 +91,8 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
         "thresholds": experiment.task.thresholds,
         "toward_target": TOWARD_TARGET,
         "stopped": STOPPED,
-        "statuses": STATUSES,
+        "statuses": contract.statuses,
+        "frames": isinstance(options, DoubleDqnOptions),
         "widest_bearing": WIDEST_BEARING,
         "most_yaw_rate": MOST_YAW_RATE,
     }
@@ -251,6 +255,76 @@ def _look_ahead(experiment: Experiment, o: LookAheadOptions) -> Body:
     return Body("look_ahead", values, scanned + (len(paper.TURNS) + 1) * action, 2 * sensor.rays + 5, depth=3)
 
 
+def _double_dqn(experiment: Experiment, o: DoubleDqnOptions) -> Body:
+    """Its map, its frames and its dueling network."""
+    vehicle, drive, sensor = experiment.vehicle, experiment.config.drive, experiment.vehicle.sensor
+    scale, limits, learned = length_scale(vehicle.footprint), vehicle.limits, experiment.trainable.state_dict()
+    taken = nearest_rays(sensor.rays)
+    width, places = frames.frame_width(o.rays, o.grid_map), grid_map.SENSE if o.grid_map else 0
+    sensor_range, probe_steps = sensor.range / scale, ceil(grid_map.REACHES[-1] / (grid_map.MAP_CELL / 2))
+    layers = [
+        {name: learned[f"hidden.{3 * i + norm}.{part}"] for name, norm, part in _LAYER} for i in range(len(o.hidden))
+    ]
+    value, advantage = (
+        {"w": learned[f"{head}.weight"], "b": learned[f"{head}.bias"]} for head in ("value", "advantage")
+    )
+    values = {
+        **{"o": o, "grid": grid_map, "taken": taken.tolist(), "places": places, "width": width, "pi": pi},
+        **{"scale": scale, "range": sensor_range, "reading_range": paper.SENSOR_RANGE, "far": frames.FAR},
+        **{"detour": frames.DETOUR, "origin": [its / scale for its in sensor.position[:2]], "diagonal": 2**0.5},
+        **{"angles": sensor.angles[taken].tolist(), "speed": drive.speed / scale, "drive_speed": drive.speed},
+        **{"acceleration": limits.acceleration / scale, "yaw_rate": limits.yaw_rate, "instants": 5},
+        **{"yaw_acceleration": limits.yaw_acceleration, "period": drive.decision_period},
+        **{"largest_turn": LARGEST_TURN, "shares": speed_scale(np.arange(0, MANOEUVRES, ACTIONS), drive).tolist()},
+        **{"probe_steps": probe_steps, "norm": 1e-5, "layers": layers, "advantage": advantage},
+        "value": {"w": value["w"][0], "b": float(value["b"][0])},
+    }
+    units = o.frames * width, *o.hidden
+    products = sum(a * b for a, b in pairwise(units)) + (1 + ACTIONS) * units[-1]
+    network = products * _N(additions=1, multiplications=1) + units[0] * _N(additions=1, divisions=1)
+    network += sum(o.hidden) * _N(additions=5, multiplications=2, divisions=1, comparisons=1)
+    network += len(o.hidden) * _N(additions=1, divisions=2, functions=1) + ACTIONS * _N(additions=3, comparisons=1)
+    frame = width * _N(additions=4, multiplications=4, divisions=2, comparisons=2, functions=2)
+    step = 5 * _N(additions=25, multiplications=20, divisions=8, comparisons=14, functions=2)
+    step += _N(additions=30, multiplications=30, divisions=15, comparisons=20, functions=10)
+    rays = len(taken) * _N(divisions=1, comparisons=3)
+    mapped = _mapped(len(taken), int(sensor_range / grid_map.MAP_CELL) + 1, probe_steps) if places else _N()
+    cells = grid_map.SIZE**2 if places else 0
+    doubles = 3 * len(taken) + places + 3 * grid_map.SIZE + 32
+    arrays = 2 * doubles + cells // 2 + max(units) + max(o.hidden)
+    return Body("double_dqn", values, network + frame + step + rays + mapped, arrays, depth=6)
+
+
+_LAYER = (("w", 0, "weight"), ("b", 0, "bias"), ("gain", 1, "weight"), ("shift", 1, "bias"))
+"""Names in the template, places and parts of a layer and of the layer norm after it."""
+
+
+def _mapped(rays: int, cells: int, probe_steps: int) -> Operations:
+    """What it takes to enter a scan into the map of a `double_dqn`, and to find ways, at most.
+
+    Args:
+        rays: Of a scan.
+        cells: That a ray passes through.
+        probe_steps: Steps along a probe.
+    """
+    cell = _N(divisions=1, functions=1)
+    entered = _N(additions=2, divisions=1, functions=1)
+    entered += (int(grid_map.NEIGHBOURS / (grid_map.MAP_CELL / 2)) + 3) * (
+        _N(additions=4, multiplications=2, divisions=1) + 2 * cell
+    )
+    along = cells * (_N(additions=3, multiplications=3) + 2 * cell)
+    pairs = (grid_map._BESIDE + 1) * (_N(additions=2, comparisons=3, functions=1) + entered)
+    scan = rays * (_N(additions=6, multiplications=2, divisions=1, functions=2) + along + pairs)
+    each = grid_map.SIZE**2
+    begin = each * _N(additions=2, multiplications=2, divisions=1, comparisons=4, functions=1)
+    sweeps = 2 * grid_map._MOST_SWEEPS * each * _N(additions=11, multiplications=2, comparisons=13)
+    asked = _N(additions=12, multiplications=6, divisions=2, comparisons=4)
+    steps = probe_steps * (_N(additions=3, multiplications=2, divisions=1) + 2 * cell)
+    reaches = len(grid_map.REACHES) * (asked + _N(additions=3, multiplications=2, comparisons=1))
+    probes = grid_map.BEARINGS * (_N(additions=1, multiplications=2, divisions=1, functions=2) + steps + reaches)
+    return scan + begin + sweeps + asked + probes + 12 * cell
+
+
 _BODIES: dict[Any, Callable[[Experiment, Any], Body]] = {
     NnqlOptions: _network,
     GeneticOptions: _network,
@@ -261,4 +335,5 @@ _BODIES: dict[Any, Callable[[Experiment, Any], Body]] = {
     PotentialFieldOptions: _potential_field,
     VfhOptions: _vfh,
     LookAheadOptions: _look_ahead,
+    DoubleDqnOptions: _double_dqn,
 }

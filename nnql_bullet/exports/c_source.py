@@ -217,7 +217,8 @@ def _literal(value: float | int | bool, kind: Kind) -> str:
     return str(number) if number >= 0 else f"({number})"
 
 
-def c_struct(struct: Struct) -> str:
-    """The declaration of a structure."""
+def c_struct(struct: Struct, last: str = "") -> str:
+    """The declaration of a structure, with another member as its last."""
     members = [f"    {_STORED[its.kind]} {its.name}[{its.size}];" for its in struct.members]
+    members += [f"    {last};"] if last else []
     return "\n".join(["typedef struct {", *members, f"}} {struct.type};"]) + "\n"

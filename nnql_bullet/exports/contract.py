@@ -1,7 +1,7 @@
 """The observation contract of an exported policy: what goes in and out, in which order, units, ranges and rates."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents import foresight
 from nnql_bullet.agents.base import Custom, TurnChooser
 from nnql_bullet.agents.learning.frames import frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
@@ -21,6 +22,7 @@ from nnql_bullet.env import ACTIONS, MANOEUVRES, MOST_YAW_RATE, REVERSE, SLOW, S
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.mapping.foresight import BEARINGS, COLUMNS
 from nnql_bullet.runs import LoadedPolicy
 from nnql_bullet.shield.lengths import ShieldOptions, lengths_of
 from nnql_bullet.shield.setting import FASTEST, Memory, Setting, memory_of, setting_of
@@ -32,7 +34,7 @@ STATUSES = ("OK", "BAD_DISTANCE", "BAD_TARGET_DISTANCE", "BAD_TARGET_BEARING", "
 """What a decision says of its input, by number; on all but the first it stops."""
 WIDEST_BEARING = 3.1415928
 """Largest bearing that is taken: pi rounds up in single precision [rad]."""
-BY_RAYS = (PotentialFieldOptions, VfhOptions, LookAheadOptions, DoubleDqnOptions)
+BY_RAYS = (PotentialFieldOptions, VfhOptions, LookAheadOptions, DoubleDqnOptions, DistilledOptions)
 """Agents that see the rays; the others see the readings of the eight sectors."""
 
 
@@ -91,9 +93,23 @@ class Contract:
     @property
     def statuses(self) -> tuple[str, ...]:
         """What a decision says of its input, by number."""
-        if self.shielded:
-            return (*STATUSES, "BAD_SPEED")
-        return (*STATUSES, "BAD_MAP") if self.kind == DoubleDqnOptions.kind else STATUSES
+        speed, beside = ("BAD_SPEED",) if self.takes_speed else (), ("BAD_MAP",) if self.map_beside else ()
+        return *STATUSES, *speed, *beside
+
+    @property
+    def takes_speed(self) -> bool:
+        """Whether the measured speed goes in, right after the yaw rate."""
+        return any(signal.name == "speed" for signal in self.inputs)
+
+    @property
+    def map_beside(self) -> bool:
+        """Whether a map beside the policy tells it of ways."""
+        return any(signal.name == "way" for signal in self.inputs)
+
+    @property
+    def remembers_alone(self) -> bool:
+        """Whether its memory is too much to be told: it decides in the order of a drive."""
+        return any(signal.stored for signal in self.memory)
 
     @property
     def has_values(self) -> bool:
@@ -138,10 +154,10 @@ class Contract:
         return "\n\n".join(parts) + "\n"
 
     def rows(self, observations: Observation) -> NDArray[np.float32]:
-        """The inputs of n vehicles, up to the yaw rate, as a machine with single precision has them (n, numbers)."""
+        """The inputs of n vehicles but for what a map tells, in single precision (n, numbers)."""
         o = observations
         distances = o.ray_distances if self.by_rays else o.readings
-        speed = [o.speed.astype(np.float32)[:, None]] if self.shielded else []
+        speed = [o.speed.astype(np.float32)[:, None]] if self.takes_speed else []
         return np.concatenate([distances.astype(np.float32), as_numbers(o)[:, -3:], *speed], axis=-1)
 
 
@@ -158,8 +174,12 @@ def _signals(signals: tuple[Signal, ...], rate: float) -> dict[str, Any]:
     return _object({signal.name: signal.schema(rate) for signal in signals})
 
 
-def contract_of(policy: LoadedPolicy) -> Contract:
+def contract_of(policy: LoadedPolicy, graph: bool = False) -> Contract:
     """The contract of a policy.
+
+    Args:
+        policy: The policy.
+        graph: Whether it is to be a graph of fixed steps, which has the map of a `double_dqn` beside it.
 
     Raises:
         UserError: If it cannot be exported in any form.
@@ -186,17 +206,19 @@ def contract_of(policy: LoadedPolicy) -> Contract:
     )
     nothing = f"; what meets nothing reads {sensor.range:g}, and more counts as that"
     stop = "stop"
+    any_manoeuvre = shielded or isinstance(options, DistilledOptions)
     rule = isinstance(agent, TurnChooser) or isinstance(options, HandRuleOptions)
     thresholds = ", ".join(f"{one:g}" for one in experiment.task.thresholds)
     outputs = [
-        Signal("action", _actions(shielded), low=0, high=MANOEUVRES - 1 if shielded else STOPPED, whole=True),
+        Signal("action", _actions(any_manoeuvre), low=0, high=MANOEUVRES - 1 if any_manoeuvre else STOPPED, whole=True),
         Signal("heading_change", "change of heading that is asked for, left is positive", "rad", low=-pi, high=pi),
         Signal("speed_share", "share of the drive's speed: 1, or 0 for a stop", low=0, high=1),
     ]
-    if shielded:
+    if any_manoeuvre:
         outputs[-1] = Signal(
             "speed_share", "share of the drive's speed, negative backwards, 0 for a stop", low=-1, high=1
         )
+    if shielded:
         outputs.append(Signal("overridden", "1 if the shield replaced the policy's action", low=0, high=1, whole=True))
     elif rule:
         about = f"1 if no sector reads less than its threshold ({thresholds} m), else 0"
@@ -212,12 +234,23 @@ def contract_of(policy: LoadedPolicy) -> Contract:
             Signal("blocked", "whether each direction is blocked", count=BINS, low=0, high=1, whole=True),
         )
     mapped: tuple[Signal, ...] = ()
-    most_yaw_rate = MOST_YAW_RATE
+    most_yaw_rate, fastest = MOST_YAW_RATE, FASTEST * config.drive.speed
+    about = "measured speed along the vehicle, negative backwards"
+    speed = Signal("speed", about, "m/s", low=-fastest, high=fastest, silent=stop)
     if shielded:
         setting, empty = shield_of(experiment)
-        fastest, most_yaw_rate, memory = FASTEST * setting.speed, setting.most_yaw_rate, _memory_signals(empty)
-        about = "measured speed along the vehicle, negative backwards"
-        mapped = (Signal("speed", about, "m/s", low=-fastest, high=fastest, silent=stop),)
+        most_yaw_rate, memory, mapped = setting.most_yaw_rate, _memory_signals(empty), (speed,)
+        if isinstance(options, DoubleDqnOptions):
+            memory += tuple(replace(its, name=f"policy_{its.name}") for its in _frame_memory(options))
+    elif isinstance(options, DistilledOptions):
+        about = "values of the manoeuvres but for a constant; the action is the largest of those that meet nothing"
+        outputs.append(Signal("values", about, "m", MANOEUVRES))
+        mapped = (speed, *_foreseen(stop))
+        seen_before = foresight.SECTORS * (foresight.SCANS - 1)
+        memory = (Signal("frames", "scans seen last, as bytes", count=seen_before, low=0, high=255, whole=True),)
+    elif isinstance(options, DoubleDqnOptions) and not graph:
+        outputs.append(Signal("values", "Q-values of the six actions; the action is the largest", count=ACTIONS))
+        mapped, memory = (speed,), _frame_memory(options)
     elif isinstance(options, DoubleDqnOptions):
         outputs.append(Signal("values", "Q-values of the six actions; the action is the largest", count=ACTIONS))
         scale = f"in metres of the shipped vehicle, which are {length_scale(vehicle.footprint):g} of this one's"
@@ -281,6 +314,39 @@ def shield_of(experiment: Experiment) -> tuple[Setting, Memory]:
     return setting, memory_of(setting)
 
 
+def _foreseen(silent: str) -> tuple[Signal, ...]:
+    """What a map and a search through it tell a `distilled`; see `agents.foresight.Foresight.foreseen`."""
+    each = "clearance while it is driven, and then to a stand [m], share until the first contact, how much longer the "
+    each += "way is from its end, and from ahead of that [m], share of unseen places, visits"
+    rounds = "from each of two distances around, how much longer the way is, and how far all is known to be free"
+    return (
+        Signal("foreseen", f"of each manoeuvre: {each}", count=MANOEUVRES * COLUMNS, silent=silent),
+        Signal("around", rounds, "m", 3 * BEARINGS, silent=silent),
+        Signal("way", "cost of the way to the target through the map", "m", low=0, silent=silent),
+        Signal("thin", "1 if something thin stands near, else 0", low=0, high=1),
+        Signal("first", "1 in the first decision of a drive, else 0", low=0, high=1),
+    )
+
+
+def _frame_memory(o: DoubleDqnOptions) -> tuple[Signal, ...]:
+    """What a `double_dqn` in C remembers; lengths are those of the shipped vehicle."""
+    bytes_seen, cells = o.frames * frame_width(o.rays, o.grid_map), grid_map.SIZE**2 if o.grid_map else 1
+    whole, work = "unsigned char", "room to work in"
+    return (
+        Signal("pose", "at the last decision, from the target: x, y [m], yaw [rad]", count=3, stored="double"),
+        Signal("yaw_rate", "at the last decision", "rad/s", stored="double"),
+        Signal("bearing", "of the target at the last decision", "rad", stored="double"),
+        Signal("share", "commanded speed at the last decision, as a share of the drive's", stored="double"),
+        Signal("left", f"{work}: lengths of ways", "m", cells, stored="double"),
+        Signal("cost", f"{work}: of half a cell", "m", cells, stored="double"),
+        Signal("begun", "whether there was a decision", stored="int"),
+        Signal("manoeuvre", "that was taken last", stored="int"),
+        Signal("corner", "first cell of the map", count=2, stored="int"),
+        Signal("cells", "of the map; above 0 where something stands", count=cells, stored=whole),
+        Signal("frames", "what was seen last, as bytes, the newest first", count=bytes_seen, stored=whole),
+    )
+
+
 def _memory_signals(memory: Memory) -> tuple[Signal, ...]:
     """What is remembered, as the contract tells it."""
     about = {
@@ -306,10 +372,10 @@ def _memory_signals(memory: Memory) -> tuple[Signal, ...]:
     )
 
 
-def _actions(shielded: bool = False) -> str:
+def _actions(beyond: bool) -> str:
     turns = ", ".join(f"{number} turn by {round(np.degrees(turn))}" for number, turn in enumerate(paper.TURNS))
     told = f"{turns} degrees, {ACTIONS - 1} toward the target by 60 at most"
-    if not shielded:
+    if not beyond:
         return f"{told}, {STOPPED} stop"
     return f"{told}; {STOP} more while braking to a stand, {REVERSE} more backwards, {SLOW} more slowly"
 

@@ -75,7 +75,7 @@ def write_export(policy: LoadedPolicy, form: Form, folder: Path, with_shield: bo
     """
     if with_shield:
         policy = in_shield(policy)
-    contract = contract_of(policy)
+    contract = contract_of(policy, graph=form == "onnx")
     artefact = _FORMS[form](policy, contract)
     with locked(folder):
         if any(its.name != LOCK for its in folder.iterdir()):

@@ -7,15 +7,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nnql_bullet import paper
+from nnql_bullet.agents import foresight
+from nnql_bullet.agents.foresight import PHI
 from nnql_bullet.agents.learning.frames import DETOUR, FAR, frame_width
 from nnql_bullet.agents.learning.genetic import GeneticOptions
-from nnql_bullet.agents.learning.options import DoubleDqnOptions, NnqlOptions
+from nnql_bullet.agents.learning.manoeuvre_driver import MANNERS
+from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, MOST_YAW_RATE, TOWARD_TARGET
+from nnql_bullet.env import ACTIONS, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
+from nnql_bullet.mapping import foresight as ahead
 from nnql_bullet.mapping import grid_map
+from nnql_bullet.mapping.body_map import CELLS_ACROSS, FARTHER
+from nnql_bullet.mapping.search import KEPT
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale
 
@@ -103,8 +109,8 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
         UserError: If the policy has no graph, or onnx is not installed.
     """
     options = experiment.config.agent
-    if not isinstance(options, NnqlOptions | GeneticOptions | QTableOptions | DoubleDqnOptions):
-        have = "nnql, genetic, q_table, double_dqn"
+    if not isinstance(options, NnqlOptions | GeneticOptions | QTableOptions | DoubleDqnOptions | DistilledOptions):
+        have = "nnql, genetic, q_table, double_dqn, distilled"
         raise UserError(f"{contract.policy}: a policy of kind '{options.kind}' has no graph; these have one: {have}")
     g = Graph()
     seen = g.within("distances", 0.0, _LARGEST)
@@ -116,10 +122,15 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
         g.within("target_bearing", -WIDEST_BEARING, WIDEST_BEARING),
         g.within("yaw_rate", -MOST_YAW_RATE, MOST_YAW_RATE),
     ]
-    if isinstance(options, DoubleDqnOptions):
+    names = {signal.name: signal for signal in contract.inputs}
+    if contract.takes_speed:
+        fine.append(g.within("speed", names["speed"].low or 0.0, names["speed"].high or 0.0))
+    if contract.map_beside:
         way = g.within("way", 0.0, _LARGEST)
-        around = (g.all_true(g.within("around", -_LARGEST, _LARGEST)),) if options.grid_map else ()
-        fine.append(g.add("And", way, *around) if around else way)
+        for name in ("around", "foreseen"):
+            if name in names:
+                way = g.add("And", way, g.all_true(g.within(name, -_LARGEST, _LARGEST)))
+        fine.append(way)
     status = g.constant(STATUSES.index("OK"), np.int64)
     for number, is_fine in reversed(tuple(enumerate(fine, 1))):
         status = g.add("Where", is_fine, status, g.constant(number, np.int64))
@@ -130,6 +141,9 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
     if isinstance(options, DoubleDqnOptions):
         values = _dueling(g, distances, good_rows, options, experiment)
         chosen = g.add("ArgMax", values, axis=1, keepdims=0)
+    elif isinstance(options, DistilledOptions):
+        values = _foreseeing(g, distances, good_rows, options, experiment)
+        chosen = _of_the_clear(g, values, options, experiment)
     else:
         learned, scale = experiment.trainable.state_dict(), length_scale(experiment.vehicle.footprint)
         if isinstance(options, QTableOptions):
@@ -143,10 +157,14 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
     action = g.add("Where", good, chosen, g.constant(STOPPED, np.int64), name="action")
     bearing = g.add("Where", fine[2], "target_bearing", g.constant(0.0))
     toward = g.add("Clip", bearing, g.constant(-LARGEST_TURN), g.constant(LARGEST_TURN))
-    turn = g.add("Gather", g.constant([*paper.TURNS, 0.0, 0.0]), action)
-    toward_target = g.add("Equal", action, g.constant(TOWARD_TARGET, np.int64))
-    g.add("Where", toward_target, toward, turn, name="heading_change")
-    g.add("Cast", good, name="speed_share", to=g.type("FLOAT"))
+    turned = g.add("Mod", action, g.constant(ACTIONS, np.int64))
+    turn = g.add("Gather", g.constant([*paper.TURNS, 0.0]), turned)
+    toward_target = g.add("Equal", turned, g.constant(TOWARD_TARGET, np.int64))
+    toward = g.add("Where", g.add("And", good, toward_target), toward, turn)
+    g.add("Where", good, toward, g.constant(0.0), name="heading_change")
+    shares = speed_scale(np.arange(MANOEUVRES), experiment.config.drive)
+    share = g.add("Gather", g.constant(shares), action)
+    g.add("Where", good, share, g.constant(0.0), name="speed_share")
     g.add("Where", good_rows, values, g.constant(0.0), name="values")
     kept = {signal.name: ("UINT8", signal.count) for signal in contract.memory}
     outputs = {signal.name: ("INT64" if signal.whole else "FLOAT", signal.count) for signal in contract.outputs}
@@ -215,6 +233,115 @@ def _dueling(g: Graph, distances: str, good: str, options: DoubleDqnOptions, exp
     )
     mean = g.add("ReduceMean", advantage, axes=[1], keepdims=1)
     return g.add("Add", value, g.add("Sub", advantage, mean))
+
+
+def _foreseeing(g: Graph, distances: str, good: str, options: DistilledOptions, experiment: Experiment) -> str:
+    """Values (n, 24) of a distilled search; earlier scans are an input and, a scan later, an output.
+
+    See `foresight.Foresight`. What is rounded to bytes is computed in double precision, as the agent does.
+    """
+    vehicle, drive, scale = experiment.vehicle, experiment.config.drive, length_scale(experiment.vehicle.footprint)
+    last, most = g.constant([2], np.int64), FARTHER * vehicle.width / CELLS_ACROSS
+    one = g.constant([1], np.int64)
+
+    def number(values: ArrayLike) -> str:
+        return g.constant(values, np.float64)
+
+    def column(name: str) -> str:
+        return g.add("Unsqueeze", g.to("DOUBLE", name), one)
+
+    def line(value: str, factor: ArrayLike, offset: ArrayLike) -> str:
+        return g.add("Add", g.add("Mul", value, number(factor)), number(offset))
+
+    def as_bytes(numbers: str) -> str:
+        clipped = line(g.add("Clip", numbers, number(-1.0), number(1.0)), 1.0, 1.0)
+        return g.to("UINT8", g.add("Round", g.add("Mul", clipped, number(127.5))))
+
+    taken = g.add("Gather", distances, g.constant(nearest_rays(vehicle.sensor.rays), np.int64), axis=1)
+    rays = g.add("Div", g.to("DOUBLE", taken), number(scale))
+    shape = g.constant([-1, foresight.SECTORS, RAYS // foresight.SECTORS], np.int64)
+    nearest = g.add("ReduceMin", g.add("Reshape", rays, shape), axes=[2], keepdims=0)
+    scan = as_bytes(line(g.add("Div", number(2.0), line(nearest, 1.0, 1.0)), 1.0, -1.0))
+    begins = g.add("Greater", column("first"), number(0.5))
+    alike = g.add("Concat", *[scan] * (foresight.SCANS - 1), axis=1)
+    earlier = g.add("Where", begins, alike, "frames")
+    kept = g.constant([(foresight.SCANS - 2) * foresight.SECTORS], np.int64)
+    moved_on = g.add("Concat", scan, g.add("Slice", earlier, g.constant([0], np.int64), kept, one), axis=1)
+    g.add("Where", good, moved_on, "frames", name="next_frames")
+    probes = 3 * ahead.BEARINGS
+    beyond = np.arange(probes) >= 2 * ahead.BEARINGS
+    around = g.add("Div", g.to("DOUBLE", "around"), number(np.where(beyond, ahead.SIGHT * scale / 2, most)))
+    away, bearing, way = column("target_distance"), column("target_bearing"), column("way")
+    parts = [
+        g.add("Sub", around, number(1.0 * beyond)),
+        g.add("Div", column("speed"), number(drive.speed)),
+        line(away, -2 / (foresight.FAR * scale), 1.0),
+        line(g.add("Sub", way, away), 2 / (20.0 * scale), -1.0),
+        line(away, -2 / (5.0 * scale), 1.0),
+        g.add("Add", g.add("Mul", away, number(0.0)), number(drive.speed / scale / 2 - 1)),
+        line(column("thin"), 2.0, -1.0),
+        g.add("Cos", bearing),
+        g.add("Sin", bearing),
+        g.add("Div", column("yaw_rate"), number(vehicle.limits.yaw_rate)),
+    ]
+    rest = as_bytes(g.add("Concat", *parts, axis=1))
+    factors, offsets = np.ones(ahead.COLUMNS), np.zeros(ahead.COLUMNS)
+    factors[[ahead.ROOM, ahead.STOP_ROOM]] = 2 / (ahead.MOST_ROOM * scale)
+    factors[[ahead.LASTS, ahead.UNKNOWN]], factors[[ahead.WAY, ahead.WAY_AHEAD]] = 2.0, 1 / most
+    factors[ahead.VISITS] = 2 / ahead.MOST_VISITS
+    offsets[[ahead.ROOM, ahead.STOP_ROOM, ahead.LASTS, ahead.UNKNOWN, ahead.VISITS]] = -1.0
+    phi_shape = g.constant([-1, MANOEUVRES, ahead.COLUMNS], np.int64)
+    phi = line(g.add("Reshape", g.to("DOUBLE", "foreseen"), phi_shape), factors, offsets)
+    toward = g.add("Clip", bearing, number(-LARGEST_TURN), number(LARGEST_TURN))
+    turn_parts = [g.add("Add", g.add("Mul", bearing, number(0.0)), number(paper.TURNS)), toward]
+    turns = g.add("Div", g.add("Concat", *turn_parts * MANNERS, axis=1), number(np.pi / 3))
+    phi = as_bytes(g.add("Concat", phi, g.add("Unsqueeze", turns, last), axis=2))
+    learned = experiment.trainable.state_dict()
+
+    def shown(seen: str) -> str:
+        return g.add("Sub", g.add("Div", g.to("FLOAT", seen), g.constant(127.5)), g.constant(1.0))
+
+    def linear(x: str, name: str) -> str:
+        w, b = (g.constant(learned[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return g.add("Gemm", x, w, b, transB=1)
+
+    x = shown(g.add("Concat", scan, earlier, rest, axis=1))
+    for layer in range(0, 3 * len(options.hidden), 3):
+        x = linear(x, f"surroundings.{layer}")
+        if layer < 3 * (len(options.hidden) - 1):
+            gain, shift = (g.constant(learned[f"surroundings.{layer + 1}.{part}"]) for part in ("weight", "bias"))
+            x = g.add("Relu", g.add("LayerNormalization", x, gain, shift, axis=-1, epsilon=1e-5))
+    weight, bias = learned["foreseen.weight"], learned["foreseen.bias"]
+    manners = np.repeat(weight[:, PHI:].T + bias, ACTIONS, axis=0)
+    each = g.add("Add", g.add("MatMul", shown(phi), g.constant(weight[:, :PHI].T)), g.constant(manners))
+    each = g.add("Relu", g.add("Add", each, g.add("Unsqueeze", x, one)))
+    each = g.add("MatMul", each, g.constant(learned["value.1.weight"].T))
+    each = g.add("Relu", g.add("Add", each, g.constant(learned["value.1.bias"])))
+    each = g.add("MatMul", each, g.constant(learned["value.3.weight"].T))
+    return g.add("Squeeze", g.add("Add", each, g.constant(learned["value.3.bias"])), last)
+
+
+def _of_the_clear(g: Graph, values: str, options: DistilledOptions, experiment: Experiment) -> str:
+    """The best of the manoeuvres that meet nothing (n,); if all do, the one that does so last: `Foresight.chosen`."""
+    scale, last = length_scale(experiment.vehicle.footprint), g.constant([2], np.int64)
+    shape = g.constant([-1, MANOEUVRES, ahead.COLUMNS], np.int64)
+    foreseen = g.add("Reshape", g.to("DOUBLE", "foreseen"), shape)
+
+    def column(number: int) -> str:
+        return g.add("Squeeze", g.add("Gather", foreseen, g.constant([number], np.int64), axis=2), last)
+
+    def number(value: float) -> str:
+        return g.constant(value, np.float64)
+
+    q = g.to("DOUBLE", values)
+    clear, lasts = g.add("Min", column(ahead.ROOM), column(ahead.STOP_ROOM)), column(ahead.LASTS)
+    most_clear = g.add("ReduceMax", clear, axes=[1], keepdims=1)
+    least = g.add("Min", g.add("Mul", most_clear, number(KEPT)), number(options.search.margin * scale))
+    meets = g.add("Or", g.add("Less", lasts, number(1.0)), g.add("Less", clear, least))
+    most, smallest = (g.add(f"Reduce{which}", q, axes=[1], keepdims=1) for which in ("Max", "Min"))
+    worst = g.add("Add", g.add("Sub", most, smallest), number(1.0))
+    late = g.add("Add", g.add("Mul", g.add("Sub", number(1.0), lasts), number(100.0)), number(2.0))
+    return g.add("ArgMax", g.add("Where", meets, g.add("Sub", q, g.add("Mul", worst, late)), q), axis=1, keepdims=0)
 
 
 def _computed(g: Graph, distances: str, encoding: str, scale: float, learned: Mapping[str, NDArray[Any]]) -> str:

@@ -59,12 +59,12 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     """Compares the decisions by what was seen in a drive (steps, ...).
 
     A policy with a memory decides in the order of the drive. The exported one begins each decision with the policy's
-    own memory, so that each is judged by itself. In a shield both decide by inputs in single precision, and each has a
-    memory of its own: what is remembered is compared with thresholds in double precision by both.
+    own memory, so that each is judged by itself. One that remembers alone, as in a shield, does not: then both decide
+    by inputs in single precision, and what is remembered is compared with thresholds in double precision by both.
     """
     policy: Any = experiment.policy
     contract, steps = exported.contract, len(drive.readings)
-    if contract.shielded:
+    if contract.remembers_alone:
         drive = observed(contract, experiment.task, contract.rows(drive))
     if contract.memory:
         states = [policy.initial_state(1)]
@@ -80,6 +80,8 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     if isinstance(policy, TurnChooser):
         values = policy.values(drive, np.ones(steps, np.bool_))
     elif isinstance(exported, OnnxMapPolicy):
+        values = np.concatenate([exported.values_of(policy, state) for state in states[1:]])
+    elif contract.has_values:
         values = np.concatenate([policy.values_of(state) for state in states[1:]])
     differ = np.flatnonzero(outputs["action"] != actions)
     mine = heading_change(actions[differ], drive.target_bearing[differ])
@@ -87,7 +89,7 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
     same_turn &= outputs["action"][differ] // ACTIONS == actions[differ] // ACTIONS
     ties = (
         0
-        if contract.shielded
+        if contract.remembers_alone
         else sum(
             _is_tie(experiment, exported, _rows(drive, k), states[k], int(outputs["action"][k]))
             for k in differ[~same_turn].tolist()
@@ -110,14 +112,15 @@ def _outputs(
     exported: LibraryPolicy | OnnxPolicy, drive: Observation, states: list[PolicyState]
 ) -> Mapping[str, NDArray[Any]]:
     if isinstance(exported, OnnxMapPolicy):
-        seen = [exported.see(_rows(drive, k), state.memory)[:2] for k, state in enumerate(states)]
-        return exported.decide(*(np.concatenate(part) for part in zip(*seen, strict=True)))
+        seen = [exported.see(_rows(drive, k), state.memory) for k, state in enumerate(states)]
+        rows = np.concatenate([inputs for inputs, _ in seen])
+        return exported.decide(rows, np.concatenate([told.frames for _, told in seen]))
     contract = exported.contract
     rows = contract.rows(drive)
     if isinstance(exported, OnnxPolicy):
         return exported.decide(rows)
-    memory = exported.initial_state(1 if contract.shielded else len(rows))
-    if contract.shielded:  # its memory is too much to be told: it remembers by itself
+    memory = exported.initial_state(1 if contract.remembers_alone else len(rows))
+    if contract.remembers_alone:
         found = []
         for k in range(len(rows)):
             _, outputs, memory = exported.decide(rows[k : k + 1], memory)
@@ -138,10 +141,11 @@ def _is_tie(
     """Whether the policy takes the action too, of what it sees (1, ...) moved a little."""
     contract, generator = exported.contract, rng(0, Stream.POLICY)
     distances = seen.ray_distances if contract.by_rays else seen.readings
-    numbers = np.concatenate([distances[0], [seen.target_distance[0], seen.target_bearing[0], seen.yaw_rate[0]]])
+    numbers = np.concatenate([distances[0], contract.rows(seen)[0, len(distances[0]) :]]).astype(np.float64)
     moves = ROUNDING * generator.uniform(-1, 1, (TRIES, len(numbers)))
     moved = np.where(numbers < contract.sensor_range, numbers * (1 + moves), numbers)
-    moved[:, -2] = numbers[-2] + moves[:, -2]
+    bearing = len(distances[0]) + 1
+    moved[:, bearing] = numbers[bearing] + moves[:, bearing]
     if isinstance(state, VfhState):
         turned = ROUNDING * generator.uniform(-1, 1, (2, TRIES))
         blocked = np.repeat(state.blocked, TRIES, axis=0)

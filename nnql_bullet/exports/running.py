@@ -7,7 +7,6 @@ import ctypes
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,12 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
-from nnql_bullet.agents.learning.frames import FrameMaker, Look, Memory, Sensed
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
+from nnql_bullet.exports.maps import MapBeside, Told, forgotten
 from nnql_bullet.exports.shielded import SOURCE as SHIELD
-from nnql_bullet.exports.vectors import map_inputs
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
@@ -105,7 +103,10 @@ class LibraryPolicy:
         _, outputs, _ = self.decide(self.contract.rows(observations), state)
         if not self.contract.has_values:
             return np.full((len(outputs), len(paper.TURNS)), np.nan)
-        return np.where(outputs["safe"][:, None] == 0, outputs["values"].astype(np.float64), np.nan)
+        values = outputs["values"][:, : len(paper.TURNS)].astype(np.float64)
+        return (
+            np.where(outputs["safe"][:, None] == 0, values, np.nan) if "safe" in (outputs.dtype.names or ()) else values
+        )
 
 
 class OnnxPolicy(NoMemory):
@@ -152,39 +153,36 @@ class OnnxPolicy(NoMemory):
 
 
 class OnnxMapPolicy(OnnxPolicy):
-    """A `double_dqn` in ONNX Runtime, with its map beside it: the graph is told of ways that are found in the map.
+    """A policy in ONNX Runtime whose map is beside the graph; its state is the memory of the map (`exports.maps`)."""
 
-    The search for ways ends when it ends, which a graph of fixed steps cannot.
-    """
-
-    def __init__(self, model: Path, contract: Contract, maker: FrameMaker) -> None:
+    def __init__(self, model: Path, contract: Contract, beside: MapBeside) -> None:
         super().__init__(model, contract)
-        self._maker = maker
+        self._map = beside
 
-    def initial_state(self, size: int) -> Memory:  # type: ignore[override]
+    def initial_state(self, size: int) -> Any:
         """Returns an empty memory of n vehicles."""
-        return self._maker.nothing(size)
+        return self._map.nothing(size)
 
-    def reset(self, state: Memory, world_seeds: Mapping[int, int]) -> Memory:  # type: ignore[override]
+    def reset(self, state: Any, world_seeds: Mapping[int, int]) -> Any:
         """Forgets these vehicles."""
-        age = state.age.copy()
-        age[list(world_seeds)] = 0
-        return replace(state, age=age)
+        return forgotten(state, world_seeds)
 
-    def see(self, observations: Observation, state: Memory) -> tuple[NDArray[np.float32], NDArray[np.uint8], Sensed]:
-        """The inputs (n, numbers), the frames (n, bytes), and what the map says."""
-        sensed = self._maker.sense(state, observations)
-        rows = np.concatenate([self.contract.rows(observations), map_inputs(sensed, state)], axis=1)
-        return rows, state.frames.reshape(len(rows), -1), sensed
+    def see(self, observations: Observation, state: Any) -> tuple[NDArray[np.float32], Told]:
+        """The inputs (n, numbers), and what the map tells."""
+        told = self._map.told(state, observations)
+        return np.concatenate([self.contract.rows(observations), told.inputs], axis=1), told
 
-    def act(self, observations: Observation, state: Memory) -> tuple[Actions, Memory]:  # type: ignore[override]
+    def act(self, observations: Observation, state: Any) -> tuple[Actions, Any]:
         """Returns the actions (n,), of bad input a stop, and the next memory."""
-        rows, frames, sensed = self.see(observations, state)
-        outputs = self.decide(rows, frames)
-        memory = replace(sensed.memory, frames=outputs["next_frames"].reshape(state.frames.shape))
-        return outputs["action"], self._maker.after(Look(memory, sensed.progress), observations, outputs["action"])
+        rows, told = self.see(observations, state)
+        outputs = self.decide(rows, told.frames)
+        return outputs["action"], self._map.after(told, observations, outputs)
 
-    def action_values(self, observations: Observation, state: Memory) -> Array:  # type: ignore[override]
+    def action_values(self, observations: Observation, state: Any) -> Array:
         """Returns Q-values of the five turns (n, 5)."""
-        rows, frames, _ = self.see(observations, state)
-        return self.decide(rows, frames)["values"][:, : len(paper.TURNS)].astype(np.float64)
+        rows, told = self.see(observations, state)
+        return self.decide(rows, told.frames)["values"][:, : len(paper.TURNS)].astype(np.float64)
+
+    def values_of(self, policy: Any, state: Any) -> NDArray[Any]:
+        """The values (n, m) by which the policy itself made the decision that gave this state."""
+        return self._map.values_of(policy, state)

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 from nnql_bullet import __version__, paper
 from nnql_bullet.agents.base import Overridable, TurnChooser
+from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.c_source import c_functions, c_struct
 from nnql_bullet.exports.contract import BY_RAYS, Contract, shield_of
-from nnql_bullet.exports.cost import BYTES, FRAME, Cost, cost_of
+from nnql_bullet.exports.cost import FRAME, Cost, cost_of
 from nnql_bullet.exports.translation import ArrayOf, Function, Known, Struct, Translator, Var, group_of, struct_of
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy
@@ -27,7 +28,7 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
     """
     experiment = policy.experiment
     agent, config = experiment.agent, experiment.config
-    if isinstance(agent, Overridable):
+    if isinstance(agent, Overridable) and not isinstance(config.agent, DoubleDqnOptions):
         raise UserError(
             f"{policy.name}: remembers its own actions, and in a shield has to be told others; such policies, here of "
             f"kind '{config.agent.kind}', are not exported with a shield"
@@ -63,16 +64,19 @@ def shield_files(contract: Contract, experiment: Experiment, policy_cost: Cost) 
     operations = costs[0].operations + costs[1].operations + policy_cost.operations
     own = FRAME + 8 * (setting.rays + 4 * paper.SECTORS)
     stack = own + max(policy_cost.stack, *(its.stack for its in costs))
+    sizes = {"double": 8, "int": 4, "unsigned char": 1}
+    remembers = isinstance(experiment.config.agent, DoubleDqnOptions)
     values = {
         "contract": contract,
         "version": __version__,
         "turns": paper.TURNS,
         "setting": setting,
         "by_rays": isinstance(experiment.config.agent, BY_RAYS),
-        "has_values": isinstance(experiment.agent, TurnChooser),
+        "has_values": remembers or isinstance(experiment.agent, TurnChooser),
+        "remembers": remembers,
         "statuses": contract.statuses,
-        "struct": c_struct(struct),
-        "bytes": sum(BYTES[its.kind] * its.size for its in struct.members),
+        "struct": c_struct(struct, "policy_memory policy" if remembers else ""),
+        "bytes": sum(sizes[its.stored] * its.count for its in contract.memory),
         "functions": c_functions(translator.functions, {"m": struct}),
     }
     files = {SOURCE: "shield.c.j2", HEADER: "shield.h.j2", EXAMPLE: "shield_example.c.j2"}

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from nnql_bullet import paper
 from nnql_bullet.agents.base import TurnChooser
-from nnql_bullet.agents.learning.frames import Memory, Sensed
-from nnql_bullet.agents.learning.options import DoubleDqnOptions
 from nnql_bullet.env import Observation, Transition, heading_change, speed_scale
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STOPPED, Contract
+from nnql_bullet.exports.maps import map_of
 from nnql_bullet.geometry import Array
-from nnql_bullet.gym_env.observations import frame_maker
 from nnql_bullet.rollout import Decision, finished_episodes
 from nnql_bullet.run_config import changed
 from nnql_bullet.task import NON_SAFE, SAFE, TaskOptions, is_safe, readings_of
@@ -105,7 +103,7 @@ def observed(contract: Contract, task: TaskOptions, rows: NDArray[np.floating[An
     """The observation that inputs (n, numbers) stand for."""
     numbers, d = rows.astype(np.float64), contract.distances
     distances, (away, bearing, yaw_rate) = numbers[:, :d], numbers[:, d : d + 3].T
-    speed = numbers[:, d + 3] if contract.shielded else np.zeros(len(rows))
+    speed = numbers[:, d + 3] if contract.takes_speed else np.zeros(len(rows))
     readings = readings_of(distances, task) if contract.by_rays else distances
     properties = np.where(is_safe(readings, task), SAFE, NON_SAFE)
     return Observation(readings, away, bearing, yaw_rate, speed, properties, distances)
@@ -121,7 +119,7 @@ class Vectors:
     inputs: NDArray[np.float32]
     """(k, numbers)"""
     frames: NDArray[np.uint8]
-    """Frames before each decision (k, bytes); none but of `double_dqn`."""
+    """Frames before each decision (k, bytes); none but beside a map."""
     statuses: NDArray[np.int64]
     """Indices into `Contract.statuses` (k,)."""
     actions: NDArray[np.int64]
@@ -202,30 +200,26 @@ def _decided(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, NDArray[np.uint8], NDArray[np.bool_]]:
     """Inputs (k, numbers), actions (k,), Q-values (k, m), frames before (k, bytes), overridden (k,) of a drive."""
     policy: Any = experiment.policy
-    rows, with_map = contract.rows(drive), isinstance(experiment.config.agent, DoubleDqnOptions)
-    maker = frame_maker(experiment) if with_map else None
+    rows, beside = contract.rows(drive), map_of(experiment) if contract.map_beside else None
     state, actions = policy.initial_state(1), np.empty(len(rows), np.int64)
     overridden = np.zeros(len(rows), np.bool_)
     mapped, values, frames = [], [], []
     for k in range(len(rows)):
         seen = observed(contract, experiment.task, rows[k : k + 1])
-        if maker is not None:
-            mapped.append(map_inputs(maker.sense(state.memory, seen), state.memory)[0])
-            frames.append(state.memory.frames.reshape(-1))
+        if beside is not None:
+            told = beside.told(state.memory, seen)
+            mapped.append(told.inputs[0])
+            frames.append(told.frames[0])
         (actions[k],), state = policy.act(seen, state)
         overridden[k] = contract.shielded and policy.overridden(state)[0]
-        if maker is not None:
+        if beside is not None:
+            values.append(beside.values_of(policy, state)[0])
+        elif contract.has_values and contract.remembers_alone:
             values.append(policy.values_of(state)[0])
-    if maker is not None:
+    if beside is not None:
         inputs = np.concatenate([rows, np.array(mapped)], axis=1)
         return inputs, actions, np.array(values), np.array(frames), overridden
-    found = np.full((len(rows), len(paper.TURNS)), np.nan)
+    found = np.array(values) if values else np.full((len(rows), len(paper.TURNS)), np.nan)
     if isinstance(policy, TurnChooser):
         found = policy.values(observed(contract, experiment.task, rows), np.ones(len(rows), np.bool_))
     return rows, actions, found, np.empty((len(rows), 0), np.uint8), overridden
-
-
-def map_inputs(sensed: Sensed, memory: Memory) -> NDArray[np.float32]:
-    """What a graph is told of n maps (n, numbers): ways around, the way to the target, and the last action."""
-    last = np.where(memory.age == 0, -1, memory.actions)
-    return np.concatenate([sensed.around, sensed.way[:, None], last[:, None]], axis=1).astype(np.float32)
