@@ -364,6 +364,7 @@ class TestContract:
             *(("distilled", form, "kind 'distilled'") for form in ("c", "st")),
             ("vfh", "onnx", "kind 'vfh'"),
             (load_policy("straight", {"shield": {}}), "c", "--with-shield"),
+            (load_policy("distilled", {"agent": {"search": {"paced": True}}}), "onnx", "paced"),
             (LoadedPolicy("sb3", Experiment(load_config("sb3_dqn", {})), 1), "onnx", "kind 'sb3_dqn'"),
             (type("Mine", (), {"act": lambda self, observations: None})(), "c", "object of your own"),
         ],

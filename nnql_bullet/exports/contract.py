@@ -196,6 +196,8 @@ def contract_of(policy: LoadedPolicy, graph: bool = False) -> Contract:
         )
     if experiment.task.hysteresis:
         raise UserError(f"{policy.name}: 'task.hysteresis' is not exported; train a policy without it")
+    if isinstance(options, DistilledOptions) and options.search.paced:
+        raise UserError(f"{policy.name}: 'agent.search.paced' is not exported; load it without")
     by_rays = shielded or isinstance(options, BY_RAYS)
     how = "nearest" if config.task.sector_reading == "nearest" else "middle"
     seen = (

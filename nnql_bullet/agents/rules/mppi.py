@@ -45,23 +45,23 @@ class MppiOptions:
     kind: Literal["mppi"] = "mppi"
     samples: Few = 200
     """Drives in thought."""
-    decisions: Annotated[int, Field(ge=1, le=30)] = 6
+    decisions: Annotated[int, Field(ge=1, le=30)] = 7
     """Length of each."""
     turn_degrees: Annotated[float, Field(ge=0, le=180)] = 30.0
     """Standard deviation of the heading changes [degrees]."""
     speed_share: NonNegative = 0.4
     """Standard deviation of the speeds, as a share of the drive's."""
-    temperature: Positive = 0.05
+    temperature: Positive = 0.3
     """lambda: a sample that costs so much more weighs e times less."""
-    margin: Reach = 0.1
+    margin: Reach = 0.28
     """Clearance from the last scan below which the footprint counts as in contact [m]."""
-    room: Reach = 0.6
+    room: Reach = 0.66
     """Clearance from which on there is no cost of obstacles [m]."""
-    obstacle_weight: NonNegative = 1.0
+    obstacle_weight: NonNegative = 1.07
     """Of the clearance that lacks, as a share of the room."""
     distance_weight: NonNegative = 4.0
     """Of the distance from what it drives at, less that at present, over what it can drive."""
-    heading_weight: NonNegative = 0.5
+    heading_weight: NonNegative = 0.46
     """Of the direction of what it drives at, over half a turn."""
     align_weight: NonNegative = 0.5
     """Of the distance from the straight way to what it drives at, where that lies on a longer known way; over what it
