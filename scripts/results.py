@@ -60,22 +60,22 @@ METHODS = {
     "paper": Method("paper", 10),
     "literal": Method("literal", 5),
     "tuned": Method("tuned", 5),
-    "tuned_contact": Method("tuned", 5, {"simulator": "bullet"}, 1.5),
     "q_table": Method("q_table", 5),
     "genetic": Method("genetic", 5, {"simulator": "kinematic", "vehicles": 200}),  # changes nothing but the time
-    "sb3_dqn": Method("sb3_dqn", 5, {"simulator": "kinematic", "vehicles": 16}, 0.5),
     "double_dqn": Method("double_dqn", 5, hours=0.15, stages=(500, 1000, 1500, 2000, 3000, 4500, 6000, 8000, 10_000)),
+    "distilled": Method("distilled", 5, hours=0.25),
 }
-LEARNING_FROM_STEPS = ("paper", "tuned", "q_table", "sb3_dqn")
+LEARNING_FROM_STEPS = ("paper", "tuned", "q_table")
 """Methods whose success during training is drawn."""
 COVERS = ("paper", "cover_10", "cover_15", "cover_20")
 HARD = ("traps", "aisles", "moving")
 TIGHT = ("poles", "cluttered", "rooms", "cells")
-HEADLINE = ("paper", "double_dqn")
+HEADLINE = ("paper", "double_dqn", "distilled")
 """Learned methods of the rows that are talked about, driven through most worlds."""
-HEADLINE_RULES = ("straight", "hand_rule", "vfh")
-SHIPPED = ("double_dqn", "distilled", "vfh", "look_ahead", "straight")
-"""Policies that are shipped, and rules beside them, in the worlds that everything else fails in."""
+PLANNED = str(Path(__file__).with_name("pure_pursuit_planned.toml"))
+"""The one rule that is led by a plan of the whole world, which the others do not know."""
+HEADLINE_RULES = ("straight", "vfh", "dwa", "mppi", PLANNED)
+ALL_RULES = (*RULES, PLANNED)
 KINEMATIC: dict[str, Any] = {"simulator": "kinematic"}
 
 
@@ -87,7 +87,7 @@ class Evaluation:
     count: int
     """Number of test worlds of each kind."""
     learned: tuple[str, ...] = tuple(METHODS)
-    rules: tuple[str, ...] = RULES
+    rules: tuple[str, ...] = ALL_RULES
     """Rules, and policies as they are shipped."""
     seeds: int | None = None
     """Most training seeds of each method; all of them if it is not given."""
@@ -114,7 +114,8 @@ EVALUATIONS = {
             "changes": {"shield": {"least_width": 0.02}},
         },
     ),
-    "tight": Evaluation(TIGHT, 100, (), SHIPPED, more={**KINEMATIC, "shield": True}),
+    "tight": Evaluation(TIGHT, 100, HEADLINE, ALL_RULES, 5, {**KINEMATIC, "shield": True}),
+    "tight-contact": Evaluation(TIGHT, 100, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
 }
 CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},
@@ -138,7 +139,7 @@ GAP_WORLDS = ("cover_10", "aisles")
 GAP_COUNT = 100
 SIDES = (("kinematic", "bullet"), ("mujoco", "bullet"))
 """Simulators that headline rows are compared in."""
-FOREIGN = ("double_dqn", "distilled", *RULES)
+FOREIGN = ("double_dqn", "distilled", *ALL_RULES)
 """Shipped policies and rules that drive in worlds of others."""
 FOLDERS = ("barn", "maps")
 """Parts in worlds of others, whose folder a flag of that name gives."""
@@ -324,7 +325,7 @@ class Results:
         for first, second in SIDES:
             for world in GAP_WORLDS:
                 for method in (*HEADLINE, *HEADLINE_RULES):
-                    name = f"gap/{first}-{second}/{world}-{method}"
+                    name = f"gap/{first}-{second}/{world}-{Path(method).stem}"
                     done = self.a.out / name / "gap.json"
                     made = json.loads(done.read_text(encoding="utf-8")) if done.exists() else {}
                     if made.get("made_by", {}).get("code") != code_digest(TRAINING):
