@@ -316,7 +316,7 @@ class TestWatch:
 WITHOUT = """
 import sys
 
-sys.modules.update(dict.fromkeys("torch numba llvmlite scipy pybullet mujoco gymnasium onnxruntime".split()))
+sys.modules.update(dict.fromkeys("torch numba llvmlite scipy pybullet mujoco gymnasium onnxruntime jinja2".split()))
 """
 
 
@@ -325,6 +325,7 @@ def decisions() -> str:
     import numpy as np
 
     from nnql_bullet.deploy import Controller, Odometry, Scan
+    from nnql_bullet.exports import running, shielded  # noqa: F401  # what a compiled policy needs
 
     told = []
     for policy in ("paper", "double_dqn"):

@@ -25,7 +25,6 @@ from nnql_bullet.mapping.search import KEPT
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale
 
-MODEL, EXAMPLE = "policy.onnx", "example.py"
 OPSET, IR_VERSION = 17, 8
 """Versions of the operators and of the file, which every ONNX Runtime since 1.14 reads."""
 _LARGEST = float(np.finfo(np.float32).max)

@@ -17,10 +17,9 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError, missing_library
-from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
 from nnql_bullet.exports.maps import MapBeside, Told, forgotten
-from nnql_bullet.exports.shielded import SOURCE as SHIELD
+from nnql_bullet.exports.names import C_POLICY, C_SHIELD
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
@@ -39,11 +38,11 @@ def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: s
     program = shutil.which(compiler)
     if program is None:
         raise UserError(f"there is no C compiler '{compiler}'; install one, or name another")
-    sources = [str(folder / name) for name in (SOURCE, SHIELD) if (folder / name).exists()]
+    sources = [str(folder / name) for name in (C_POLICY, C_SHIELD) if (folder / name).exists()]
     command = [program, *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
     answer = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     if answer.returncode:
-        raise UserError(f"{folder / SOURCE}: does not compile: {answer.stderr.strip().partition(chr(10))[0]}")
+        raise UserError(f"{folder / C_POLICY}: does not compile: {answer.stderr.strip().partition(chr(10))[0]}")
     return library
 
 
