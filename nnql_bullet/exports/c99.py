@@ -24,7 +24,7 @@ from nnql_bullet.agents.rules.potential_field import CLOSEST, PotentialFieldOpti
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
+from nnql_bullet.env import ACTIONS, FARTHEST, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STOPPED, WIDEST_BEARING, Contract, encoding_of
@@ -95,6 +95,7 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
         "frames": isinstance(options, DoubleDqnOptions),
         "widest_bearing": WIDEST_BEARING,
         "most_yaw_rate": MOST_YAW_RATE,
+        "farthest": FARTHEST,
     }
     return {name: rendered(f"{name}.j2", values) for name in (C_POLICY_HEADER, C_POLICY, C_EXAMPLE)}, cost
 

@@ -58,12 +58,25 @@ class LibraryPolicy:
     """A policy in a shared library; see `rollout.Policy`. Its state is the memory of n vehicles, None without one."""
 
     def __init__(self, library: Path, contract: Contract) -> None:
+        """Loads it.
+
+        Raises:
+            UserError: If there is no such library, or it is of another policy.
+        """
         self.contract = contract
-        functions = ctypes.CDLL(str(library))
-        self._decide = functions.shield_decide if contract.shielded else functions.policy_decide
+        part = "shield" if contract.shielded else "policy"
+        try:
+            functions = ctypes.CDLL(str(library))
+            self._decide = functions[f"{part}_decide"]
+            sizes = tuple((ctypes.c_uint * 3).in_dll(functions, f"{part}_sizes"))
+        except (OSError, AttributeError, ValueError) as error:
+            raise UserError(f"{library}: no shared library of an exported policy ({error})") from None
         self._decide.restype = ctypes.c_int
         self._outputs = _layout(contract.outputs, np.int32)
         self._memory = _layout(contract.memory, np.uint8) if contract.memory else None
+        row = 4 * sum(signal.count for signal in contract.inputs)
+        if sizes != (row, self._memory.itemsize if self._memory else 0, self._outputs.itemsize):
+            raise UserError(f"{library}: of another policy than '{contract.policy}', vehicle or version; export it again")
 
     def initial_state(self, size: int) -> NDArray[Any] | None:
         """Returns an empty memory of n vehicles."""
