@@ -21,6 +21,8 @@ import nnql_bullet as nb
 from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
 from nnql_bullet.deploy.scans import Unusable, rays_of
 from nnql_bullet.env import STOP, commands_of
+from nnql_bullet.exports.c99 import c_files
+from nnql_bullet.exports.contract import contract_of
 from nnql_bullet.exports.running import build
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import Sensor
@@ -123,6 +125,8 @@ class TestDrives:
         assert (len(mine.actions), mine.ending) == (len(recording.action), recording.summary.ending)
         with pytest.raises(nb.UserError, match="no shared library"):
             Controller("paper", library=tmp_path / "c" / "policy.c")
+        with pytest.raises(nb.UserError, match="of another policy than 'double_dqn'|no shared library"):
+            Controller("double_dqn", library=library)
 
     @pytest.mark.slow
     @pytest.mark.parametrize("world", ["cover_10", "cover_20", "traps", "moving"])
@@ -218,8 +222,8 @@ def loaded() -> Controller:
 class Told:
     """A controller, called 40 times a second with a scan at each, that has driven for a while."""
 
-    def __init__(self) -> None:
-        self.controller = copy(loaded())
+    def __init__(self, controller: Controller | None = None) -> None:
+        self.controller = copy(controller or loaded())
         self.now, self.x = 100.0, 0.0
         self.commands = [self.tell() for _ in range(30)]
         assert not any(its.reason for its in self.commands)
@@ -319,6 +323,38 @@ class TestWatch:
             command = controller.step(scan, odometry, target, now)
             assert command.reason or (np.isfinite(command.left) and np.isfinite(command.right))
             assert abs(command.speed) <= controller.drive.speed + 1e-9
+
+
+@pytest.fixture(scope="module")
+def by_library(tmp_path_factory: pytest.TempPathFactory) -> Controller:
+    """A `double_dqn` in C that was never called."""
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    folder, policy = tmp_path_factory.mktemp("c"), nb.load_policy("double_dqn")
+    for name, text in c_files(contract_of(policy), policy.experiment)[0].items():
+        (folder / name).write_text(text)
+    return Controller("double_dqn", library=build(folder, folder / "policy.so"))
+
+
+class TestDoubleDqnInC:
+    def test_it_decides_as_the_agent_does(self, by_library: Controller) -> None:
+        recording = nb.drive("double_dqn", world="traps", seed=1, simulator="kinematic")
+        mine = Replay(copy(by_library)).drive("traps", 1, len(recording.action))
+        assert mine.actions == recording.action.tolist() and mine.ending == recording.summary.ending
+
+    def test_it_stops_as_others_do(self, by_library: Controller) -> None:
+        for wrong, reason in WRONG:
+            command = Told(by_library).tell(**wrong)
+            assert re.search(reason, command.reason) and (command.action, command.decided) == (STOP, False)
+
+    def test_of_another_target_it_begins_anew(self, by_library: Controller) -> None:
+        moved, anew = copy(by_library), copy(by_library)
+        scans = [np.random.default_rng(k // 5).uniform(1.0, 12.0, 360) for k in range(60)]
+        for k, ranges in enumerate(scans):
+            given = lidar(ranges, stamp=0.1 * k), Odometry(0.1 * k, 0.0, 0.0, 0.1 * k, 1.0, 0.0)
+            target = (30.0, 3.0) if k < 30 else (3.0, -20.0)
+            command = moved.step(*given, target, 0.1 * k)
+            assert k < 30 or command == anew.step(*given, target, 0.1 * k)
 
 
 WITHOUT = """

@@ -109,7 +109,8 @@ class Controller:
             speed: Largest speed [m/s]; by default that of the policy, or the vehicle's own if that is less.
             watch: What is demanded of scans and odometry.
             library: A shared library of this policy as `export` writes it in C (see `exports.running.build`), which
-                decides in its place. With a shield, the shield is in it too, and does not lead the vehicle.
+                decides in its place. With a shield, the shield is in it too, and does not lead the vehicle. What it
+                remembers it remembers by where the target is: of another target it begins anew.
 
         Raises:
             UserError: If there is no such policy or vehicle, or the policy needs what is not there: a plan through the
@@ -124,6 +125,7 @@ class Controller:
         self.reason = "no call yet"
         """Why the vehicle stops; empty while it drives."""
         self._policy = experiment.policy if library is None else _compiled(loaded, Path(library))
+        self._by_target = library is not None
         self._most = wheel_speeds(self.drive.speed, self.vehicle.limits.yaw_rate, *self._body)[1]
         yaw_rate = min(FASTEST * self.vehicle.limits.yaw_rate, MOST_YAW_RATE)
         self._fastest = Fastest(FASTEST * self.drive.speed, yaw_rate)
@@ -205,6 +207,8 @@ class Controller:
         """
         if self._scanned <= self._decided:
             raise Unusable("scan: none since the last decision")
+        if self._by_target and self._mark not in (None, target):
+            self._forget()
         plan = self._plan(now)
         speed, yaw_rate = float(plan.speeds[0]), float(plan.yaw_rates[0])
         measured_speed = speed if o.speed is None else o.speed
