@@ -125,7 +125,7 @@ class TestDrives:
         assert (len(mine.actions), mine.ending) == (len(recording.action), recording.summary.ending)
         with pytest.raises(nb.UserError, match="no shared library"):
             Controller("paper", library=tmp_path / "c" / "policy.c")
-        with pytest.raises(nb.UserError, match="of another policy than 'double_dqn'|no shared library"):
+        with pytest.raises(nb.UserError, match="policy_sizes" if shield else "does not fit 'double_dqn'"):
             Controller("double_dqn", library=library)
 
     @pytest.mark.slow
@@ -190,6 +190,7 @@ class TestScans:
             (lidar(np.full(360, 5.0), range_max=8.0), "reaches 8 m"),
             (lidar(np.full(360, 5.0), range_max=nan), "reaches nan m"),
             (replace(lidar(np.full(360, 5.0)), angle_increment=0.0), "angles and limits"),
+            (lidar(np.full(360, 5.0), 1e15), "angles and limits"),
             (replace(lidar(np.full(360, 5.0)), ranges=["a"] * 360), "something else than numbers"),
             (replace(lidar(np.full(360, 5.0)), ranges=None), "0 dimensions"),
         ],

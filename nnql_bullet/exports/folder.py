@@ -98,6 +98,7 @@ def _write(policy: LoadedPolicy, contract: Contract, form: Form, artefact: "_Art
     values = {
         **{"contract": contract, "version": __version__, "title": title, "files": files, "drives": len(drives)},
         **{"usage": usage, "nearest": experiment.config.task.sector_reading == "nearest"},
+        **{"drive": experiment.config.drive, "limits": experiment.vehicle.limits},
     }
     with staged(folder, INDEX) as out:
         write(out)
@@ -124,7 +125,9 @@ def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
         files |= more
         about |= {C_SHIELD: "the shield, which calls the policy", C_SHIELD_HEADER: "the interface of both"}
     sources = " ".join(its for its in files if its.endswith(".c"))
-    precision = "double precision in the shield, single in the policy" if contract.shielded else "single precision"
+    parts = {"the shield": contract.shielded, "the map": contract.kind == "double_dqn"}
+    exact = " and ".join(part for part, there in parts.items() if there)
+    precision = f"double precision in {exact}, single in the rest" if exact else "single precision"
 
     def write(folder: Path) -> None:
         for name, text in files.items():
@@ -132,8 +135,9 @@ def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
 
     usage = (
         f"    cc -std=c99 -O2 -o example {sources} -lm && ./example\n\n"
-        f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}. A decision\n"
-        f"takes at most: {cost.text()}. Compile\nwith `-fstack-usage` to see what your compiler makes of that."
+        f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}.\n"
+        f"A decision takes at most: {cost.text()}.\n"
+        "Compile with `-fstack-usage` to see what your compiler makes of that."
     )
     return write, about, "C99", usage, cost.text()
 

@@ -76,9 +76,8 @@ class LibraryPolicy:
         self._memory = _layout(contract.memory, np.uint8) if contract.memory else None
         row = 4 * sum(signal.count for signal in contract.inputs)
         if sizes != (row, self._memory.itemsize if self._memory else 0, self._outputs.itemsize):
-            raise UserError(
-                f"{library}: of another policy than '{contract.policy}', vehicle or version; export it again"
-            )
+            other = "it is of another policy, vehicle or version"
+            raise UserError(f"{library}: does not fit '{contract.policy}': {other}; export that again")
 
     def initial_state(self, size: int) -> NDArray[Any] | None:
         """Returns an empty memory of n vehicles."""

@@ -30,7 +30,7 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
     if isinstance(agent, Overridable) and not isinstance(config.agent, DoubleDqnOptions):
         raise UserError(
             f"{policy.name}: remembers its own actions, and in a shield has to be told others; such policies, here of "
-            f"kind '{config.agent.kind}', are not exported with a shield"
+            f"kind '{config.agent.kind}', are not exported with a shield: leave it out"
         )
     if config.plan is not None:
         raise UserError(
