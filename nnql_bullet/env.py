@@ -144,6 +144,8 @@ _BY_DEFAULT = {
 
 MOST_YAW_RATE = 10.0
 """Bound that `as_numbers` clips the yaw rate to [rad/s]."""
+FARTHEST = 1e6
+"""Distance of a target above which no vehicle outside of the simulators drives to it: a map counts its cells [m]."""
 
 
 def as_numbers(observation: Observation) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ template <class T> struct Counted {
     Counted(T x) : v(x) {}
     template <class U> explicit Counted(Counted<U> x) : v((T)x.v) {}
     explicit operator int() const { return (int)v; }
+    explicit operator unsigned char() const { return (unsigned char)v; }
 
 #define BINARY(op, kind) \
     friend Counted operator op(Counted a, Counted b) { operations[kind]++; return a.v op b.v; } \
@@ -40,5 +41,7 @@ typedef Counted<double> counted_double;
 #define double counted_double
 extern "C" {
 #include "policy.h"
+#if __has_include("shield.h")
 #include "shield.h"
+#endif
 }

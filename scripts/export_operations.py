@@ -1,9 +1,10 @@
-"""Counts what decisions of exported shields take, and prints it beside what is stated as the most.
+"""Counts what decisions of policies exported to C take, and prints it beside what is stated as the most.
 
-Policies in their shield are written as C and compiled with numbers that count (scripts/counted.hpp). They decide by
-what was seen in drives in all kinds of worlds.
+Policies, in their shield unless told otherwise, are written as C and compiled with numbers that count
+(scripts/counted.hpp). They decide by what was seen in drives in all kinds of worlds.
 
     python scripts/export_operations.py paper straight --decisions 100000
+    python scripts/export_operations.py double_dqn --alone --decisions 2000
 """
 
 import argparse
@@ -29,15 +30,18 @@ def main() -> None:
     """Runs the script."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="run folder, shipped policy or rule")
+    parser.add_argument("--alone", action="store_true", help="without a shield")
     parser.add_argument("--decisions", type=int, default=100_000)
     args = parser.parse_args()
     for name in args.policies:
-        policy = in_shield(load_policy(name))
+        policy = load_policy(name) if args.alone else in_shield(load_policy(name))
         alone, contract = without_shield(policy), contract_of(policy)
         files, cost = c_files(contract_of(alone), alone.experiment)
-        more, cost = shield_files(contract, policy.experiment, cost)
+        if not args.alone:
+            more, cost = shield_files(contract, policy.experiment, cost)
+            files |= more
         with TemporaryDirectory() as folder:
-            for file, text in (files | more).items():
+            for file, text in files.items():
                 (Path(folder) / file).write_text(text)
             flags = ("-x", "c++", "-std=c++17", "-O2", "-w", "-fpermissive", "-include", str(PRELUDE), f"-I{folder}")
             library = build(Path(folder), Path(folder) / "policy.so", flags, "g++")

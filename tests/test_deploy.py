@@ -1,5 +1,6 @@
 """The runtime: it drives as the simulators' loop does, by scans of any lidar, and stops on what it cannot drive by."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -20,6 +21,8 @@ import nnql_bullet as nb
 from nnql_bullet.deploy import Command, Controller, Odometry, Scan, WatchOptions
 from nnql_bullet.deploy.scans import Unusable, rays_of
 from nnql_bullet.env import STOP, commands_of
+from nnql_bullet.exports.c99 import c_files
+from nnql_bullet.exports.contract import contract_of
 from nnql_bullet.exports.running import build
 from nnql_bullet.geometry import Array
 from nnql_bullet.sensing import Sensor
@@ -122,6 +125,8 @@ class TestDrives:
         assert (len(mine.actions), mine.ending) == (len(recording.action), recording.summary.ending)
         with pytest.raises(nb.UserError, match="no shared library"):
             Controller("paper", library=tmp_path / "c" / "policy.c")
+        with pytest.raises(nb.UserError, match="policy_sizes" if shield else "does not fit 'double_dqn'"):
+            Controller("double_dqn", library=library)
 
     @pytest.mark.slow
     @pytest.mark.parametrize("world", ["cover_10", "cover_20", "traps", "moving"])
@@ -185,6 +190,7 @@ class TestScans:
             (lidar(np.full(360, 5.0), range_max=8.0), "reaches 8 m"),
             (lidar(np.full(360, 5.0), range_max=nan), "reaches nan m"),
             (replace(lidar(np.full(360, 5.0)), angle_increment=0.0), "angles and limits"),
+            (lidar(np.full(360, 5.0), 1e15), "angles and limits"),
             (replace(lidar(np.full(360, 5.0)), ranges=["a"] * 360), "something else than numbers"),
             (replace(lidar(np.full(360, 5.0)), ranges=None), "0 dimensions"),
         ],
@@ -217,8 +223,8 @@ def loaded() -> Controller:
 class Told:
     """A controller, called 40 times a second with a scan at each, that has driven for a while."""
 
-    def __init__(self) -> None:
-        self.controller = copy(loaded())
+    def __init__(self, controller: Controller | None = None) -> None:
+        self.controller = copy(controller or loaded())
         self.now, self.x = 100.0, 0.0
         self.commands = [self.tell() for _ in range(30)]
         assert not any(its.reason for its in self.commands)
@@ -251,7 +257,13 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"odometry": Odometry(nan, 0.0, 0.0, NOW)}, "'x' is nan"),
     ({"odometry": Odometry(0.0, 0.0, inf, NOW)}, "'yaw' is inf"),
     ({"odometry": Odometry(0.0, 0.0, 0.0, NOW, speed=nan)}, "'speed' is nan"),
+    ({"odometry": Odometry(0.7, 0.0, 0.0, NOW, speed=50.0)}, "'speed' is 50; this vehicle's is at most 4"),
+    ({"odometry": Odometry(0.7, 0.0, 0.0, NOW, yaw_rate=-99.0)}, "'yaw_rate' is -99"),
+    ({"odometry": Odometry(0.7, 0.0, 0.0, NOW - 0.2)}, "odometry: 0.1[78] s older than the one before it"),
+    ({"odometry": Odometry(5.0, 0.0, 0.0, NOW)}, "jumps by 3.7[0-9] m in 0.0[23] s"),
+    ({"odometry": Odometry(0.7, 0.0, 3.0, NOW)}, "jumps by 3.00 rad"),
     ({"target": None}, "no target is given"),
+    ({"target": (1e11, 0.0)}, "the target is 1e.11 m away; at most"),
     ({"target": (nan, 1.0)}, "the target is at nan"),
     ({"target": 3.0}, "no pair"),
     ({"target": (1.0, 0.0)}, "at the target"),
@@ -270,7 +282,7 @@ class TestWatch:
         limit, speed = told.controller.vehicle.limits.acceleration, told.commands[-1].speed
         assert speed == pytest.approx(told.controller.drive.speed)
         command = told.tell(**wrong)
-        assert reason in command.reason == told.controller.reason
+        assert re.search(reason, command.reason) and command.reason == told.controller.reason
         assert command.action == STOP
         assert f"stops: {command.reason}" in caplog.text
         after = [command]
@@ -292,6 +304,7 @@ class TestWatch:
 
     def test_wheels_stay_below_their_limit_whatever_the_yaw_is(self) -> None:
         told = Told()
+        told.controller.watch = WatchOptions(most_yaw_jump=pi)
         most = told.controller.drive.speed + told.controller.vehicle.limits.yaw_rate * told.controller.vehicle.track / 2
         command = told.tell(odometry=Odometry(0.7, 0.0, 2.0, told.now + 0.025, 1.0, 0.0))
         assert max(abs(command.left), abs(command.right)) * told.controller.vehicle.wheel_radius <= most + 1e-9
@@ -313,10 +326,42 @@ class TestWatch:
             assert abs(command.speed) <= controller.drive.speed + 1e-9
 
 
+@pytest.fixture(scope="module")
+def by_library(tmp_path_factory: pytest.TempPathFactory) -> Controller:
+    """A `double_dqn` in C that was never called."""
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    folder, policy = tmp_path_factory.mktemp("c"), nb.load_policy("double_dqn")
+    for name, text in c_files(contract_of(policy), policy.experiment)[0].items():
+        (folder / name).write_text(text)
+    return Controller("double_dqn", library=build(folder, folder / "policy.so"))
+
+
+class TestDoubleDqnInC:
+    def test_it_decides_as_the_agent_does(self, by_library: Controller) -> None:
+        recording = nb.drive("double_dqn", world="traps", seed=1, simulator="kinematic")
+        mine = Replay(copy(by_library)).drive("traps", 1, len(recording.action))
+        assert mine.actions == recording.action.tolist() and mine.ending == recording.summary.ending
+
+    def test_it_stops_as_others_do(self, by_library: Controller) -> None:
+        for wrong, reason in WRONG:
+            command = Told(by_library).tell(**wrong)
+            assert re.search(reason, command.reason) and (command.action, command.decided) == (STOP, False)
+
+    def test_of_another_target_it_begins_anew(self, by_library: Controller) -> None:
+        moved, anew = copy(by_library), copy(by_library)
+        scans = [np.random.default_rng(k // 5).uniform(1.0, 12.0, 360) for k in range(60)]
+        for k, ranges in enumerate(scans):
+            given = lidar(ranges, stamp=0.1 * k), Odometry(0.1 * k, 0.0, 0.0, 0.1 * k, 1.0, 0.0)
+            target = (30.0, 3.0) if k < 30 else (3.0, -20.0)
+            command = moved.step(*given, target, 0.1 * k)
+            assert k < 30 or command == anew.step(*given, target, 0.1 * k)
+
+
 WITHOUT = """
 import sys
 
-sys.modules.update(dict.fromkeys("torch numba llvmlite scipy pybullet mujoco gymnasium onnxruntime".split()))
+sys.modules.update(dict.fromkeys("torch numba llvmlite scipy pybullet mujoco gymnasium onnxruntime jinja2".split()))
 """
 
 
@@ -325,6 +370,7 @@ def decisions() -> str:
     import numpy as np
 
     from nnql_bullet.deploy import Controller, Odometry, Scan
+    from nnql_bullet.exports import running, shielded  # noqa: F401  # what a compiled policy needs
 
     told = []
     for policy in ("paper", "double_dqn"):

@@ -14,10 +14,11 @@ import nnql_bullet as nb
 from nnql_bullet.errors import UserError
 from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import contract_of
+from nnql_bullet.exports.names import ST_POLICY, ST_XML
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, build
 from nnql_bullet.exports.shielded import in_shield, shield_files, without_shield
-from nnql_bullet.exports.structured_text import SOURCE, XML, st_files, st_units
+from nnql_bullet.exports.structured_text import st_files, st_units
 from nnql_bullet.exports.translation import NotTranslatable, Translator, Var
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
 from nnql_bullet.runs import LoadedPolicy, load_policy
@@ -104,7 +105,7 @@ def test_structured_text_decides_as_the_shield(shielded: LoadedPolicy, vectors: 
     if shielded.name == "double_dqn":
         pytest.skip("it is not written in Structured Text")
     files, _ = st_files(contract_of(shielded), shielded.experiment)
-    assert_decides(Running(files[SOURCE], tmp_path), vectors)
+    assert_decides(Running(files[ST_POLICY], tmp_path), vectors)
 
 
 def test_structured_text_decides_as_the_network(tmp_path: Path) -> None:
@@ -112,7 +113,7 @@ def test_structured_text_decides_as_the_network(tmp_path: Path) -> None:
     contract = contract_of(policy)
     drives = recorded_drives(policy.experiment, ("traps", "cover_20"))
     files, _ = st_files(contract, policy.experiment)
-    assert_decides(Running(files[SOURCE], tmp_path), vectors_of(contract, policy.experiment, drives))
+    assert_decides(Running(files[ST_POLICY], tmp_path), vectors_of(contract, policy.experiment, drives))
 
 
 def assert_decides(running: Running, v: Vectors) -> None:
@@ -136,7 +137,7 @@ def test_xml_has_the_same_declarations() -> None:
     contract = contract_of(policy)
     files, _ = st_files(contract, policy.experiment)
     units, _ = st_units(contract, policy.experiment)
-    project = ElementTree.fromstring(files[XML])
+    project = ElementTree.fromstring(files[ST_XML])
     names = {"p": "http://www.plcopen.org/xml/tc6_0201"}
     pous = {pou.get("name"): pou for pou in project.iterfind(".//p:pou", names)}
     types = {its.get("name") for its in project.iterfind(".//p:dataType", names)}

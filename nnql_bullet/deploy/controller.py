@@ -17,21 +17,24 @@ import numpy as np
 from nnql_bullet.deploy.networks import in_numpy
 from nnql_bullet.deploy.scans import Scan, Unusable, rays_of
 from nnql_bullet.deploy.watch import (
+    Fastest,
     Odometry,
     WatchOptions,
     WrongTime,
+    check_move,
     checked_call,
     checked_odometry,
     checked_scan,
     checked_target,
 )
-from nnql_bullet.env import STOP, Observation, commands_of, sights
+from nnql_bullet.env import MOST_YAW_RATE, STOP, Observation, commands_of, sights
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.geometry import Array, wrap_angle
 from nnql_bullet.rollout import Policy, decide
 from nnql_bullet.runs import LoadedPolicy, PolicyLike, is_learned, load_policy, read_learned
 from nnql_bullet.setting import asked_tables
+from nnql_bullet.shield.setting import FASTEST
 from nnql_bullet.task import SAFE, readings_of, state_property
 from nnql_bullet.vehicle.controller import COMMAND_RATE, Plan, command_wheels, plan_period
 from nnql_bullet.vehicle.profiles import wheel_speeds
@@ -106,7 +109,8 @@ class Controller:
             speed: Largest speed [m/s]; by default that of the policy, or the vehicle's own if that is less.
             watch: What is demanded of scans and odometry.
             library: A shared library of this policy as `export` writes it in C (see `exports.running.build`), which
-                decides in its place. With a shield, the shield is in it too, and does not lead the vehicle.
+                decides in its place. With a shield, the shield is in it too, and does not lead the vehicle. What it
+                remembers it remembers by where the target is: of another target it begins anew.
 
         Raises:
             UserError: If there is no such policy or vehicle, or the policy needs what is not there: a plan through the
@@ -121,11 +125,15 @@ class Controller:
         self.reason = "no call yet"
         """Why the vehicle stops; empty while it drives."""
         self._policy = experiment.policy if library is None else _compiled(loaded, Path(library))
+        self._by_target = library is not None
         self._most = wheel_speeds(self.drive.speed, self.vehicle.limits.yaw_rate, *self._body)[1]
+        yaw_rate = min(FASTEST * self.vehicle.limits.yaw_rate, MOST_YAW_RATE)
+        self._fastest = Fastest(FASTEST * self.drive.speed, yaw_rate)
         self._called = -inf
         self._course = _Course(0.0, 0.0, 0.0, 0.0)
         self._rays: Array = np.empty(0)
         self._scanned = self._decided = -inf
+        self._measured: Odometry | None = None
         self._forget()
 
     def step(self, scan: Scan | None, odometry: Odometry | None, target: Point | None, now: float) -> Command:
@@ -140,7 +148,7 @@ class Controller:
         reason, decided, measured, before = "", False, None, self._called
         try:
             self._called = checked_call(now, before, self.watch)
-            measured = checked_odometry(odometry, self.watch, now)
+            measured = self._measure(odometry, now)
             self._look(checked_scan(scan, self._scanned, self.watch, now))
             aim = checked_target(target, measured, self.watch)
             decided = bool(self.reason) or now >= self._course.begin + self.drive.decision_period - EARLY / COMMAND_RATE
@@ -167,6 +175,20 @@ class Controller:
         self._property = np.full(1, SAFE)
         self._mark: Point | None = None
 
+    def _measure(self, odometry: Odometry | None, now: float) -> Odometry:
+        """Takes odometry.
+
+        Raises:
+            Unusable: If the vehicle cannot be driven by it.
+        """
+        o, before = checked_odometry(odometry, self._fastest, self.watch, now), self._measured
+        if before and o.stamp < before.stamp:
+            raise Unusable(f"odometry: {before.stamp - o.stamp:.2f} s older than the one before it")
+        self._measured = o
+        if before:
+            check_move(before, o, self._fastest, self.watch)
+        return o
+
     def _look(self, scan: Scan) -> None:
         """Takes the rays of a scan, if it is a new one.
 
@@ -185,6 +207,8 @@ class Controller:
         """
         if self._scanned <= self._decided:
             raise Unusable("scan: none since the last decision")
+        if self._by_target and self._mark not in (None, target):
+            self._forget()
         plan = self._plan(now)
         speed, yaw_rate = float(plan.speeds[0]), float(plan.yaw_rates[0])
         measured_speed = speed if o.speed is None else o.speed
@@ -225,7 +249,7 @@ class Controller:
         plan = self._plan(before)
         self._course = _Course(self._called, 0.0, float(plan.yaw_rates[0]), float(plan.speeds[0]))
         if self._called < before:  # so do the stamps begin anew
-            self._scanned = self._decided = -inf
+            self._scanned, self._decided, self._measured = -inf, -inf, None
         self._forget()
 
     def _plan(self, now: float) -> Plan:
@@ -280,7 +304,4 @@ def _compiled(policy: LoadedPolicy, library: Path) -> Policy:
     from nnql_bullet.exports.shielded import in_shield
 
     exported = in_shield(policy) if policy.experiment.config.shield else policy
-    try:
-        return LibraryPolicy(library.absolute(), contract_of(exported))
-    except (OSError, AttributeError) as error:
-        raise UserError(f"{library}: no shared library of an exported policy ({error})") from None
+    return LibraryPolicy(library.absolute(), contract_of(exported))

@@ -5,7 +5,7 @@ What cannot be driven by is refused with a reason (`Unusable`); nothing is made 
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import degrees, isfinite, pi
+from math import degrees, inf, isfinite, pi
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,8 @@ from nnql_bullet.sensing import Sensor
 
 MOST_BEAMS = 10_000
 """Beams of the largest scan that is taken."""
+_MOST_ANGLE = 4 * pi
+"""Largest angle of a beam that is taken: of a larger one, rounding would tell the direction [rad]."""
 _SLACK = 1e-6
 """Share by which the arc about a ray is wider, so that rounding loses no beam at its end."""
 
@@ -100,7 +102,8 @@ def _numbers(scan: Scan) -> tuple[Array, float, float, float, float]:
         raise Unusable("the scan holds something else than numbers") from None
     if beams.ndim != 1 or not 0 < len(beams) <= MOST_BEAMS:
         raise Unusable(f"the scan has {beams.size} beams in {beams.ndim} dimensions")
-    if not all(map(isfinite, (first, last, increment, range_min))) or increment == 0 or range_min < 0:
+    usable = abs(first) <= _MOST_ANGLE and abs(last) <= _MOST_ANGLE and isfinite(increment) and increment != 0
+    if not (usable and 0 <= range_min < inf):
         raise Unusable("the scan has no usable angles and limits")
     steps = (last - first) / increment
     if not abs(steps + 1 - len(beams)) <= 1.5:  # some drivers count one more or one less

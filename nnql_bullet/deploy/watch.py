@@ -9,6 +9,8 @@ from pydantic import Field
 
 from nnql_bullet.config import options
 from nnql_bullet.deploy.scans import Scan, Unusable
+from nnql_bullet.env import FARTHEST
+from nnql_bullet.geometry import wrap_angle
 from nnql_bullet.types import Extent, Period
 
 AT_TARGET = "at the target"
@@ -31,6 +33,10 @@ class WatchOptions:
     """Direction of the lidar's 0 in the vehicle frame, left is positive [rad]."""
     odometry_frame: str = "odom"
     """Frame that odometry, and with it the target, has to be in."""
+    most_jump: Extent = 0.5
+    """Distance between two poses, beyond what the vehicle can have driven, above which it stops [m]."""
+    most_yaw_jump: Annotated[float, Field(gt=0, le=pi)] = 0.5
+    """Angle between them, beyond what it can have turned, above which it stops [rad]."""
     target_radius: Extent = 2.0
     """Distance of the drive axle's centre from the target at which the vehicle has arrived, and stops [m]."""
 
@@ -84,8 +90,18 @@ def checked_call(now: float, before: float, watch: WatchOptions) -> float:
     return float(now)
 
 
-def checked_odometry(odometry: Odometry | None, watch: WatchOptions, now: float) -> Odometry:
-    """Odometry that can be driven by.
+@dataclass(frozen=True, slots=True)
+class Fastest:
+    """What no measurement of a vehicle exceeds."""
+
+    speed: float
+    """[m/s]"""
+    yaw_rate: float
+    """[rad/s]"""
+
+
+def checked_odometry(odometry: Odometry | None, most: Fastest, watch: WatchOptions, now: float) -> Odometry:
+    """Odometry that can be driven by, whatever was measured before.
 
     Raises:
         Unusable: If it is none.
@@ -97,7 +113,30 @@ def checked_odometry(odometry: Odometry | None, watch: WatchOptions, now: float)
     for name, value in (("x", o.x), ("y", o.y), ("yaw", o.yaw), ("speed", o.speed), ("yaw_rate", o.yaw_rate)):
         if not _is_number(value) and not (value is None and name in ("speed", "yaw_rate")):
             raise Unusable(f"odometry: '{name}' is {value}")
+    for name, value, largest in (("speed", o.speed, most.speed), ("yaw_rate", o.yaw_rate, most.yaw_rate)):
+        if abs(value or 0.0) > largest:
+            raise Unusable(f"odometry: '{name}' is {value:g}; this vehicle's is at most {largest:g}")
     return odometry
+
+
+def check_move(before: Odometry, o: Odometry, most: Fastest, watch: WatchOptions) -> None:
+    """Refuses a pose that the vehicle cannot have come to, such as one that was set anew.
+
+    Args:
+        before: The last odometry.
+        o: That of now, not older.
+        most: What the vehicle does at most in between.
+        watch: What is demanded.
+
+    Raises:
+        Unusable: If it cannot.
+    """
+    time = o.stamp - before.stamp
+    way, turn = hypot(o.x - before.x, o.y - before.y), abs(wrap_angle(o.yaw - before.yaw))
+    if way > watch.most_jump + most.speed * time:
+        raise Unusable(f"odometry: it jumps by {way:.2f} m in {time:.2f} s")
+    if turn > watch.most_yaw_jump + most.yaw_rate * time:
+        raise Unusable(f"odometry: it jumps by {turn:.2f} rad in {time:.2f} s")
 
 
 def checked_scan(scan: Scan | None, before: float, watch: WatchOptions, now: float) -> Scan:
@@ -150,7 +189,10 @@ def checked_target(target: tuple[float, float] | None, o: Odometry, watch: Watch
         raise Unusable("the target is no pair x, y") from None
     if not (_is_number(x) and _is_number(y)):
         raise Unusable(f"the target is at {x}, {y}")
-    if hypot(x - o.x, y - o.y) <= watch.target_radius:
+    away = hypot(x - o.x, y - o.y)
+    if away > FARTHEST:
+        raise Unusable(f"the target is {away:g} m away; at most {FARTHEST:g} m")
+    if away <= watch.target_radius:
         raise Unusable(AT_TARGET)
     return float(x), float(y)
 

@@ -24,18 +24,18 @@ from nnql_bullet.agents.rules.potential_field import CLOSEST, PotentialFieldOpti
 from nnql_bullet.agents.rules.straight import StraightOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
 from nnql_bullet.agents.turns import nearest_turns
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
+from nnql_bullet.env import ACTIONS, FARTHEST, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STOPPED, WIDEST_BEARING, Contract, encoding_of
 from nnql_bullet.exports.cost import FRAME, Cost, Operations
+from nnql_bullet.exports.names import C_EXAMPLE, C_POLICY, C_POLICY_HEADER
 from nnql_bullet.geometry import wrap_angles
 from nnql_bullet.mapping import grid_map
 from nnql_bullet.mapping.prediction import PREDICTION_STEP
 from nnql_bullet.sensing import FRONT, FRONT_LEFT, FRONT_RIGHT, RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale, scaled
 
-SOURCE, HEADER, EXAMPLE = "policy.c", "policy.h", "example.c"
 MOST_ROWS = 65_536
 """Rows of the largest table that is written as source."""
 TEMPLATES = Path(__file__).with_name("templates")
@@ -95,8 +95,9 @@ def c_files(contract: Contract, experiment: Experiment) -> tuple[dict[str, str],
         "frames": isinstance(options, DoubleDqnOptions),
         "widest_bearing": WIDEST_BEARING,
         "most_yaw_rate": MOST_YAW_RATE,
+        "farthest": FARTHEST,
     }
-    return {name: rendered(f"{name}.j2", values) for name in (HEADER, SOURCE, EXAMPLE)}, cost
+    return {name: rendered(f"{name}.j2", values) for name in (C_POLICY_HEADER, C_POLICY, C_EXAMPLE)}, cost
 
 
 def rendered(template: str, values: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from nnql_bullet.agents.rules.hand_rule import HandRuleOptions
 from nnql_bullet.agents.rules.look_ahead import LookAheadOptions
 from nnql_bullet.agents.rules.potential_field import PotentialFieldOptions
 from nnql_bullet.agents.rules.vfh import BINS, VfhOptions
-from nnql_bullet.env import ACTIONS, MANOEUVRES, MOST_YAW_RATE, REVERSE, SLOW, STOP, Observation, as_numbers
+from nnql_bullet.env import ACTIONS, FARTHEST, MANOEUVRES, MOST_YAW_RATE, REVERSE, SLOW, STOP, Observation, as_numbers
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.mapping import grid_map
@@ -281,7 +281,7 @@ def contract_of(policy: LoadedPolicy, graph: bool = False) -> Contract:
                 0,
                 silent=f"{stop}; of a single dead sector, stop too",
             ),
-            Signal("target_distance", "distance of what is to be reached next", "m", low=0, silent=stop),
+            Signal("target_distance", "distance of what is to be reached next", "m", low=0, high=FARTHEST, silent=stop),
             Signal(
                 "target_bearing",
                 "its bearing, 0 ahead, left is positive",

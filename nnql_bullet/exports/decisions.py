@@ -8,7 +8,7 @@ from nnql_bullet import paper
 from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.options import NnqlOptions
 from nnql_bullet.agents.rules.straight import StraightOptions
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, MOST_YAW_RATE, REVERSE, SLOW, STOP, TOWARD_TARGET
+from nnql_bullet.env import ACTIONS, FARTHEST, LARGEST_TURN, MOST_YAW_RATE, REVERSE, SLOW, STOP, TOWARD_TARGET
 from nnql_bullet.errors import UserError
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, encoding_of
@@ -21,7 +21,7 @@ from nnql_bullet.vehicle.scale import length_scale
 OK, BAD_DISTANCE, BAD_TARGET_DISTANCE, BAD_TARGET_BEARING, BAD_YAW_RATE = range(len(STATUSES))
 BAD_SPEED = len(STATUSES)
 MOST = 1e30
-"""Distance from which on none is taken [m]."""
+"""Reading of a ray from which on none is taken [m]."""
 
 
 class Brain(NamedTuple):
@@ -153,7 +153,7 @@ def checked(
             status = BAD_DISTANCE
     if status != OK:
         return status
-    if not (target_distance >= 0.0 and target_distance <= MOST):
+    if not (target_distance >= 0.0 and target_distance <= FARTHEST):
         return BAD_TARGET_DISTANCE
     if not (target_bearing >= -WIDEST_BEARING and target_bearing <= WIDEST_BEARING):
         return BAD_TARGET_BEARING

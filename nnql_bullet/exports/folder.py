@@ -9,16 +9,22 @@ from typing import Literal
 
 from nnql_bullet import __version__
 from nnql_bullet.errors import UserError
-from nnql_bullet.exports.c99 import EXAMPLE, HEADER, SOURCE, c_files, rendered
+from nnql_bullet.exports.c99 import c_files, rendered
 from nnql_bullet.exports.contract import Contract, contract_of
-from nnql_bullet.exports.onnx_graph import EXAMPLE as ONNX_EXAMPLE
-from nnql_bullet.exports.onnx_graph import MODEL, OPSET, onnx_model
-from nnql_bullet.exports.shielded import HEADER as SHIELD_HEADER
-from nnql_bullet.exports.shielded import SOURCE as SHIELD_SOURCE
+from nnql_bullet.exports.names import (
+    C_EXAMPLE,
+    C_POLICY,
+    C_POLICY_HEADER,
+    C_SHIELD,
+    C_SHIELD_HEADER,
+    ONNX_EXAMPLE,
+    ONNX_MODEL,
+    ST_EXAMPLE,
+    ST_POLICY,
+    ST_XML,
+)
+from nnql_bullet.exports.onnx_graph import OPSET, onnx_model
 from nnql_bullet.exports.shielded import in_shield, shield_files, without_shield
-from nnql_bullet.exports.structured_text import EXAMPLE as ST_EXAMPLE
-from nnql_bullet.exports.structured_text import SOURCE as ST_SOURCE
-from nnql_bullet.exports.structured_text import XML as ST_XML
 from nnql_bullet.exports.structured_text import block_name, st_files
 from nnql_bullet.exports.vectors import recorded_drives, vectors_of
 from nnql_bullet.files import staged, write_atomically, write_text
@@ -92,6 +98,7 @@ def _write(policy: LoadedPolicy, contract: Contract, form: Form, artefact: "_Art
     values = {
         **{"contract": contract, "version": __version__, "title": title, "files": files, "drives": len(drives)},
         **{"usage": usage, "nearest": experiment.config.task.sector_reading == "nearest"},
+        **{"drive": experiment.config.drive, "limits": experiment.vehicle.limits},
     }
     with staged(folder, INDEX) as out:
         write(out)
@@ -112,13 +119,15 @@ _Artefact = tuple[Callable[[Path], None], dict[str, str], str, str, str]
 def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     alone = without_shield(policy)
     files, cost = c_files(contract_of(alone), alone.experiment)
-    about = {SOURCE: "the policy", HEADER: "its interface", EXAMPLE: "a main program that calls it"}
+    about = {C_POLICY: "the policy", C_POLICY_HEADER: "its interface", C_EXAMPLE: "a main program that calls it"}
     if contract.shielded:
         more, cost = shield_files(contract, policy.experiment, cost)
         files |= more
-        about |= {SHIELD_SOURCE: "the shield, which calls the policy", SHIELD_HEADER: "the interface of both"}
+        about |= {C_SHIELD: "the shield, which calls the policy", C_SHIELD_HEADER: "the interface of both"}
     sources = " ".join(its for its in files if its.endswith(".c"))
-    precision = "double precision in the shield, single in the policy" if contract.shielded else "single precision"
+    parts = {"the shield": contract.shielded, "the map": contract.kind == "double_dqn"}
+    exact = " and ".join(part for part, there in parts.items() if there)
+    precision = f"double precision in {exact}, single in the rest" if exact else "single precision"
 
     def write(folder: Path) -> None:
         for name, text in files.items():
@@ -126,8 +135,9 @@ def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
 
     usage = (
         f"    cc -std=c99 -O2 -o example {sources} -lm && ./example\n\n"
-        f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}. A decision\n"
-        f"takes at most: {cost.text()}. Compile\nwith `-fstack-usage` to see what your compiler makes of that."
+        f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}.\n"
+        f"A decision takes at most: {cost.text()}.\n"
+        "Compile with `-fstack-usage` to see what your compiler makes of that."
     )
     return write, about, "C99", usage, cost.text()
 
@@ -139,10 +149,10 @@ def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
         for name, text in files.items():
             write_text(folder / name, text)
 
-    about = {ST_SOURCE: "the function block and what it calls", ST_XML: "the same as PLCopen XML"}
+    about = {ST_POLICY: "the function block and what it calls", ST_XML: "the same as PLCopen XML"}
     about |= {ST_EXAMPLE: "a program that calls it"}
     usage = (
-        f"Import `{ST_XML}` into your development system, or compile `{ST_SOURCE}`, and call the function block\n"
+        f"Import `{ST_XML}` into your development system, or compile `{ST_POLICY}`, and call the function block\n"
         f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does.\n"
         "Arrays are fixed, loops are bounded, nothing recurses, and only standard functions are called. It takes the\n"
         "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs.\n"
@@ -155,13 +165,13 @@ def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     if contract.shielded:
         raise UserError(f"{policy.name}: a shield cannot be written in ONNX; it can in C and Structured Text")
     model = onnx_model(contract, policy.experiment)
-    example = rendered(f"{ONNX_EXAMPLE}.j2", {"contract": contract, "model": MODEL})
+    example = rendered(f"{ONNX_EXAMPLE}.j2", {"contract": contract, "model": ONNX_MODEL})
 
     def write(folder: Path) -> None:
-        write_atomically(folder / MODEL, lambda path: path.write_bytes(model))
+        write_atomically(folder / ONNX_MODEL, lambda path: path.write_bytes(model))
         write_text(folder / ONNX_EXAMPLE, example)
 
-    about = {MODEL: "the policy", ONNX_EXAMPLE: "runs it over the test vectors in ONNX Runtime"}
+    about = {ONNX_MODEL: "the policy", ONNX_EXAMPLE: "runs it over the test vectors in ONNX Runtime"}
     usage = (
         f"    pip install onnxruntime && python {ONNX_EXAMPLE}\n\n"
         f"Opset {OPSET}. Every input and output has a leading n: it decides for n vehicles at once. The inputs are\n"

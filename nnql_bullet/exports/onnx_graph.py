@@ -14,7 +14,7 @@ from nnql_bullet.agents.learning.genetic import GeneticOptions
 from nnql_bullet.agents.learning.manoeuvre_driver import MANNERS
 from nnql_bullet.agents.learning.options import DistilledOptions, DoubleDqnOptions, NnqlOptions
 from nnql_bullet.agents.learning.q_table import QTableOptions
-from nnql_bullet.env import ACTIONS, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
+from nnql_bullet.env import ACTIONS, FARTHEST, LARGEST_TURN, MANOEUVRES, MOST_YAW_RATE, TOWARD_TARGET, speed_scale
 from nnql_bullet.errors import UserError, missing_library
 from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.contract import STATUSES, STOPPED, WIDEST_BEARING, Contract, encoding_of
@@ -25,7 +25,6 @@ from nnql_bullet.mapping.search import KEPT
 from nnql_bullet.sensing import RAYS, nearest_rays
 from nnql_bullet.vehicle.scale import length_scale
 
-MODEL, EXAMPLE = "policy.onnx", "example.py"
 OPSET, IR_VERSION = 17, 8
 """Versions of the operators and of the file, which every ONNX Runtime since 1.14 reads."""
 _LARGEST = float(np.finfo(np.float32).max)
@@ -118,7 +117,7 @@ def onnx_model(contract: Contract, experiment: Experiment) -> bytes:
     distances = g.add("Min", distances, g.constant(contract.sensor_range))
     fine = [
         g.all_true(seen),
-        g.within("target_distance", 0.0, _LARGEST),
+        g.within("target_distance", 0.0, FARTHEST),
         g.within("target_bearing", -WIDEST_BEARING, WIDEST_BEARING),
         g.within("yaw_rate", -MOST_YAW_RATE, MOST_YAW_RATE),
     ]

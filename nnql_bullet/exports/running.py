@@ -17,10 +17,9 @@ from nnql_bullet import paper
 from nnql_bullet.agents.base import NoMemory
 from nnql_bullet.env import Observation
 from nnql_bullet.errors import UserError, missing_library
-from nnql_bullet.exports.c99 import SOURCE
 from nnql_bullet.exports.contract import Contract, Signal
 from nnql_bullet.exports.maps import MapBeside, Told, forgotten
-from nnql_bullet.exports.shielded import SOURCE as SHIELD
+from nnql_bullet.exports.names import C_POLICY, C_SHIELD
 from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
@@ -39,11 +38,11 @@ def build(folder: Path, library: Path, flags: Sequence[str] = FLAGS, compiler: s
     program = shutil.which(compiler)
     if program is None:
         raise UserError(f"there is no C compiler '{compiler}'; install one, or name another")
-    sources = [str(folder / name) for name in (SOURCE, SHIELD) if (folder / name).exists()]
+    sources = [str(folder / name) for name in (C_POLICY, C_SHIELD) if (folder / name).exists()]
     command = [program, *flags, "-shared", "-fPIC", "-o", str(library), *sources, "-lm"]
     answer = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     if answer.returncode:
-        raise UserError(f"{folder / SOURCE}: does not compile: {answer.stderr.strip().partition(chr(10))[0]}")
+        raise UserError(f"{folder / C_POLICY}: does not compile: {answer.stderr.strip().partition(chr(10))[0]}")
     return library
 
 
@@ -59,12 +58,26 @@ class LibraryPolicy:
     """A policy in a shared library; see `rollout.Policy`. Its state is the memory of n vehicles, None without one."""
 
     def __init__(self, library: Path, contract: Contract) -> None:
+        """Loads it.
+
+        Raises:
+            UserError: If there is no such library, or it is of another policy.
+        """
         self.contract = contract
-        functions = ctypes.CDLL(str(library))
-        self._decide = functions.shield_decide if contract.shielded else functions.policy_decide
+        part = "shield" if contract.shielded else "policy"
+        try:
+            functions = ctypes.CDLL(str(library))
+            self._decide = functions[f"{part}_decide"]
+            sizes = tuple((ctypes.c_uint * 3).in_dll(functions, f"{part}_sizes"))
+        except (OSError, AttributeError, ValueError) as error:
+            raise UserError(f"{library}: no shared library of an exported policy ({error})") from None
         self._decide.restype = ctypes.c_int
         self._outputs = _layout(contract.outputs, np.int32)
         self._memory = _layout(contract.memory, np.uint8) if contract.memory else None
+        row = 4 * sum(signal.count for signal in contract.inputs)
+        if sizes != (row, self._memory.itemsize if self._memory else 0, self._outputs.itemsize):
+            other = "it is of another policy, vehicle or version"
+            raise UserError(f"{library}: does not fit '{contract.policy}': {other}; export that again")
 
     def initial_state(self, size: int) -> NDArray[Any] | None:
         """Returns an empty memory of n vehicles."""

@@ -10,14 +10,13 @@ from nnql_bullet.experiment import Experiment
 from nnql_bullet.exports.c_source import c_functions, c_struct
 from nnql_bullet.exports.contract import BY_RAYS, Contract, shield_of
 from nnql_bullet.exports.cost import FRAME, Cost, cost_of
+from nnql_bullet.exports.names import C_EXAMPLE, C_SHIELD, C_SHIELD_HEADER
 from nnql_bullet.exports.translation import ArrayOf, Function, Known, Struct, Translator, Var, group_of, struct_of
 from nnql_bullet.run_config import changed
 from nnql_bullet.runs import LoadedPolicy
 from nnql_bullet.shield.alone import choose
 from nnql_bullet.shield.perception import perceive
 from nnql_bullet.shield.setting import Setting
-
-SOURCE, HEADER = "shield.c", "shield.h"
 
 
 def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
@@ -31,7 +30,7 @@ def in_shield(policy: LoadedPolicy) -> LoadedPolicy:
     if isinstance(agent, Overridable) and not isinstance(config.agent, DoubleDqnOptions):
         raise UserError(
             f"{policy.name}: remembers its own actions, and in a shield has to be told others; such policies, here of "
-            f"kind '{config.agent.kind}', are not exported with a shield"
+            f"kind '{config.agent.kind}', are not exported with a shield: leave it out"
         )
     if config.plan is not None:
         raise UserError(
@@ -55,7 +54,7 @@ def shield_files(contract: Contract, experiment: Experiment, policy_cost: Cost) 
         experiment: Of the policy in its shield.
         policy_cost: What the policy takes alone.
     """
-    from nnql_bullet.exports.c99 import EXAMPLE, rendered  # it writes what is common to all C
+    from nnql_bullet.exports.c99 import rendered  # it writes what is common to all C
 
     setting, memory = shield_of(experiment)
     struct = struct_of("m", "shield_memory", memory)
@@ -79,7 +78,7 @@ def shield_files(contract: Contract, experiment: Experiment, policy_cost: Cost) 
         "bytes": sum(sizes[its.stored] * its.count for its in contract.memory),
         "functions": c_functions(translator.functions, {"m": struct}),
     }
-    files = {SOURCE: "shield.c.j2", HEADER: "shield.h.j2", EXAMPLE: "shield_example.c.j2"}
+    files = {C_SHIELD: "shield.c.j2", C_SHIELD_HEADER: "shield.h.j2", C_EXAMPLE: "shield_example.c.j2"}
     return {name: rendered(template, values) for name, template in files.items()}, Cost(operations, stack)
 
 

@@ -32,6 +32,7 @@ BAD = (
     ("distances", -1.0),
     ("distances", np.inf),
     ("target_distance", np.nan),
+    ("target_distance", 1e9),
     ("target_bearing", 4.0),
     ("yaw_rate", -np.inf),
     ("way", np.nan),
