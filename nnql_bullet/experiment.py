@@ -262,10 +262,15 @@ class Experiment:
         """The given agent, or the untrained one that the configuration describes."""
         if self._given is not None:
             return self._given
+        return self.agent_options.make_agent(self.config.seed, self.vehicle, self.config.drive)
+
+    @property
+    def agent_options(self) -> AgentOptions:
+        """What the configuration says of the agent, in its shield if it has one."""
         options: AgentOptions = self.config.agent
         if self.config.shield and isinstance(options, SearchOptions | DistilledOptions):
-            options = options.in_shield()
-        return options.make_agent(self.config.seed, self.vehicle, self.config.drive)
+            return options.in_shield()
+        return options
 
     @cached_property
     def policy(self) -> Policy:

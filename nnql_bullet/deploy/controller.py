@@ -289,7 +289,7 @@ def _loaded(policy: PolicyLike, changes: dict[str, Any]) -> LoadedPolicy:
         return load_policy(policy, changes)
     experiment, weights = read_learned(policy, changes)  # type: ignore[arg-type]  # a name or path
     config = experiment.config
-    agent = in_numpy(config.agent, weights.arrays, experiment.vehicle, config.drive)
+    agent = in_numpy(experiment.agent_options, weights.arrays, experiment.vehicle, config.drive)
     return LoadedPolicy(str(policy), Experiment(config, agent), weights.episodes)
 
 
