@@ -155,7 +155,8 @@ def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
         f"Import `{ST_XML}` into your development system, or compile `{ST_POLICY}`, and call the function block\n"
         f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does.\n"
         "Arrays are fixed, loops are bounded, nothing recurses, and only standard functions are called. It takes the\n"
-        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs.\n"
+        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs. What the contract calls `action` is\n"
+        "`decision` there, because ACTION is a keyword.\n"
         f"A decision takes at most: {cost.operations.text()}."
     )
     return write, about, "Structured Text (IEC 61131-3)", usage, cost.operations.text()
