@@ -8,7 +8,9 @@ from functools import cached_property, partial
 from itertools import pairwise
 from typing import NoReturn
 
-from nnql_bullet.agents import LearningAgent, Trainable
+from nnql_bullet.agents import AgentOptions, LearningAgent, Trainable
+from nnql_bullet.agents.foresight import SearchOptions
+from nnql_bullet.agents.learning.options import DistilledOptions
 from nnql_bullet.config import parse
 from nnql_bullet.env import Navigation, Reward
 from nnql_bullet.errors import UserError
@@ -260,7 +262,10 @@ class Experiment:
         """The given agent, or the untrained one that the configuration describes."""
         if self._given is not None:
             return self._given
-        return self.config.agent.make_agent(self.config.seed, self.vehicle, self.config.drive)
+        options: AgentOptions = self.config.agent
+        if self.config.shield and isinstance(options, SearchOptions | DistilledOptions):
+            options = options.in_shield()
+        return options.make_agent(self.config.seed, self.vehicle, self.config.drive)
 
     @cached_property
     def policy(self) -> Policy:

@@ -8,7 +8,9 @@ import pytest
 from nnql_bullet.agents.base import Reflex
 from nnql_bullet.agents.foresight import Foresight, SearchOptions
 from nnql_bullet.env import ACTIONS, MANOEUVRES, STOP, Navigation
+from nnql_bullet.experiment import Experiment
 from nnql_bullet.mapping.foresight import LASTS, MOST_ROOM, ROOM
+from nnql_bullet.presets import load_config
 from nnql_bullet.shield.prediction import clear_by_margin
 from nnql_bullet.shield.shield import Shield, ShieldOptions
 from nnql_bullet.sim.kinematic import KinematicSimulator
@@ -126,3 +128,15 @@ def test_it_is_too_fast_where_a_shield_admits_no_full_speed(vehicle):
     assert 0.1 < admitted.mean() < 0.9
     assert (look.too_fast[:, :ACTIONS] != admitted).mean() > 0.97
     assert not look.too_fast[:, ACTIONS:].any()
+
+
+@pytest.mark.parametrize("kind", ["guided_search", "distilled"])
+def test_it_asks_for_room_by_itself_in_a_shield(kind):
+    def paced(shield, **given):
+        agent = given if kind == "guided_search" else {"search": given}
+        changes = {"agent": {"kind": kind, **agent}, **({"shield": {}} if shield else {})}
+        options = Experiment(load_config("paper", changes)).agent.options
+        return (options if kind == "guided_search" else options.search).paced
+
+    assert paced(True) and not paced(False)
+    assert not paced(True, paced=False) and paced(False, paced=True)

@@ -1,7 +1,7 @@
 """What a vehicle foresees of every manoeuvre: the memory behind it, and its encoding as bytes for a network."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from nnql_bullet.vehicle.controller import DriveOptions
 from nnql_bullet.vehicle.profiles import ramp_distances, rolled_path, turn_headings
 from nnql_bullet.vehicle.scale import length_scale, turning_radius
 from nnql_bullet.vehicle.spec import Limits, VehicleSpec
+
+Search = TypeVar("Search", bound="SearchOptions")
 
 SECTORS = 24
 """Readings of a scan in what a network sees: each the nearest of three of 72 rays."""
@@ -87,8 +89,13 @@ class SearchOptions:
     it covers; half the speed costs a quarter."""
     caution: NonNegative = 1.3
     """The same near something thin, whatever the clearance: there may be more that the rays miss."""
-    paced: bool = False
-    """Whether it drives at full speed only where a shield admits that, see `mapping.pace`: for drives in a shield."""
+    paced: bool | None = None
+    """Whether it drives at full speed only where a shield of default lengths admits that, see `mapping.pace`; by
+    default in a shield."""
+
+    def in_shield(self: Search) -> Search:
+        """Returns the options for drives in a shield."""
+        return replace(self, paced=True) if self.paced is None else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +212,7 @@ class Foresight:
             frames=np.zeros((size, WIDTH), np.uint8),
         )
 
-    def look(self, memory: Memory, observations: Observation, paced: bool = False) -> Look:
+    def look(self, memory: Memory, observations: Observation, paced: bool | None = None) -> Look:
         """Enters the observations of n vehicles into a copy of their memory; see `SearchOptions.paced`."""
         o, new, mover = observations, memory.age == 0, self._mover
         first = first_poses(o.landmark_distance, o.landmark_bearing)

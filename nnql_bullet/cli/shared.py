@@ -24,10 +24,10 @@ DriveKeys = Annotated[
         title="vehicle",
         defaults=False,
         about=(
-            "Conditions are flags too, as --conditions.wheel-friction: payload [kg], payload-height [m], sensor-noise "
-            "[m], dead-sector (0 to 7), decision-latency [s], wheel-lag [s]. So is every key that begins with agent, "
-            "drive, plan, shield or task: --shield.margin asks for a shield as --shield does. To list them: "
-            "nnql-bullet keys shield"
+            "Conditions are flags too: --conditions.wheel-friction, --conditions.payload [kg], "
+            "--conditions.payload-height [m], --conditions.sensor-noise [m], --conditions.dead-sector (0 to 7), "
+            "--conditions.decision-latency [s], --conditions.wheel-lag [s]. So are keys of agent, drive, plan, shield, "
+            "task: --shield.margin asks for a shield too. To list them: nnql-bullet keys shield"
         ),
     ),
 ]

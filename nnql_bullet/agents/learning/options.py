@@ -5,6 +5,7 @@ The other agents' options stand in the agents' own modules.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -214,6 +215,10 @@ class DistilledOptions:
         """Learning rate in a training episode, counted from 0."""
         progress = min(max(2 * episode / self.schedule_episodes - 1, 0.0), 1.0)
         return self.learning_rate + (self.learning_rate_final - self.learning_rate) * progress
+
+    def in_shield(self) -> "DistilledOptions":
+        """Returns the options for drives in a shield."""
+        return replace(self, search=self.search.in_shield())
 
     def make_agent(self, seed: int, vehicle: VehicleSpec, drive: DriveOptions) -> "Distilled":
         """Builds the untrained agent."""
