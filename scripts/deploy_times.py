@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from math import pi
 from pathlib import Path
 from time import process_time_ns
 
@@ -63,7 +64,8 @@ def replay(policy: str, shield: bool, drive: Path, plain: bool, library: Path | 
 
     recording = load_recording(drive)
     sensor, first = recording.sensor, recording.sensor.angles
-    controller = Controller(policy, shield=shield, watch=WatchOptions(target_radius=0.1), library=library)
+    watch = WatchOptions(target_radius=0.1, most_jump=5.0, most_yaw_jump=pi)  # poses are those of the decisions
+    controller = Controller(policy, shield=shield, watch=watch, library=library)
     deciding, following = list[float](), list[float]()
     for time, (x, y, yaw), distances in zip(
         recording.state_time[:-1].tolist(),

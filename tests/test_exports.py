@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from ctypes import CDLL, c_long
 from dataclasses import dataclass, fields
 from itertools import groupby
 from pathlib import Path
@@ -26,6 +27,7 @@ from nnql_bullet.exports.maps import map_of
 from nnql_bullet.exports.parity import Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.vectors import Vectors, recorded_drives, vectors_of
+from nnql_bullet.mapping import grid_map
 from nnql_bullet.presets import load_config
 from nnql_bullet.rollout import run_episodes
 from nnql_bullet.run_config import changed
@@ -282,6 +284,34 @@ def test_double_dqn_in_c_does_as_recorded_with_its_own_memory(with_map: bool, tm
     run("gcc", *FLAGS, "-fsanitize=address", "-o", program, tmp_path / "example.c", tmp_path / "policy.c", "-lm")
     assert run(program).count(b"action") == 5
     assert_same_endings(Case(policy, contract, tmp_path, cost, v), exported, (7,))
+
+
+@needs_cpp
+def test_stated_operations_of_double_dqn_are_at_least_what_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prelude = Path(__file__).parents[1] / "scripts" / "counted.hpp"
+    config = changed(load_policy("double_dqn").experiment.config, agent={"hidden": (9, 5), "frames": 2})
+    policy = LoadedPolicy("small", Experiment(config), 1)
+    monkeypatch.setattr(grid_map, "_MOST_SWEEPS", 1)  # the most of them never come, and would hide the rest
+    contract = contract_of(policy)
+    files, cost = c_files(contract, policy.experiment)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    flags = ("-x", "c++", "-std=c++17", "-O1", "-w", "-fpermissive", "-include", str(prelude), f"-I{tmp_path}")
+    file = build(tmp_path, tmp_path / "policy.so", flags, "g++")
+    exported = LibraryPolicy(file, contract)
+    counts = (c_long * 5).in_dll(CDLL(str(file)), "operations")
+    generator, state, most = np.random.default_rng(1), exported.initial_state(1), np.zeros(5, int)
+    for k in range(40):
+        rays = (np.full(72, 9.99), generator.uniform(0, 10, 72), generator.uniform(0, 2, 72))[k % 3]
+        row = np.r_[rays, generator.uniform([3, -3, -1.5, -2], [60, 3, 1.5, 2])].astype(np.float32)
+        counts[:] = [0] * 5
+        status, _, state = exported.decide(row[None], state)
+        assert status[0] == 0
+        most = np.maximum(most, counts)
+    stated = np.array([getattr(cost.operations, its.name) for its in fields(cost.operations)])
+    assert (most <= stated).all() and (stated < 4 * most).all()
 
 
 def assert_same_endings(case: Case, exported: Any, seeds: tuple[int, ...] = (7, 8)) -> None:

@@ -1,1 +1,1 @@
-"""Policies for other machines: as C99 or ONNX, with their observation contract, test vectors and an example."""
+"""Policies for other machines: as C99, ONNX or Structured Text, with contract, test vectors and an example."""

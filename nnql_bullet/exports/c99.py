@@ -39,8 +39,6 @@ from nnql_bullet.vehicle.scale import length_scale, scaled
 MOST_ROWS = 65_536
 """Rows of the largest table that is written as source."""
 TEMPLATES = Path(__file__).with_name("templates")
-
-
 _N = Operations
 
 

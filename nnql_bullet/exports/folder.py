@@ -116,6 +116,14 @@ _Artefact = tuple[Callable[[Path], None], dict[str, str], str, str, str]
 """Writes the artefact into a folder; what its files are; title, usage, and cost of a decision."""
 
 
+def _writer(files: Mapping[str, str]) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        for name, text in files.items():
+            write_text(folder / name, text)
+
+    return write
+
+
 def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     alone = without_shield(policy)
     files, cost = c_files(contract_of(alone), alone.experiment)
@@ -129,25 +137,17 @@ def _as_c(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     exact = " and ".join(part for part, there in parts.items() if there)
     precision = f"double precision in {exact}, single in the rest" if exact else "single precision"
 
-    def write(folder: Path) -> None:
-        for name, text in files.items():
-            write_text(folder / name, text)
-
     usage = (
         f"    cc -std=c99 -O2 -o example {sources} -lm && ./example\n\n"
         f"No allocation, no recursion, fixed sizes, no library but math.h; {precision}.\n"
         f"A decision takes at most: {cost.text()}.\n"
         "Compile with `-fstack-usage` to see what your compiler makes of that."
     )
-    return write, about, "C99", usage, cost.text()
+    return _writer(files), about, "C99", usage, cost.text()
 
 
 def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
     files, cost = st_files(contract, policy.experiment)
-
-    def write(folder: Path) -> None:
-        for name, text in files.items():
-            write_text(folder / name, text)
 
     about = {ST_POLICY: "the function block and what it calls", ST_XML: "the same as PLCopen XML"}
     about |= {ST_EXAMPLE: "a program that calls it"}
@@ -155,10 +155,11 @@ def _as_st(policy: LoadedPolicy, contract: Contract) -> _Artefact:
         f"Import `{ST_XML}` into your development system, or compile `{ST_POLICY}`, and call the function block\n"
         f"`{block_name(contract)}` once every {contract.decision_period:g} s, as `{ST_EXAMPLE}` does.\n"
         "Arrays are fixed, loops are bounded, nothing recurses, and only standard functions are called. It takes the\n"
-        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs.\n"
+        "third edition of IEC 61131-3: `CONTINUE`, and functions with outputs. What the contract calls `action` is\n"
+        "`decision` there, because ACTION is a keyword.\n"
         f"A decision takes at most: {cost.operations.text()}."
     )
-    return write, about, "Structured Text (IEC 61131-3)", usage, cost.operations.text()
+    return _writer(files), about, "Structured Text (IEC 61131-3)", usage, cost.operations.text()
 
 
 def _as_onnx(policy: LoadedPolicy, contract: Contract) -> _Artefact:

@@ -24,8 +24,6 @@ from nnql_bullet.geometry import Array
 from nnql_bullet.rollout import Actions
 
 FLAGS = ("-std=c99", "-O2")
-
-
 _STORED = {"double": np.float64, "int": np.int32, "unsigned char": np.uint8}
 
 
