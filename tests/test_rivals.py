@@ -67,11 +67,11 @@ class TestEveryRival:
     def test_where_nothing_stands_it_drives_ahead_to_the_side_of_the_target(
         self, kind: str, make: Make, bearing: float
     ) -> None:
-        agent = make(kind)
-        chosen = {action(agent, observed(bearing=bearing)) for _ in range(8)}  # one that plans may turn a little later
-        toward = {0.4: {1, TOWARD_TARGET}, 0.0: {0, TOWARD_TARGET}, -0.4: {3, TOWARD_TARGET}}[bearing]
-        away = {0.4: {3, 4}, 0.0: {2, 4}, -0.4: {1, 2}}[bearing]
-        assert chosen & toward and not chosen & away and max(chosen) < ACTIONS
+        cold = {"temperature": 0.01} if kind == "mppi" else {}  # warm, it may put off a turn that costs little
+        chosen = action(make(kind, **cold), observed(bearing=bearing))
+        assert chosen < ACTIONS
+        toward = {0.4: (1, TOWARD_TARGET), 0.0: (0, TOWARD_TARGET), -0.4: (3, TOWARD_TARGET)}
+        assert chosen in toward[bearing]
 
     def test_before_a_wall_it_does_not_drive_on(self, kind: str, make: Make, vehicle: VehicleSpec) -> None:
         assert action(make(kind), observed(wall(vehicle, 1.3))) not in (0, TOWARD_TARGET)

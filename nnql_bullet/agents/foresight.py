@@ -41,8 +41,10 @@ SECTORS = 24
 """Readings of a scan in what a network sees: each the nearest of three of 72 rays."""
 SCANS = 3
 """Scans that it sees at once, by which it may tell what moves."""
-FAR = 50.0
-"""Upper bound on the target's distance, over the length scale [m]."""
+FAR, NEAR = 50.0, 5.0
+"""Upper bounds on the target's distance, which is told on both scales, over the length scale [m]."""
+DETOUR = 20.0
+"""Upper bound on how much longer than that distance the way is, likewise [m]."""
 TRAIL = 32
 """Decisions for which a vehicle remembers its poses."""
 FASTEST = 0.6
@@ -371,8 +373,8 @@ class Foresight:
         context: list[Array | float] = [
             o.speed / self._drive.speed,
             1 - 2 * away / (FAR * scale),
-            2 * (ways - away) / (20.0 * scale) - 1,
-            1 - 2 * away / (5.0 * scale),
+            2 * (ways - away) / (DETOUR * scale) - 1,
+            1 - 2 * away / (NEAR * scale),
             self._drive.speed / scale / 2 - 1,
             np.where(thin, 1.0, -1.0),
             np.cos(o.target_bearing),

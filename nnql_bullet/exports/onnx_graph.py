@@ -54,6 +54,37 @@ class Graph:
         self._nodes.append(self._onnx.helper.make_node(operator, inputs, [name], **attributes))
         return name
 
+    def number(self, values: ArrayLike) -> str:
+        """A constant in double precision."""
+        return self.constant(values, np.float64)
+
+    def column(self, name: str) -> str:
+        """An input (n,) as a column (n, 1) in double precision."""
+        return self.add("Unsqueeze", self.to("DOUBLE", name), self.constant([1], np.int64))
+
+    def line(self, value: str, factor: ArrayLike, offset: ArrayLike) -> str:
+        """A value in double precision, times a factor, plus an offset."""
+        return self.add("Add", self.add("Mul", value, self.number(factor)), self.number(offset))
+
+    def as_bytes(self, numbers: str) -> str:
+        """Numbers from -1 to 1 as bytes."""
+        clipped = self.line(self.add("Clip", numbers, self.number(-1.0), self.number(1.0)), 1.0, 1.0)
+        return self.to("UINT8", self.add("Round", self.add("Mul", clipped, self.number(127.5))))
+
+    def of_bytes(self, seen: str) -> str:
+        """Numbers from -1 to 1 of bytes, in single precision."""
+        return self.add("Sub", self.add("Div", self.to("FLOAT", seen), self.constant(127.5)), self.constant(1.0))
+
+    def linear(self, x: str, learned: Mapping[str, NDArray[Any]], name: str) -> str:
+        """A layer of a network, by its name among the weights."""
+        w, b = (self.constant(learned[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return self.add("Gemm", x, w, b, transB=1)
+
+    def normed(self, x: str, learned: Mapping[str, NDArray[Any]], name: str) -> str:
+        """A layer norm, by its name among the weights, and its rectifier."""
+        gain, shift = (self.constant(learned[f"{name}.{part}"]) for part in ("weight", "bias"))
+        return self.add("Relu", self.add("LayerNormalization", x, gain, shift, axis=-1, epsilon=1e-5))
+
     def type(self, kind: str) -> int:
         """The number of a type, such as INT64."""
         number: int = getattr(self._onnx.TensorProto, kind)
@@ -180,56 +211,39 @@ def _dueling(g: Graph, distances: str, good: str, options: DoubleDqnOptions, exp
     vehicle, scale = experiment.vehicle, length_scale(experiment.vehicle.footprint)
     one = g.constant([1], np.int64)
 
-    def number(values: ArrayLike) -> str:
-        return g.constant(values, np.float64)
-
-    def column(name: str) -> str:
-        return g.add("Unsqueeze", g.to("DOUBLE", name), one)
-
-    def line(value: str, factor: ArrayLike, offset: ArrayLike) -> str:
-        return g.add("Add", g.add("Mul", value, number(factor)), number(offset))
-
     taken = g.add("Gather", distances, g.constant(nearest_rays(vehicle.sensor.rays), np.int64), axis=1)
-    rays = g.add("Div", g.to("DOUBLE", taken), number(scale))
-    met = g.add("Less", rays, number(vehicle.sensor.range / scale))
-    rays = g.add("Where", met, rays, number(paper.SENSOR_RANGE))
+    rays = g.add("Div", g.to("DOUBLE", taken), g.number(scale))
+    met = g.add("Less", rays, g.number(vehicle.sensor.range / scale))
+    rays = g.add("Where", met, rays, g.number(paper.SENSOR_RANGE))
     shares = g.add("Reshape", rays, g.constant([-1, options.rays, RAYS // options.rays], np.int64))
-    nearness = line(g.add("ReduceMin", shares, axes=[2], keepdims=0), -2 / paper.SENSOR_RANGE, 1.0)
-    away, bearing = g.add("Div", column("target_distance"), number(scale)), column("target_bearing")
+    nearness = g.line(g.add("ReduceMin", shares, axes=[2], keepdims=0), -2 / paper.SENSOR_RANGE, 1.0)
+    away, bearing = g.add("Div", g.column("target_distance"), g.number(scale)), g.column("target_bearing")
     parts = [nearness]
     if options.grid_map:
         reaches = np.repeat(2 * np.array(grid_map.REACHES), grid_map.BEARINGS)
-        parts.append(g.add("Div", g.to("DOUBLE", "around"), number(reaches)))
+        parts.append(g.add("Div", g.to("DOUBLE", "around"), g.number(reaches)))
     parts += [
         g.add("Cos", bearing),
-        line(away, -2 / FAR, 1.0),
-        line(g.add("Sub", column("way"), away), 2 / DETOUR, -1.0),
+        g.line(away, -2 / FAR, 1.0),
+        g.line(g.add("Sub", g.column("way"), away), 2 / DETOUR, -1.0),
         g.add("Sin", bearing),
-        g.add("Div", column("yaw_rate"), number(vehicle.limits.yaw_rate)),
-        line(g.to("DOUBLE", g.add("Equal", column("last_action"), number(np.arange(ACTIONS)))), 2.0, -1.0),
+        g.add("Div", g.column("yaw_rate"), g.number(vehicle.limits.yaw_rate)),
+        g.line(g.to("DOUBLE", g.add("Equal", g.column("last_action"), g.number(np.arange(ACTIONS)))), 2.0, -1.0),
     ]
-    numbers = g.add("Clip", g.add("Concat", *parts, axis=1), number(-1.0), number(1.0))
-    frame = g.to("UINT8", g.add("Round", g.add("Mul", line(numbers, 1.0, 1.0), number(127.5))))
+    frame = g.as_bytes(g.add("Concat", *parts, axis=1))
     width = frame_width(options.rays, options.grid_map)
     kept = g.add(
         "Slice", "frames", g.constant([0], np.int64), g.constant([(options.frames - 1) * width], np.int64), one
     )
     alike = g.add("Concat", *[frame] * options.frames, axis=1)
-    begins = g.add("Less", column("last_action"), number(0.0))
+    begins = g.add("Less", g.column("last_action"), g.number(0.0))
     stacked = g.add("Where", begins, alike, g.add("Concat", frame, kept, axis=1))
     g.add("Where", good, stacked, "frames", name="next_frames")
     learned = experiment.trainable.state_dict()
-    hidden = g.add("Sub", g.add("Div", g.to("FLOAT", stacked), g.constant(127.5)), g.constant(1.0))
+    hidden = g.of_bytes(stacked)
     for layer in range(0, 3 * len(options.hidden), 3):
-        w, b, gain, shift = (
-            g.constant(learned[f"hidden.{k}.{part}"]) for k in (layer, layer + 1) for part in ("weight", "bias")
-        )
-        hidden = g.add("LayerNormalization", g.add("Gemm", hidden, w, b, transB=1), gain, shift, axis=-1, epsilon=1e-5)
-        hidden = g.add("Relu", hidden)
-    value, advantage = (
-        g.add("Gemm", hidden, *(g.constant(learned[f"{head}.{part}"]) for part in ("weight", "bias")), transB=1)
-        for head in ("value", "advantage")
-    )
+        hidden = g.normed(g.linear(hidden, learned, f"hidden.{layer}"), learned, f"hidden.{layer + 1}")
+    value, advantage = (g.linear(hidden, learned, head) for head in ("value", "advantage"))
     mean = g.add("ReduceMean", advantage, axes=[1], keepdims=1)
     return g.add("Add", value, g.add("Sub", advantage, mean))
 
@@ -243,25 +257,12 @@ def _foreseeing(g: Graph, distances: str, good: str, options: DistilledOptions, 
     last, most = g.constant([2], np.int64), FARTHER * vehicle.width / CELLS_ACROSS
     one = g.constant([1], np.int64)
 
-    def number(values: ArrayLike) -> str:
-        return g.constant(values, np.float64)
-
-    def column(name: str) -> str:
-        return g.add("Unsqueeze", g.to("DOUBLE", name), one)
-
-    def line(value: str, factor: ArrayLike, offset: ArrayLike) -> str:
-        return g.add("Add", g.add("Mul", value, number(factor)), number(offset))
-
-    def as_bytes(numbers: str) -> str:
-        clipped = line(g.add("Clip", numbers, number(-1.0), number(1.0)), 1.0, 1.0)
-        return g.to("UINT8", g.add("Round", g.add("Mul", clipped, number(127.5))))
-
     taken = g.add("Gather", distances, g.constant(nearest_rays(vehicle.sensor.rays), np.int64), axis=1)
-    rays = g.add("Div", g.to("DOUBLE", taken), number(scale))
+    rays = g.add("Div", g.to("DOUBLE", taken), g.number(scale))
     shape = g.constant([-1, foresight.SECTORS, RAYS // foresight.SECTORS], np.int64)
     nearest = g.add("ReduceMin", g.add("Reshape", rays, shape), axes=[2], keepdims=0)
-    scan = as_bytes(line(g.add("Div", number(2.0), line(nearest, 1.0, 1.0)), 1.0, -1.0))
-    begins = g.add("Greater", column("first"), number(0.5))
+    scan = g.as_bytes(g.line(g.add("Div", g.number(2.0), g.line(nearest, 1.0, 1.0)), 1.0, -1.0))
+    begins = g.add("Greater", g.column("first"), g.number(0.5))
     alike = g.add("Concat", *[scan] * (foresight.SCANS - 1), axis=1)
     earlier = g.add("Where", begins, alike, "frames")
     kept = g.constant([(foresight.SCANS - 2) * foresight.SECTORS], np.int64)
@@ -269,50 +270,41 @@ def _foreseeing(g: Graph, distances: str, good: str, options: DistilledOptions, 
     g.add("Where", good, moved_on, "frames", name="next_frames")
     probes = 3 * ahead.BEARINGS
     beyond = np.arange(probes) >= 2 * ahead.BEARINGS
-    around = g.add("Div", g.to("DOUBLE", "around"), number(np.where(beyond, ahead.SIGHT * scale / 2, most)))
-    away, bearing, way = column("target_distance"), column("target_bearing"), column("way")
+    around = g.add("Div", g.to("DOUBLE", "around"), g.number(np.where(beyond, ahead.SIGHT * scale / 2, most)))
+    away, bearing, way = g.column("target_distance"), g.column("target_bearing"), g.column("way")
     parts = [
-        g.add("Sub", around, number(1.0 * beyond)),
-        g.add("Div", column("speed"), number(drive.speed)),
-        line(away, -2 / (foresight.FAR * scale), 1.0),
-        line(g.add("Sub", way, away), 2 / (20.0 * scale), -1.0),
-        line(away, -2 / (5.0 * scale), 1.0),
-        g.add("Add", g.add("Mul", away, number(0.0)), number(drive.speed / scale / 2 - 1)),
-        line(column("thin"), 2.0, -1.0),
+        g.add("Sub", around, g.number(1.0 * beyond)),
+        g.add("Div", g.column("speed"), g.number(drive.speed)),
+        g.line(away, -2 / (foresight.FAR * scale), 1.0),
+        g.line(g.add("Sub", way, away), 2 / (foresight.DETOUR * scale), -1.0),
+        g.line(away, -2 / (foresight.NEAR * scale), 1.0),
+        g.add("Add", g.add("Mul", away, g.number(0.0)), g.number(drive.speed / scale / 2 - 1)),
+        g.line(g.column("thin"), 2.0, -1.0),
         g.add("Cos", bearing),
         g.add("Sin", bearing),
-        g.add("Div", column("yaw_rate"), number(vehicle.limits.yaw_rate)),
+        g.add("Div", g.column("yaw_rate"), g.number(vehicle.limits.yaw_rate)),
     ]
-    rest = as_bytes(g.add("Concat", *parts, axis=1))
+    rest = g.as_bytes(g.add("Concat", *parts, axis=1))
     factors, offsets = np.ones(ahead.COLUMNS), np.zeros(ahead.COLUMNS)
     factors[[ahead.ROOM, ahead.STOP_ROOM]] = 2 / (ahead.MOST_ROOM * scale)
     factors[[ahead.LASTS, ahead.UNKNOWN]], factors[[ahead.WAY, ahead.WAY_AHEAD]] = 2.0, 1 / most
     factors[ahead.VISITS] = 2 / ahead.MOST_VISITS
     offsets[[ahead.ROOM, ahead.STOP_ROOM, ahead.LASTS, ahead.UNKNOWN, ahead.VISITS]] = -1.0
     phi_shape = g.constant([-1, MANOEUVRES, ahead.COLUMNS], np.int64)
-    phi = line(g.add("Reshape", g.to("DOUBLE", "foreseen"), phi_shape), factors, offsets)
-    toward = g.add("Clip", bearing, number(-LARGEST_TURN), number(LARGEST_TURN))
-    turn_parts = [g.add("Add", g.add("Mul", bearing, number(0.0)), number(paper.TURNS)), toward]
-    turns = g.add("Div", g.add("Concat", *turn_parts * MANNERS, axis=1), number(np.pi / 3))
-    phi = as_bytes(g.add("Concat", phi, g.add("Unsqueeze", turns, last), axis=2))
+    phi = g.line(g.add("Reshape", g.to("DOUBLE", "foreseen"), phi_shape), factors, offsets)
+    toward = g.add("Clip", bearing, g.number(-LARGEST_TURN), g.number(LARGEST_TURN))
+    turn_parts = [g.add("Add", g.add("Mul", bearing, g.number(0.0)), g.number(paper.TURNS)), toward]
+    turns = g.add("Div", g.add("Concat", *turn_parts * MANNERS, axis=1), g.number(np.pi / 3))
+    phi = g.as_bytes(g.add("Concat", phi, g.add("Unsqueeze", turns, last), axis=2))
     learned = experiment.trainable.state_dict()
-
-    def shown(seen: str) -> str:
-        return g.add("Sub", g.add("Div", g.to("FLOAT", seen), g.constant(127.5)), g.constant(1.0))
-
-    def linear(x: str, name: str) -> str:
-        w, b = (g.constant(learned[f"{name}.{part}"]) for part in ("weight", "bias"))
-        return g.add("Gemm", x, w, b, transB=1)
-
-    x = shown(g.add("Concat", scan, earlier, rest, axis=1))
+    x = g.of_bytes(g.add("Concat", scan, earlier, rest, axis=1))
     for layer in range(0, 3 * len(options.hidden), 3):
-        x = linear(x, f"surroundings.{layer}")
+        x = g.linear(x, learned, f"surroundings.{layer}")
         if layer < 3 * (len(options.hidden) - 1):
-            gain, shift = (g.constant(learned[f"surroundings.{layer + 1}.{part}"]) for part in ("weight", "bias"))
-            x = g.add("Relu", g.add("LayerNormalization", x, gain, shift, axis=-1, epsilon=1e-5))
+            x = g.normed(x, learned, f"surroundings.{layer + 1}")
     weight, bias = learned["foreseen.weight"], learned["foreseen.bias"]
     manners = np.repeat(weight[:, PHI:].T + bias, ACTIONS, axis=0)
-    each = g.add("Add", g.add("MatMul", shown(phi), g.constant(weight[:, :PHI].T)), g.constant(manners))
+    each = g.add("Add", g.add("MatMul", g.of_bytes(phi), g.constant(weight[:, :PHI].T)), g.constant(manners))
     each = g.add("Relu", g.add("Add", each, g.add("Unsqueeze", x, one)))
     each = g.add("MatMul", each, g.constant(learned["value.1.weight"].T))
     each = g.add("Relu", g.add("Add", each, g.constant(learned["value.1.bias"])))
@@ -329,17 +321,14 @@ def _of_the_clear(g: Graph, values: str, options: DistilledOptions, experiment: 
     def column(number: int) -> str:
         return g.add("Squeeze", g.add("Gather", foreseen, g.constant([number], np.int64), axis=2), last)
 
-    def number(value: float) -> str:
-        return g.constant(value, np.float64)
-
     q = g.to("DOUBLE", values)
     clear, lasts = g.add("Min", column(ahead.ROOM), column(ahead.STOP_ROOM)), column(ahead.LASTS)
     most_clear = g.add("ReduceMax", clear, axes=[1], keepdims=1)
-    least = g.add("Min", g.add("Mul", most_clear, number(KEPT)), number(options.search.margin * scale))
-    meets = g.add("Or", g.add("Less", lasts, number(1.0)), g.add("Less", clear, least))
+    least = g.add("Min", g.add("Mul", most_clear, g.number(KEPT)), g.number(options.search.margin * scale))
+    meets = g.add("Or", g.add("Less", lasts, g.number(1.0)), g.add("Less", clear, least))
     most, smallest = (g.add(f"Reduce{which}", q, axes=[1], keepdims=1) for which in ("Max", "Min"))
-    worst = g.add("Add", g.add("Sub", most, smallest), number(1.0))
-    late = g.add("Add", g.add("Mul", g.add("Sub", number(1.0), lasts), number(100.0)), number(2.0))
+    worst = g.add("Add", g.add("Sub", most, smallest), g.number(1.0))
+    late = g.add("Add", g.add("Mul", g.add("Sub", g.number(1.0), lasts), g.number(100.0)), g.number(2.0))
     return g.add("ArgMax", g.add("Where", meets, g.add("Sub", q, g.add("Mul", worst, late)), q), axis=1, keepdims=0)
 
 
