@@ -364,6 +364,17 @@ def test_a_film_may_go_back_in_time(drive: Recording) -> None:
     assert (painted == fresh).all()
 
 
+@pytest.mark.parametrize("camera", ["chase", "top"])
+def test_ground_that_is_left_out_as_empty_shows_nothing(drive: Recording, camera: str) -> None:
+    timeline = Timeline(drive)
+    moment = timeline.at(4.0)
+    view = PATHS[camera](timeline, *SIZE)(moment)
+    short, whole = (Painter(timeline, RasterRenderer(drive)) for _ in range(2))
+    whole._busy[:] = 1  # nothing is left out
+    pictures = [painter.paint(moment, view)[0] for painter in (short, whole)]
+    assert (pictures[0] == pictures[1]).all() and not short._busy.all()
+
+
 # What is written over it
 
 
