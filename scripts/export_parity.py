@@ -26,7 +26,7 @@ from nnql_bullet.exports.c99 import c_files
 from nnql_bullet.exports.contract import contract_of
 from nnql_bullet.exports.maps import map_of
 from nnql_bullet.exports.onnx_graph import onnx_model
-from nnql_bullet.exports.parity import Parity, compare
+from nnql_bullet.exports.parity import EXACT, Parity, compare
 from nnql_bullet.exports.running import LibraryPolicy, OnnxMapPolicy, OnnxPolicy, build
 from nnql_bullet.exports.shielded import in_shield, shield_files, without_shield
 from nnql_bullet.exports.vectors import recorded_drives
@@ -139,7 +139,8 @@ def main() -> None:
             kept[f"{name} {form}"] = asdict(t) | {"unexplained": t.unexplained}
             print(
                 f"{name} {form}: {t.states} states, {t.differences} differ: {t.same_turn} by no turn, {t.ties} ties, "
-                f"{t.unexplained} unexplained; Q within {t.value_error:.1e}"
+                f"{t.unexplained} unexplained; Q-values of {t.valued}: {t.inexact} farther off than {EXACT:g}, "
+                f"{t.value_error:.1e} at most"
             )
         for policy, its in zip(policies, forms, strict=True):
             agent = policy.experiment.policy

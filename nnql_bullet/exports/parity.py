@@ -22,6 +22,8 @@ from nnql_bullet.seeding import Stream, rng
 
 ROUNDING = 1e-6
 """Largest share by which distances and yaw rates are moved, and largest angle by which bearings are [rad]."""
+EXACT = 1e-5
+"""Error of Q-values that single precision alone explains, as a share of the largest."""
 TRIES = 256
 """Times that what was seen is moved."""
 
@@ -37,6 +39,10 @@ class Parity:
     """Of these, with the same heading change within twice `ROUNDING`."""
     ties: int = 0
     """Of the others, those that rounding explains."""
+    valued: int = 0
+    """Decisions whose Q-values were compared; none in a shield, which tells no values."""
+    inexact: int = 0
+    """Of these, those that are farther off than `EXACT`: of what is seen as bytes, one was rounded to the next."""
     value_error: float = 0.0
     """Largest error of a Q-value, as a share of the largest Q-value of the decision."""
 
@@ -51,6 +57,8 @@ class Parity:
             self.differences + other.differences,
             self.same_turn + other.same_turn,
             self.ties + other.ties,
+            self.valued + other.valued,
+            self.inexact + other.inexact,
             max(self.value_error, other.value_error),
         )
 
@@ -95,12 +103,12 @@ def compare(experiment: Experiment, exported: LibraryPolicy | OnnxPolicy, drive:
             for k in differ[~same_turn].tolist()
         )
     )
-    error = 0.0
+    errors = np.empty(0)
     if values is not None:
         largest = np.abs(values).max(axis=-1)
-        errors = np.abs(outputs["values"] - values).max(axis=-1)
-        error = float((errors[largest > 0] / largest[largest > 0]).max(initial=0.0))
-    return Parity(steps, len(differ), int(same_turn.sum()), ties, error)
+        errors = np.abs(outputs["values"] - values).max(axis=-1)[largest > 0] / largest[largest > 0]
+    counts = steps, len(differ), int(same_turn.sum()), ties, len(errors), int((errors > EXACT).sum())
+    return Parity(*counts, float(errors.max(initial=0.0)))
 
 
 def _rows(drive: Observation, places: int | NDArray[np.int64]) -> Observation:
