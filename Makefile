@@ -2,6 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
+READY := $(VENV)/.ready
 INSTALLED := $(VENV)/.installed
 DEMO := runs/demo
 
@@ -16,16 +17,22 @@ help:
 	@echo 'make benchmark  speed against the bare engine'
 	@echo 'make clean      remove the environment, runs and caches'
 
-$(INSTALLED): pyproject.toml constraints.txt
+# What the demo needs, and no more. Python compiles a module when it is first imported; most of these never are.
+$(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' || \
 		{ echo "CPython 3.10 to 3.13 is needed (PyBullet has no wheels for others); set PYTHON=/path/to/python3.11"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --constraint constraints.txt --no-compile --editable .
+	@touch $@
+
+$(INSTALLED): $(READY)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[dev,docs,log,maps,mujoco,ray,rllib,sb3,sweep,export,baselines,viz,render,robots,ros]'
 	@touch $@
 
-demo: $(INSTALLED)
+demo: $(READY)
 	$(BIN)/nnql-bullet train --out $(DEMO) --overwrite
-	$(BIN)/nnql-bullet drive $(DEMO) --world cover_10 --seed 4 --video
+	$(BIN)/nnql-bullet drive $(DEMO) --world cover_10 --seed 4
+	$(BIN)/nnql-bullet render $(DEMO)/drives/cover_10-4/trajectory.npz --speed 2
 	@echo 'Look at $(DEMO)/learning_curve.png, and at the picture and the video named above.'
 
 test: $(INSTALLED)
