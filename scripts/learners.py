@@ -8,13 +8,15 @@ after every combination, and a combination that is in it with the same budget is
 
     python scripts/learners.py                       # as in the documentation; some hours on 2 idle cores
     python scripts/learners.py --only ppo --trials 4 --steps 20000
+    python scripts/learners.py --why --only ppo dqn  # what the paper's reward pays those that are in the table
 """
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -171,6 +173,8 @@ class Drives:
     world: str
     endings: list[str]
     """How each world's drive ended."""
+    returns: list[float] = field(default_factory=list)
+    """Discounted sum of each drive's rewards, from its start."""
 
 
 def environment(t: Training, world: str) -> dict[str, Any]:
@@ -179,32 +183,35 @@ def environment(t: Training, world: str) -> dict[str, Any]:
     return {"simulator": "kinematic", "world": world, "observation": t.observation, "reward": t.reward, **rays}
 
 
-def train_and_test(t: Training) -> list[Drives]:
-    """Trains a learner, and drives it greedily through worlds of each kind."""
+def train_and_test(t: Training, on_step: Callable[..., bool] | None = None) -> list[Drives]:
+    """Trains a learner, and drives it greedily through worlds of each kind; `on_step` is a callback of the learner."""
     torch.set_num_threads(1)
     algorithm, kind, _ = LEARNERS[t.learner]
     with closing(VecNormalize(make_vec_env(VEHICLES, **environment(t, TRAINED_IN), workers=1))) as vehicles:
         vehicles.seed(1_000 * t.seed)
         learner = parse(kind, json.loads(t.options), "options").learner(algorithm, vehicles, t.seed, t.steps)
-        learner.learn(t.steps)
+        learner.learn(t.steps, callback=on_step)
         return [driven(t, learner, vehicles, world) for world in t.tested_in]
 
 
 def driven(t: Training, learner: Any, vehicles: VecNormalize, world: str) -> Drives:
     """Drives once through the world of each seed."""
-    n = len(t.world_seeds)
+    n, discount = len(t.world_seeds), float(json.loads(t.options)["discount"])
     endings: list[str | None] = [None] * n
+    returns, weights = np.zeros(n), np.ones(n)
     with closing(nb.make_env(n_envs=n, **environment(t, world))) as envs:
         seen, _ = envs.reset(options={"world_seed": np.array(t.world_seeds)})
         memory, first = None, np.ones(n, np.bool_)
         while None in endings:
             told = vehicles.normalize_obs(seen)
             actions, memory = learner.predict(told, state=memory, episode_start=first, deterministic=True)
-            seen, _, terminated, truncated, infos = envs.step(actions)
+            seen, r_t, terminated, truncated, infos = envs.step(actions)
             first = terminated | truncated
+            returns += weights * r_t
+            weights = np.where(first, 0.0, discount * weights)
             for i in np.flatnonzero(first).tolist():
                 endings[i] = endings[i] or infos["ending"][i]
-    return Drives(world, [ending or "" for ending in endings])
+    return Drives(world, [ending or "" for ending in endings], returns.tolist())
 
 
 @dataclass(frozen=True)
@@ -299,10 +306,58 @@ def write(done: Sequence[dict[str, Any]], straight: dict[str, int], a: argparse.
     more = f"{missing} of the {len(CELLS)} combinations are not trained yet. " if missing else ""
     more += f"The combinations were made by {len(makers)} states of the code." if len(makers) > 1 else ""
     body = table(header, [*(row(one) for one in done), rule], note=more)
-    report = Report("Learners of others", (Section("", (about, "`python scripts/learners.py`", body)),))
-    write_text(RESULTS / "learners.md", report.markdown())
+    sections = [Section("", (about, "`python scripts/learners.py`", body))]
+    if any("why" in one for one in done):
+        sections.append(explanation(done, a))
+    write_text(RESULTS / "learners.md", Report("Learners of others", tuple(sections)).markdown())
     values = {"budget": budget(a), "straight": straight, "rows": done}
     write_text(RESULTS / "learners.json", json.dumps(values, indent=1) + "\n")
+
+
+def explained(cell: Cell, options: dict[str, Any], a: argparse.Namespace) -> dict[str, Any]:
+    """What the reward pays: how a training's episodes ended, and what its drives are worth that arrive and that do not.
+
+    The training is that of seed 0 of the table, and drives through validation worlds.
+    """
+    ended: Counter[str] = Counter()
+
+    def count(local: dict[str, Any], _: dict[str, Any]) -> bool:
+        ended.update(info["ending"] for info in local["infos"] if info.get("ending"))
+        return True
+
+    task = training(cell, json.dumps(options, sort_keys=True), 0, a.steps, (TRAINED_IN,), seeds(a.worlds))
+    (found,) = train_and_test(task, count)
+    returns = {
+        ending: [worth for name, worth in zip(found.endings, found.returns, strict=True) if name == ending]
+        for ending in ("goal", "timeout")
+    }
+    return {
+        "trained": {name: ended[name] for name in ENDINGS if ended[name]},
+        "returns": {ending: [round(float(np.mean(its)), 3), len(its)] for ending, its in returns.items() if its},
+    }
+
+
+def explanation(done: Sequence[dict[str, Any]], a: argparse.Namespace) -> Section:
+    """What the paper's reward pays those that it is known of."""
+    about = (
+        f"Trainings of {a.steps} steps with the tuned values and seed 0, and their greedy drives through {a.worlds} "
+        "validation worlds at 5 % cover: the discounted sum of rewards from the start, mean over drives that end so "
+        "and (their number)."
+    )
+    header = ("learner", "observation", "discount", "training episodes", "return: arrives", "return: runs out of time")
+    rows = [
+        (
+            *(one["learner"], one["observation"], f"{one['options']['discount']:g}"),
+            ", ".join(f"{name} {count}" for name, count in one["why"]["trained"].items()),
+            *("{} ({})".format(*one["why"]["returns"].get(name, ("none", 0))) for name in ("goal", "timeout")),
+        )
+        for one in done
+        if "why" in one
+    ]
+    return Section(
+        "What the paper's reward pays",
+        (about, "`python scripts/learners.py --why --only ppo dqn`", table(header, rows)),
+    )
 
 
 def budget(a: argparse.Namespace) -> dict[str, int]:
@@ -328,6 +383,7 @@ def main() -> None:
     """Does all of it, one combination after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="*", choices=list(LEARNERS), default=list(LEARNERS), help="some learners")
+    parser.add_argument("--why", action="store_true", help="say what the paper's reward pays, from the table")
     parser.add_argument("--trials", type=int, default=6, help="of the search for each combination")
     parser.add_argument("--search-steps", type=int, default=30_000, help="of a trial, of all vehicles together")
     parser.add_argument("--steps", type=int, default=60_000, help="of a training")
@@ -341,11 +397,15 @@ def main() -> None:
     straight = {its["world"]: round(its["goal"] * a.worlds) for its in rule.rows if its["world"] in TESTED_IN}
     done = made_before(a)
     for cell in CELLS:
-        if cell.learner in a.only and cell not in done:
+        if cell.learner not in a.only or (cell in done) != a.why or (a.why and cell.reward != "paper"):
+            continue
+        if a.why:
+            done[cell]["why"] = explained(cell, done[cell]["options"], a)
+        else:
             best = tuned(cell, a)
             done[cell] = record(cell, best, tested(cell, best, a))
-            write([done[its] for its in CELLS if its in done], straight, a)
-            print("  ".join(row(done[cell])), flush=True)
+        write([done[its] for its in CELLS if its in done], straight, a)
+        print("  ".join(row(done[cell])), flush=True)
 
 
 if __name__ == "__main__":
