@@ -139,6 +139,13 @@ SMALL = ("--only", "encoding,reward", "--seeds", 2, "--episodes", 4, "--vehicles
 
 
 class TestCommand:
+    def test_help_says_what_studies_take(self, run_cli: RunCli) -> None:
+        told = " ".join(run_cli("ablate", "--help")[1].replace("│", " ").split())
+        for preset, study in STUDIES.items():
+            beside = "default {}" if preset == "paper" else f"of {preset} {{}}"
+            for number, usual in ((study.seeds, BOOK.seeds), (study.episodes, BOOK.episodes)):
+                assert (preset != "paper" and number == usual) or beside.format(number) in told
+
     def test_it_leaves_a_report_goes_on_and_repeats_itself(
         self, tmp_path: Path, run_cli: RunCli, snapshot: Snapshot, compiled_kernels: None
     ) -> None:

@@ -42,7 +42,7 @@ def ablate(
 
     Args:
         preset: paper, tuned or double_dqn.
-        seeds: Trainings of each variant; default 10, of tuned 5, of double_dqn 2.
+        seeds: Trainings of each variant; default 12, of double_dqn 8.
         sim: Simulator; kinematic takes half an hour on two cores, the others a day.
         only: Some factors, by name; a wrong one has all of them listed.
         world: Worlds in place of the study's, to train and to test in.
