@@ -87,8 +87,9 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba has no types
             return
         _Announcement.made = True
         folder = dispatcher.stats.cache_path
-        kept = f"it is kept in {folder}, so this happens once" if folder else "to keep it, set NUMBA_CACHE_DIR"
-        _log.warning("compiling the package's inner loops; %s", kept)
+        kept = f"they are kept in {folder}, so this happens once" if folder else "to keep them, set NUMBA_CACHE_DIR"
+        package = dispatcher.py_func.__module__.rpartition(".")[0]  # films compile others than simulations
+        _log.warning("compiling the inner loops of %s; %s", package, kept)
 
     def on_end(self, event: Any) -> None:
         """Nothing is left to say."""
