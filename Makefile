@@ -9,7 +9,7 @@ DEMO := runs/demo
 .PHONY: help demo test lint docs format benchmark clean
 
 help:
-	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 6 minutes)'
+	@echo 'make demo       train 1000 episodes in contact physics, then drive and film an unseen world (about 5 minutes)'
 	@echo 'make test       the whole test suite'
 	@echo 'make lint       ruff, import-linter, mypy, and figures of the docs against results/'
 	@echo 'make docs       the documentation site, into site/'
