@@ -332,6 +332,7 @@ def explained(cell: Cell, options: dict[str, Any], a: argparse.Namespace) -> dic
         for ending in ("goal", "timeout")
     }
     return {
+        "made_by": made_by(),
         "trained": {name: ended[name] for name in ENDINGS if ended[name]},
         "returns": {ending: [round(float(np.mean(its)), 3), len(its)] for ending, its in returns.items() if its},
     }
@@ -342,7 +343,7 @@ def explanation(done: Sequence[dict[str, Any]], a: argparse.Namespace) -> Sectio
     about = (
         f"Trainings of {a.steps} steps with the tuned values and seed 0, and their greedy drives through {a.worlds} "
         "validation worlds at 5 % cover: the discounted sum of rewards from the start, mean over drives that end so "
-        "and (their number)."
+        "and (their number). One training each, so without intervals."
     )
     header = ("learner", "observation", "discount", "training episodes", "return: arrives", "return: runs out of time")
     rows = [
@@ -354,10 +355,9 @@ def explanation(done: Sequence[dict[str, Any]], a: argparse.Namespace) -> Sectio
         for one in done
         if "why" in one
     ]
-    return Section(
-        "What the paper's reward pays",
-        (about, "`python scripts/learners.py --why --only ppo dqn`", table(header, rows)),
-    )
+    learners = " ".join(dict.fromkeys(name for name, *_ in rows))
+    command = f"`python scripts/learners.py --why --only {learners}`"
+    return Section("What the paper's reward pays", (about, command, table(header, rows)))
 
 
 def budget(a: argparse.Namespace) -> dict[str, int]:
@@ -397,13 +397,13 @@ def main() -> None:
     straight = {its["world"]: round(its["goal"] * a.worlds) for its in rule.rows if its["world"] in TESTED_IN}
     done = made_before(a)
     for cell in CELLS:
-        if cell.learner not in a.only or (cell in done) != a.why or (a.why and cell.reward != "paper"):
-            continue
-        if a.why:
+        if a.why and cell in done and cell.reward == "paper" and cell.learner in a.only:
             done[cell]["why"] = explained(cell, done[cell]["options"], a)
-        else:
+        elif not a.why and cell not in done and cell.learner in a.only:
             best = tuned(cell, a)
             done[cell] = record(cell, best, tested(cell, best, a))
+        else:
+            continue
         write([done[its] for its in CELLS if its in done], straight, a)
         print("  ".join(row(done[cell])), flush=True)
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import nnql_bullet as nb
 from nnql_bullet import paper
+from nnql_bullet.errors import UserError
 from nnql_bullet.vehicle.controller import COMMAND_RATE, DriveOptions, own_speed
 from nnql_bullet.vehicle.scale import length_scale
 
@@ -69,13 +70,17 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=25, help="validation worlds of each kind")
     parser.add_argument("--workers", type=int, default=2, help="pieces of work at a time")
     a = parser.parse_args()
-    own = success(a.policy, None, a)
-    for file in map(Path, a.robots):
-        with TemporaryDirectory() as folder:
-            robot = nb.read_robot(file).save(Path(folder) / f"{file.stem}.toml")[0]
-            for method, (share, words) in success(a.policy, robot, a).items():
-                base, base_words = own[method]
-                print(f"{file.stem}, {method}: {words} %, {100 * share / base:.1f} % of {base_words}", flush=True)
+    try:
+        own = success(a.policy, None, a)
+        for file in map(Path, a.robots):
+            with TemporaryDirectory() as folder:
+                robot = nb.read_robot(file).save(Path(folder) / f"{file.stem}.toml")[0]
+                for method, (share, words) in success(a.policy, robot, a).items():
+                    base, base_words = own[method]
+                    ratio = f"{100 * share / base:.1f} %" if base else "no share"
+                    print(f"{file.stem}, {method}: {words} %, {ratio} of {base_words} %", flush=True)
+    except UserError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":
