@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
-from itertools import chain, product
+from itertools import chain, combinations, product
 from math import atan2, cos, hypot, pi, sin
 from pathlib import Path
 from typing import Any
@@ -182,6 +182,11 @@ class TestDrawing:
                 assert shapely.box(0, 0, world.width, world.depth).covers(area)
                 assert area.distance(ends) > 4.0 - 0.01
 
+    def test_no_two_ever_meet(self, worlds: list[WorldSpec]) -> None:
+        for world in worlds:
+            areas = [swept(patrol) for patrol in world.patrols]
+            assert min(one.distance(other) for one, other in combinations(areas, 2)) > 0.09
+
     def test_the_rest_is_as_it_is_without_them(self, worlds: list[WorldSpec]) -> None:
         world = worlds[1]
         file = load_world("moving")
@@ -222,7 +227,7 @@ class TestDrawing:
     def test_a_vehicle_in_the_way_of_one_at_the_start_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text(
             "width = 14.0\ndepth = 14.0\nstart = [7, 7]\ntarget = [12, 12]\n[layout]\nkind = 'boxes'\nboxes = []\n"
-            "[patrols]\ncount = 4\nmin_side = 3.0\nmin_track = 3.0\nmax_track = 3.0\nclear_radius = 0.0\n"
+            "[patrols]\ncount = 2\nmin_side = 3.0\nmin_track = 3.0\nmax_track = 3.0\nclear_radius = 0.0\n"
         )
         experiment = Experiment(RunConfig(world=str(tmp_path / "mine.toml")))
         refused = []

@@ -15,14 +15,14 @@ from nnql_bullet.worlds.spec import Patrol, WorldSpec
 Speed = Annotated[float, Field(gt=0, le=1)]
 MOST_TRIES = 20_000
 SWEEP_MARGIN = 0.1
-"""Smallest distance between the area that a patrol sweeps and the fixed obstacles [m]."""
+"""Smallest distance of the area that a patrol sweeps from what stands, and from the areas of other patrols [m]."""
 
 
 @options
 class Patrols:
     """Options of patrols: boxes that go back and forth on straight tracks, as carts do.
 
-    Patrols never stop. Their tracks are clear of all fixed obstacles, but may cross; patrols pass through each other.
+    Patrols never stop. Their tracks are clear of all fixed obstacles and of each other, so no two ever meet.
     """
 
     count: Annotated[int, Field(ge=0, le=1000)]
@@ -47,7 +47,7 @@ class Patrols:
         refuse_crossed_ranges(self, "side", "track", "speed")
 
     def draw(self, world: WorldSpec, rng: np.random.Generator) -> tuple[Patrol, ...]:
-        """Draws patrols one by one; rejects those that would touch an obstacle or come near the start or target.
+        """Draws patrols one by one; rejects those that would touch something or come near the start or target.
 
         Numbers are rounded, so that all machines draw the same patrols.
 
@@ -58,18 +58,16 @@ class Patrols:
             tuple(OrientedBox(x, y, 0.0, 0.0) for x, y in ((world.start.x, world.start.y), *world.targets))
         )
         patrols: list[Patrol] = []
+        taken = world.solids
         for _ in range(MOST_TRIES):
             if len(patrols) == self.count:
                 return tuple(patrols)
             patrol = self._anywhere(world, rng)
             swept = as_rows((_swept(patrol),))[0]
             inside = 0 < patrol.box.x < world.width and 0 < patrol.box.y < world.depth
-            if (
-                inside
-                and clearance(swept, world.solids) >= SWEEP_MARGIN
-                and clearance(swept, keep_free) >= self.clear_radius
-            ):
+            if inside and clearance(swept, taken) >= SWEEP_MARGIN and clearance(swept, keep_free) >= self.clear_radius:
                 patrols.append(patrol)
+                taken = np.concatenate([taken, swept[None]])
         raise UserError(
             f"world '{world.name}', seed {world.seed}: no room for {self.count} patrols; "
             "lower their 'count', 'max_side', 'max_track' or 'clear_radius'"
