@@ -31,7 +31,7 @@ WHAT = {
     "double_dqn": "decides every step by a dueling network over 24 readings and a map of what it has seen",
     "paper": "the paper's 8-6-5 network with the numbers that the paper states",
     "literal": "the paper's 8-6-5 network, the text read by the letter",
-    "tuned": "the paper's 8-6-5 network with numbers set by evidence, where the paper states others too",
+    "tuned": "the paper's 8-6-5 network with the numbers that it states, and what it leaves open set by evidence",
 }
 """Of the presets whose policies may be shipped."""
 LIMITS = """\

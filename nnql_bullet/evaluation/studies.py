@@ -71,6 +71,7 @@ def _agent(**values: Any) -> dict[str, Any]:
 
 _DEFAULT: dict[str, Any] = {}
 _STATED_TEMPERATURE = f"{paper.TEMPERATURE_MAX:g} to {paper.TEMPERATURE_MIN:g}"
+_LAST_STATE = {"training": {"selection": {"candidates": 1}}}
 _LITERAL = departures(to_values(PRESETS["literal"]), to_values(PRESETS["paper"]))
 
 
@@ -269,7 +270,7 @@ _TUNED = (
         "-",
         _variants(
             ("the best of 8 late states", _DEFAULT),
-            ("the last state", {"training": {"selection": {"candidates": 1}}}),
+            ("the last state", _LAST_STATE),
         ),
     ),
     Factor(
@@ -277,12 +278,9 @@ _TUNED = (
         "temperature",
         "IV",
         _variants(
-            (
-                f"{_STATED_TEMPERATURE}, as stated",
-                _agent(temperature_max=paper.TEMPERATURE_MAX, temperature_min=paper.TEMPERATURE_MIN),
-            ),
-            (f"{paper.TEMPERATURE_MAX:g} to 0.1", _agent(temperature_max=paper.TEMPERATURE_MAX)),
-            ("0.4 to 0.1", _DEFAULT),
+            (f"{_STATED_TEMPERATURE}, as stated", _DEFAULT),
+            (f"{paper.TEMPERATURE_MAX:g} to 0.1", _agent(temperature_min=0.1)),
+            ("0.4 to 0.1", _agent(temperature_max=0.4, temperature_min=0.1)),
         ),
     ),
     Factor(
@@ -298,8 +296,8 @@ _TUNED = (
         "boxes in training",
         "IV",
         _variants(
-            ("5 % cover, as in the paper", {"world": "paper"}),
-            ("7.5 % cover", _DEFAULT),
+            ("5 % cover, as stated", _DEFAULT),
+            ("7.5 % cover", {"world": "cover_7.5"}),
             ("10 % cover", {"world": "cover_10"}),
         ),
     ),
@@ -315,32 +313,19 @@ _TUNED = (
         ),
     ),
     Factor(
-        "front",
-        "non-safe: front sector below",
-        "II.C",
-        _variants(("4.5 m", _task(front_distance=4.5)), ("5 m", _DEFAULT), ("5.5 m", _task(front_distance=5.5))),
-    ),
-    Factor(
-        "front_sides",
-        "non-safe: front sides below",
-        "II.C",
-        _variants(
-            ("3 m", _task(front_side_distance=3.0)),
-            ("3.5 m", _DEFAULT),
-            ("4 m", _task(front_side_distance=4.0)),
-        ),
-    ),
-    Factor(
         "mirror",
         "a step teaches its mirror image too",
         "-",
         _variants(("no", _agent(mirrored=False)), ("yes", _DEFAULT)),
     ),
     Factor(
-        "vehicles",
-        "vehicles that learn at once",
+        "all",
+        "all departures at once",
         "-",
-        _variants(("1", {"vehicles": 1}), ("64", _DEFAULT)),
+        _variants(
+            ("preset paper", _drive(decision_period=0.5) | _agent(mirrored=False) | _LAST_STATE),
+            ("preset tuned", _DEFAULT),
+        ),
     ),
 )
 
