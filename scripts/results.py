@@ -32,12 +32,15 @@ from scipy.stats import bootstrap
 
 import nnql_bullet as nb
 from nnql_bullet.agents import RULES
+from nnql_bullet.api.evaluate import EvaluationResults
 from nnql_bullet.errors import UserError
 from nnql_bullet.evaluation.studies import STUDIES
 from nnql_bullet.executors import ExecutorKind, make_executor
 from nnql_bullet.presets import load_config
 from nnql_bullet.provenance import TRAINING, code_digest
+from nnql_bullet.runs import CHECKPOINT, CONFIG, MADE_BY
 from nnql_bullet.training.base import TrainingEpisode
+from nnql_bullet.training.checkpoint import POLICY
 from nnql_bullet.work import Progress
 
 
@@ -101,21 +104,23 @@ class Evaluation:
         return policies * len(self.worlds) * scale * self.count * (2 if self.more.get("shield") else 1)
 
 
+SHIPPED = ("paper", "tuned", "double_dqn", "distilled")
+"""Trained policies that come with the program."""
 EVALUATIONS = {
-    "kinematic": Evaluation((*COVERS, *HARD), 1000, more=KINEMATIC),
     "covers": Evaluation(COVERS, 100),
     "hard": Evaluation(HARD, 100, seeds=5),
-    "shield": Evaluation((*COVERS, *HARD), 300, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
-    "shield-kinematic": Evaluation((*COVERS, *HARD), 300, seeds=5, more={**KINEMATIC, "shield": True}),
+    "shield": Evaluation((*COVERS, *HARD), 100, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
+    "poles-contact": Evaluation(("poles",), 100, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
+    "tight": Evaluation(TIGHT, 100, HEADLINE, ALL_RULES, 5, {**KINEMATIC, "shield": True}),
+    "kinematic": Evaluation((*COVERS, *HARD), 300, more=KINEMATIC),
+    "thousand": Evaluation((*COVERS, *HARD), 1000, (), (*SHIPPED, *HEADLINE_RULES), more=KINEMATIC),
     "poles": Evaluation(
-        *(("poles",), 1000, HEADLINE, HEADLINE_RULES, 5),
+        *(("poles",), 300, HEADLINE, HEADLINE_RULES, 5),
         {
             **{**KINEMATIC, "shield": True, "conditions": nb.Conditions(rays=360)},
             "changes": {"shield": {"least_width": 0.02}},
         },
     ),
-    "tight": Evaluation(TIGHT, 100, HEADLINE, ALL_RULES, 5, {**KINEMATIC, "shield": True}),
-    "tight-contact": Evaluation(TIGHT, 100, HEADLINE, HEADLINE_RULES, 5, {"shield": True}),
 }
 CONDITIONS: dict[str, dict[str, Any]] = {
     "none": {},
@@ -132,15 +137,20 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 """Arguments of `nb.evaluate`; drives under the others are compared with those under the first, bare and in a shield."""
 CONDITION_COVERS = ("cover_10", "cover_20")
 CONDITION_WORLDS = 50
+CONDITION_SEEDS = 1
+"""Trainings of each method."""
 STAGE_WORLDS = ("cover_10", "cover_20", *HARD)
 STAGES_COUNT = 100
 """Validation worlds of each kind along a training."""
 GAP_WORLDS = ("cover_10", "aisles")
 GAP_COUNT = 100
+GAP_SEEDS = 1
 SIDES = (("kinematic", "bullet"), ("mujoco", "bullet"))
 """Simulators that headline rows are compared in."""
 FOREIGN = ("double_dqn", "distilled", *ALL_RULES)
 """Shipped policies and rules that drive in worlds of others."""
+IN_BARN = ("double_dqn", "distilled", "straight")
+"""Those that do so in contact physics too, through BARN."""
 FOLDERS = ("barn", "maps")
 """Parts in worlds of others, whose folder a flag of that name gives."""
 ABLATIONS: dict[str, tuple[int, dict[str, Any]]] = {
@@ -149,7 +159,7 @@ ABLATIONS: dict[str, tuple[int, dict[str, Any]]] = {
     "double_dqn": (100, {"only": ("map", "frames")}),  # whose trainings take long
 }
 """Validation worlds of each kind and further arguments of `nb.ablate`, by preset; seeds as the studies say."""
-PARTS = ("ablations", *EVALUATIONS, "conditions", "gap", "barn", "maps", "learning")
+PARTS = ("learning", *EVALUATIONS, "gap", "conditions", "barn", "maps", "ablations")
 """In the order in which they are made."""
 NEEDED = {
     **{name: its.learned for name, its in EVALUATIONS.items()},
@@ -160,7 +170,7 @@ NEEDED = {
 """Methods that are trained for a part."""
 PACE = {"kinematic": 0.1, "bullet": 0.6, "mujoco": 0.6}
 """CPU time of a drive, mean over methods and kinds of worlds [s], as `--estimate` takes it; of order only. What a part
-takes is in hours.json of --out."""
+takes is in hours.json of the results."""
 ABLATION_HOURS = {"paper": 0.01, "tuned": 0.015, "double_dqn": 0.1}
 """CPU time of a training of an ablation and its test [hours], of order only."""
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
@@ -177,29 +187,59 @@ class Trial:
     method: str
     seed: int
     out: Path
+    results: Path
+
+    @property
+    def name(self) -> str:
+        """Name of its folders."""
+        return f"{self.method}-{self.seed}"
 
     @property
     def run(self) -> Path:
         """The run folder."""
-        return self.out / f"{self.method}-{self.seed}"
+        return self.out / self.name
+
+    @property
+    def trained(self) -> Path:
+        """The folder of the results that keeps what it has learned, and what made that."""
+        return self.results / "trained" / self.name
 
     def stage(self, episodes: int) -> Path:
         """What it had learned after so many episodes."""
         return self.run / "stages" / f"{episodes}.safetensors"
 
+    def check(self, folder: Path) -> None:
+        """Checks that the code of now has trained what lies in a folder, if anything does.
+
+        Raises:
+            UserError: If other code has.
+        """
+        if (folder / CONFIG).exists():
+            makers = nb.load_run(folder).makers
+            if {maker.get("code") for maker in makers} != {code_digest(TRAINING)}:
+                raise UserError(f"{folder}: was trained by other code; remove it, or take it with --older")
+
 
 def train(trial: Trial) -> None:
-    """Trains the run, or continues it, with a copy of the policy at each stage."""
+    """Trains the run, or continues it, with a copy of the policy at each stage; keeps what it has learned."""
     method = METHODS[trial.method]
     for episodes in (*method.stages, None):
         if episodes is None or not trial.stage(episodes).exists():
-            if (trial.run / "checkpoint.safetensors").exists():
+            if (trial.run / CHECKPOINT).exists():
                 nb.resume(trial.run, episodes or load_config(method.preset, {}).episodes)
             else:
                 nb.train(method.preset, seed=trial.seed, out=trial.run, episodes=episodes, **method.changes)
             if episodes is not None:
                 trial.stage(episodes).parent.mkdir(exist_ok=True)
-                shutil.copyfile(trial.run / "policy.safetensors", trial.stage(episodes))
+                shutil.copyfile(trial.run / POLICY, trial.stage(episodes))
+    trial.trained.mkdir(parents=True, exist_ok=True)
+    for file in (CONFIG, MADE_BY, POLICY):
+        shutil.copyfile(trial.run / file, trial.trained / file)
+
+
+def _is_over(trial: Trial) -> bool:
+    """Whether the run folder is there, and whole."""
+    return (trial.run / CONFIG).exists() and nb.load_run(trial.run).is_over
 
 
 def draw_learning(trials: Sequence[Trial], path: Path) -> None:
@@ -224,6 +264,7 @@ class Results:
         self.trials = trials
         self.a = a
         self.until = time.monotonic() + 3600 * a.hours
+        self.drives: Path = a.out / "drives"
         self.spread: dict[str, Any] = {"executor": a.executor, "workers": a.workers, "on_progress": self.told}
 
     def told(self, progress: Progress) -> None:
@@ -237,15 +278,16 @@ class Results:
         return max(1, round(number * self.a.scale))
 
     def runs(self, methods: Sequence[str], seeds: int | None = None) -> list[str]:
-        """Run folders of methods."""
-        return [str(t.run) for t in self.trials if t.method in methods and (seeds is None or t.seed < seeds)]
+        """What the trainings of methods have learned."""
+        return [str(t.trained) for t in self.trials if t.method in methods and (seeds is None or t.seed < seeds)]
 
-    def keep(self, name: str, files: Sequence[str]) -> None:
-        """Copies files of a report into the results."""
+    def keep(self, folder: Path, name: str, files: Sequence[str]) -> None:
+        """Copies files of a report into the results, in place of those that are there."""
         (self.a.results / name).mkdir(parents=True, exist_ok=True)
         for file in files:
-            if (self.a.out / name / file).exists():  # without several covers there is no picture of them
-                shutil.copy(self.a.out / name / file, self.a.results / name / file)
+            (self.a.results / name / file).unlink(missing_ok=True)
+            if (folder / file).exists():  # without several covers there is no picture of them
+                shutil.copy(folder / file, self.a.results / name / file)
 
     def train(self, part: str) -> None:
         """Trains what a part needs.
@@ -253,12 +295,12 @@ class Results:
         Raises:
             UserError: If a training was made by other code.
         """
-        trials = [trial for trial in self.trials if trial.method in NEEDED.get(part, ())]
-        if not self.a.older:
-            for trial in trials:
-                is_there, ours = (trial.run / "config.toml").exists(), {code_digest(TRAINING)}
-                if is_there and {maker.get("code") for maker in nb.load_run(trial.run).makers} != ours:
-                    raise UserError(f"{trial.run}: was trained by other code; remove it, or take it with --older")
+        needed = [trial for trial in self.trials if trial.method in NEEDED.get(part, ())]
+        for trial in needed if not self.a.older else ():
+            trial.check(trial.trained)
+            trial.check(trial.run)
+        from_runs = part == "learning"  # whose stages and episodes results/ does not keep
+        trials = [its for its in needed if not (its.trained / POLICY).exists() or (from_runs and not _is_over(its))]
         executor = make_executor(self.a.executor, self.a.workers)
         self.told(Progress("training", 0, len(trials)))
         for done, outcome in enumerate(executor.map(train, trials), 1):
@@ -273,23 +315,23 @@ class Results:
             self.train(part)
             self.evaluate(part, EVALUATIONS[part]) if part in EVALUATIONS else getattr(self, part)()
         finally:
-            file = self.a.out / "hours.json"
+            file = self.a.results / "hours.json"
             hours = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
             hours[part] = hours.get(part, 0.0) + (_cpu_time() - before) / 3600
             file.write_text(json.dumps(hours, indent=1) + "\n", encoding="utf-8")
         print(f"\r{part}: in {self.a.results}; {hours[part]:.2f} CPU hours on this machine", flush=True)
 
+    def drive(self, policies: Sequence[str], **more: Any) -> EvaluationResults:
+        """Drives through worlds; in one folder, so that no part drives what another one has driven."""
+        for file in KEPT:
+            (self.drives / file).unlink(missing_ok=True)
+        return nb.evaluate(policies, out=self.drives, **{"physics": self.a.physics, **self.spread, **more})
+
     def evaluate(self, name: str, its: Evaluation) -> None:
         """Drives policies through test worlds."""
-        nb.evaluate(
-            [*self.runs(its.learned, its.seeds), *its.rules],
-            worlds=its.worlds,
-            split="test",
-            n_worlds=self.scaled(its.count),
-            out=self.a.out / name,
-            **{"physics": self.a.physics, **self.spread, **its.more},
-        )
-        self.keep(name, KEPT)
+        policies, n_worlds = [*self.runs(its.learned, its.seeds), *its.rules], self.scaled(its.count)
+        self.drive(policies, worlds=its.worlds, split="test", n_worlds=n_worlds, **its.more)
+        self.keep(self.drives, name, KEPT)
 
     def ablations(self) -> None:
         """What each choice of a preset is worth."""
@@ -297,20 +339,19 @@ class Results:
             name = "ablation" if preset == "paper" else f"ablation-{preset}"
             seeds, n_worlds = self.scaled(STUDIES[preset].seeds), self.scaled(worlds)
             nb.ablate(preset, seeds=seeds, n_worlds=n_worlds, out=self.a.out / name, **self.spread, **more)
-            self.keep(name, ABLATION)
+            self.keep(self.a.out / name, name, ABLATION)
 
     def conditions(self) -> None:
         """What conditions cost that nothing was trained with, bare and in a shield."""
         found: dict[str, Drives] = {}
         for condition, more in CONDITIONS.items():
-            results = nb.evaluate(
-                self.runs(HEADLINE, 5),
+            results = self.drive(
+                self.runs(HEADLINE, CONDITION_SEEDS),
                 worlds=CONDITION_COVERS,
                 split="test",
                 n_worlds=self.scaled(CONDITION_WORLDS),
                 shield=True,
-                out=self.a.out / "conditions" / condition.replace(" ", "_"),
-                **{"physics": self.a.physics, **self.spread, **more},
+                **more,
             )
             found[condition] = {
                 (row["method"], row["policy"], row["world"], row["world_seed"]): row["ending"] == "goal"
@@ -330,7 +371,7 @@ class Results:
                     made = json.loads(done.read_text(encoding="utf-8")) if done.exists() else {}
                     if made.get("made_by", {}).get("code") != code_digest(TRAINING):
                         nb.gap(
-                            self.runs([method], 5) or [method],
+                            self.runs([method], GAP_SEEDS) or [method],
                             **{"against": first, "simulator": second, "physics": self.a.physics, "world": world},
                             split="test",
                             n_worlds=self.scaled(GAP_COUNT),
@@ -338,26 +379,22 @@ class Results:
                             out=self.a.out / name,
                             **self.spread,
                         )
-                    self.keep(name, GAP)
+                    self.keep(self.a.out / name, name, GAP)
 
     def barn(self) -> None:
-        """Shipped policies and rules through the worlds of the BARN challenge."""
-        nb.barn(self.a.barn, FOREIGN, simulator="kinematic", shield=True, out=self.a.out / "barn", **self.spread)
-        self.keep("barn", BARN)
+        """Shipped policies and rules through the worlds of the BARN challenge, some of them in contact physics too."""
+        for name, policies, where in (
+            ("barn", FOREIGN, KINEMATIC),
+            ("barn-contact", IN_BARN, {"physics": self.a.physics}),
+        ):
+            nb.barn(self.a.barn, policies, shield=True, out=self.a.out / name, **{**self.spread, **where})
+            self.keep(self.a.out / name, name, BARN)
 
     def maps(self) -> None:
         """Shipped policies and rules through a folder of maps."""
-        nb.evaluate(
-            FOREIGN,
-            worlds=[self.a.maps],
-            split="test",
-            n_worlds=self.scaled(100),
-            shield=True,
-            simulator="kinematic",
-            out=self.a.out / "maps",
-            **self.spread,
-        )
-        self.keep("maps", KEPT)
+        n_worlds = self.scaled(100)
+        self.drive(FOREIGN, worlds=[self.a.maps], split="test", n_worlds=n_worlds, shield=True, **KINEMATIC)
+        self.keep(self.drives, "maps", KEPT)
 
     def learning(self) -> None:
         """How fast methods come to succeed: during training, and on validation worlds."""
@@ -367,14 +404,7 @@ class Results:
         stages = [*METHODS["double_dqn"].stages, None]
         for episodes in stages:
             policies = [str(trial.stage(episodes) if episodes else trial.run) for trial in trials]
-            results = nb.evaluate(
-                policies,
-                worlds=STAGE_WORLDS,
-                n_worlds=self.scaled(STAGES_COUNT),
-                simulator="kinematic",
-                out=self.a.out / "stages",
-                **self.spread,
-            )
+            results = self.drive(policies, worlds=STAGE_WORLDS, n_worlds=self.scaled(STAGES_COUNT), **KINEMATIC)
             titles = {tier.name: tier.title for tier in results.evaluation.tiers}
             learned = results.evaluation.policies[0].episodes
             rows += [{**row, "episodes": learned, "title": titles.get(row["world"])} for row in results.rows]
@@ -393,10 +423,10 @@ def estimated_hours(part: str, scale: float) -> float:
         simulator = EVALUATIONS[part].more.get("simulator", "bullet")
         return EVALUATIONS[part].drives(scale) * PACE[simulator] / 3600
     if part == "conditions":
-        drives = len(CONDITIONS) * len(CONDITION_COVERS) * 2 * len(HEADLINE) * 5 * CONDITION_WORLDS
+        drives = len(CONDITIONS) * len(CONDITION_COVERS) * 2 * len(HEADLINE) * CONDITION_SEEDS * CONDITION_WORLDS
         return drives * scale**2 * PACE["bullet"] / 3600
     if part == "gap":
-        drives = len(GAP_WORLDS) * (len(HEADLINE) * 5 + len(HEADLINE_RULES)) * GAP_COUNT
+        drives = len(GAP_WORLDS) * (len(HEADLINE) * GAP_SEEDS + len(HEADLINE_RULES)) * GAP_COUNT
         return drives * scale**2 * sum(PACE[side] for sides in SIDES for side in sides) / 3600
     if part == "ablations":
         trainings = {
@@ -412,10 +442,10 @@ def estimated_hours(part: str, scale: float) -> float:
 def estimate(a: argparse.Namespace, trials: Sequence[Trial]) -> None:
     """Prints the CPU hours of each part from nothing, and what is there already."""
     needed = {method for part in a.only for method in NEEDED.get(part, ())}
-    missing = [trial for trial in trials if trial.method in needed and not (trial.run / "learning_curve.png").exists()]
+    missing = [trial for trial in trials if trial.method in needed and not (trial.trained / POLICY).exists()]
     hours = {"trainings that are missing": sum(METHODS[trial.method].hours for trial in missing)}
     hours |= {part: estimated_hours(part, a.scale) for part in a.only}
-    file = a.out / "hours.json"
+    file = a.results / "hours.json"
     spent = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     for name, its in {**hours, "together": sum(hours.values())}.items():
         print(f"{name:<28}{its:9.2f} CPU hours" + (f", {spent[name]:.2f} spent so far" if name in spent else ""))
@@ -506,7 +536,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path("results"), help="where the report goes")
     a = parser.parse_args()
     counts = {name: max(1, round(method.seeds * a.scale)) for name, method in METHODS.items()}
-    trials = [Trial(name, seed, a.out) for name, count in counts.items() for seed in range(count)]
+    trials = [Trial(name, seed, a.out, a.results) for name, count in counts.items() for seed in range(count)]
     if a.estimate:
         estimate(a, trials)
         return
