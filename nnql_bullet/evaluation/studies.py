@@ -282,6 +282,7 @@ _TUNED = (
             (f"{paper.TEMPERATURE_MAX:g} to 0.1", _agent(temperature_min=0.1)),
             ("0.4 to 0.1", _agent(temperature_max=0.4, temperature_min=0.1)),
         ),
+        stated=True,
     ),
     Factor(
         "discount",
@@ -290,6 +291,7 @@ _TUNED = (
         _variants(
             ("0", _agent(discount=0.0)), (f"{paper.DISCOUNT:g}, as stated", _DEFAULT), ("0.5", _agent(discount=0.5))
         ),
+        stated=True,
     ),
     Factor(
         "cover",
@@ -300,6 +302,7 @@ _TUNED = (
             ("7.5 % cover", {"world": "cover_7.5"}),
             ("10 % cover", {"world": "cover_10"}),
         ),
+        stated=True,
     ),
     Factor(
         "period",
