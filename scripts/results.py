@@ -140,7 +140,7 @@ CONDITION_WORLDS = 50
 CONDITION_SEEDS = 1
 """Trainings of each method."""
 STAGE_WORLDS = ("cover_10", "cover_20", *HARD)
-STAGES_COUNT = 100
+STAGES_COUNT = 50
 """Validation worlds of each kind along a training."""
 GAP_WORLDS = ("cover_10", "aisles")
 GAP_COUNT = 100
