@@ -168,10 +168,10 @@ NEEDED = {
     "learning": (*LEARNING_FROM_STEPS, "double_dqn"),
 }
 """Methods that are trained for a part."""
-PACE = {"kinematic": 0.1, "bullet": 0.6, "mujoco": 0.6}
+PACE = {"kinematic": 0.1, "bullet": 0.4, "mujoco": 0.4}
 """CPU time of a drive, mean over methods and kinds of worlds [s], as `--estimate` takes it; of order only. What a part
 takes is in hours.json of the results."""
-ABLATION_HOURS = {"paper": 0.01, "tuned": 0.015, "double_dqn": 0.1}
+ABLATION_HOURS = {"paper": 0.004, "tuned": 0.004, "double_dqn": 0.06}
 """CPU time of a training of an ablation and its test [hours], of order only."""
 KEPT = ("evaluation.md", "results.json", "results.csv", "outcomes.png", "cover.png", "failures.png")
 """Files of a report that go into results/."""
