@@ -7,6 +7,8 @@ from types import ModuleType
 
 import pytest
 
+import nnql_bullet as nb
+from nnql_bullet.commands import train_arguments
 from nnql_bullet.config import read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,3 +59,15 @@ def test_a_new_figure_and_a_claim_that_results_do_not_hold_are_refused(claims: M
     assert typed.startswith("README.md: 1 figures are typed, 0 are known")
     assert wrong == "page.md: {{ rate b }}: 'b'"
     assert claims.filled("In {{ rate a }}.", {"rate": {"a": "1 %"}.__getitem__}) == "In 1 %."
+
+
+def test_a_training_that_is_kept_is_what_its_folder_is_named_after() -> None:
+    folders = sorted((ROOT / "results" / "trained").iterdir())
+    assert folders
+    for folder in folders:
+        policy, (maker, *_) = nb.load_policy(folder), nb.load_run(folder).makers
+        config = policy.experiment.config
+        preset, _ = train_arguments(config)
+        assert folder.name == f"{preset}-{config.seed}"
+        assert maker["code"]
+        assert policy.episodes > 0
