@@ -37,10 +37,10 @@ def train(
     function of the configuration and the seed. Ctrl-C ends after the present episode, with a checkpoint to resume from;
     SIGTERM and a closed terminal do too.
 
-    Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (its numbers set by evidence),
-    q_table (a table, no network), genetic (a search over weights), double_dqn (decides every step, keeps a map),
-    distilled (learns what a search says), sb3_dqn (DQN of stable-baselines3). tuned, double_dqn and distilled train 64
-    vehicles in the kinematic model.
+    Presets: paper (NNQL, the default), literal (the same by the paper's letter), tuned (mirrored steps, the best of
+    late states), q_table (a table, no network), genetic (a search over weights), double_dqn (decides every step, keeps
+    a map), distilled (learns what a search says), sb3_dqn (DQN of stable-baselines3). tuned, double_dqn and distilled
+    train 64 vehicles in the kinematic model.
 
     Every key of the configuration is a flag, such as --agent.discount, --speed, --conditions.payload or --rays; to list
     them: nnql-bullet keys --config double_dqn
