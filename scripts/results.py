@@ -18,6 +18,7 @@ anew in another --out, or take it with --older, which results/ then shows.
 
 import argparse
 import json
+import os
 import resource
 import shutil
 import sys
@@ -75,7 +76,7 @@ HARD = ("traps", "aisles", "moving")
 TIGHT = ("poles", "cluttered", "rooms", "cells")
 HEADLINE = ("paper", "double_dqn", "distilled")
 """Learned methods of the rows that are talked about, driven through most worlds."""
-PLANNED = str(Path(__file__).with_name("pure_pursuit_planned.toml"))
+PLANNED = os.path.relpath(Path(__file__).with_name("pure_pursuit_planned.toml"))
 """The one rule that is led by a plan of the whole world, which the others do not know."""
 HEADLINE_RULES = ("straight", "vfh", "dwa", "mppi", PLANNED)
 ALL_RULES = (*RULES, PLANNED)

@@ -399,7 +399,7 @@ def episode_records(evaluation: Evaluation) -> list[dict[str, Any]]:
 def draw_outcomes(evaluation: Evaluation, rows: Sequence[Row], path: Path) -> None:
     """Draws how drives ended: a panel for each tier, a bar for each method, with the interval of success."""
     e = evaluation
-    with picture(path, 1.6 + 2.5 * len(e.tiers), 0.36 * len(e.methods) + 1.7) as figure:
+    with picture(path, max(7.0, 1.6 + 2.5 * len(e.tiers)), 0.36 * len(e.methods) + 1.7) as figure:
         panels = figure.subplots(1, len(e.tiers), sharey=True, squeeze=False)[0]
         for axes, tier in zip(panels, e.tiers, strict=True):
             its = [row for row in rows if row.world == tier.name]
