@@ -20,7 +20,7 @@ CODE = re.compile(r"(?ms)^ *```.*?^ *```|`[^`\n]*`")
 FACTS = ("explanation/physics.md", "explanation/fidelity.md", "explanation/envelope.md", "explanation/speed.md")
 """Pages of measured properties of the simulators, which the verbs of the package print for any machine."""
 TYPED = {
-    "explanation/double-dqn.md": 40,
+    "explanation/double-dqn.md": 39,
     "explanation/gap.md": 10,
     "explanation/shield.md": 35,
     "how-to/barn.md": 52,

@@ -227,7 +227,8 @@ def report(folder: str) -> str:
 
 def readme_table() -> str:
     """The small table of the README: the paper's network, the best rules, and what goes beyond the paper."""
-    return success_table("covers", "straight", "hand_rule", "literal", "paper", "tuned", "vfh", "double_dqn", "distilled")
+    methods = ("straight", "hand_rule", "literal", "paper", "tuned", "vfh", "double_dqn", "distilled")
+    return success_table("covers", *methods)
 
 
 def _table(rows: list[list[str]]) -> str:
